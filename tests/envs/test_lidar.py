@@ -1,0 +1,299 @@
+"""The VLP-16 against hand-worked scenes and PyBullet's rays."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+
+import numpy as np
+import pybullet
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uavrl.envs.lidar import Lidar, LidarConfig
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.vlp16 import FIRING_TIMES, NUM_RAYS
+from uavrl.transforms.functional import truncated_icosahedron
+
+LEVEL = np.eye(3)[None]
+ORIGIN = np.zeros((1, 3))
+
+
+def box(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Mesh:
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))]
+    return Mesh(corners * size + centre, np.array(faces))
+
+
+def terrain(rng: np.random.Generator, half: float = 12.0, cells: int = 24) -> Mesh:
+    x, y = np.meshgrid(*[np.linspace(-half, half, cells)] * 2, indexing="ij")
+    corner = np.arange(cells * cells).reshape(cells, cells)
+    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return Mesh(np.stack([x, y, rng.normal(0, 0.4, x.shape)], -1).reshape(-1, 3), faces)
+
+
+def clutter(seed: int) -> list[Mesh]:
+    rng = np.random.default_rng(seed)
+    boxes = [box(rng.uniform([-9, -9, 0], [9, 9, 5]), rng.uniform(0.3, 3, 3)) for _ in range(15)]
+    return [terrain(rng), *boxes]
+
+
+def poses(seed: int, num: int, level: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-0.5, 0.5, (num, 3)) * [0 if level else 1, 0 if level else 1, 2 * math.pi]
+    rotations = [
+        np.reshape(pybullet.getMatrixFromQuaternion(pybullet.getQuaternionFromEuler(a)), (3, 3)) for a in angles
+    ]
+    return rng.uniform([-8, -8, 1], [8, 8, 5], (num, 3)), np.stack(rotations)
+
+
+def ranges(cloud: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(cloud, axis=-1)
+
+
+WALL = Mesh([[5, -50, -50], [5, 50, -50], [5, 50, 50], [5, -50, 50]], [[0, 1, 2], [0, 2, 3]])  # the plane x = 5
+PLANE = Mesh.merge(
+    [box((0, 0, 0), (1.2, 0.2, 0.2)), box((0.1, 0, 0), (0.3, 2.0, 0.05)), box((-0.5, 0, 0.2), (0.2, 0.1, 0.4))]
+)
+
+
+def test_firing_order_literally() -> None:
+    directions = Lidar([]).directions
+    assert directions.shape == (28928, 3) and directions.dtype == np.float32
+    # -15, 1 and -13 degrees straight ahead; 0.0083 and 0.0166 degrees to the right
+    np.testing.assert_allclose(
+        directions[:3],
+        [[0.965926, 0.0, -0.258819], [0.999848, -0.000145, 0.017452], [0.974370, -0.000282, -0.224951]],
+        atol=1e-6,
+    )
+    elevations = np.degrees(np.arcsin(directions[:, 2])).reshape(1808, 16)
+    expected = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
+    np.testing.assert_allclose(elevations, np.broadcast_to(expected, (1808, 16)), atol=1e-4)
+    # a quarter turn takes 25 ms: 452.1 cycles of 55.296 us, and it ends at the right-hand side
+    quarter = directions[452 * 16]
+    assert quarter[1] < -0.965 and abs(quarter[0]) < 1e-3
+    azimuths = np.degrees(np.arctan2(-directions[::16, 1], directions[::16, 0])) % 360
+    np.testing.assert_allclose(np.diff(azimuths), 0.1990656, atol=1e-4)
+    np.testing.assert_allclose(ranges(directions), 1, atol=1e-6)
+    assert FIRING_TIMES[-1] == pytest.approx(0.1, abs=1e-4)
+    with pytest.raises(ValueError, match="read-only"):
+        directions[0] = 0
+
+
+def test_wall_at_a_known_distance() -> None:
+    lidar = Lidar([WALL])
+    cloud = lidar.scan(np.array([[0.0, 0, 0], [3, 7, 0], [6, 0, 0]]), np.repeat(LEVEL, 3, 0))
+    assert cloud.shape == (3, NUM_RAYS, 3) and cloud.dtype == np.float32
+    ahead = lidar.directions[:, 0] > 0.2
+    np.testing.assert_allclose(cloud[0, ahead, 0], 5, atol=1e-4)
+    np.testing.assert_allclose(cloud[1, ahead, 0], 2, atol=1e-4)
+    assert np.isnan(cloud[0, lidar.directions[:, 0] < 0]).all()
+    np.testing.assert_allclose(cloud[2, lidar.directions[:, 0] < -0.2, 0], -1, atol=1e-4)  # seen from behind
+    misses = np.isnan(cloud)
+    assert (misses.all(-1) == misses.any(-1)).all()
+
+
+def test_the_scan_tilts_with_the_body() -> None:
+    """Pitched 30° nose down, 2 m over flat ground, the forward rays at ±1° meet it after 2 / sin(30° ∓ 1°)."""
+    ground = Mesh([[-99, -99, 0], [99, -99, 0], [99, 99, 0], [-99, 99, 0]], [[0, 1, 2], [0, 2, 3]])
+    down = np.reshape(
+        pybullet.getMatrixFromQuaternion(pybullet.getQuaternionFromEuler((0, math.radians(30), 0))), (1, 3, 3)
+    )
+    lidar = Lidar([ground])
+    cloud = lidar.scan([[0, 0, 2]], down)
+    got = ranges(cloud[0, [1, 14]])  # lasers at +1° and -1°
+    np.testing.assert_allclose(got, [2 / math.sin(math.radians(29)), 2 / math.sin(math.radians(31))], rtol=1e-4)
+    assert np.isnan(cloud[0, 904 * 16 + 1]).all()  # behind: up into the sky
+    world = cloud[0] @ down[0].T + [0, 0, 2]
+    np.testing.assert_allclose(world[~np.isnan(world[:, 2]), 2], 0, atol=2e-3)
+
+
+def pybullet_ranges(
+    meshes: list[Mesh], bodies: list[tuple[Mesh, np.ndarray]], rays: np.ndarray, lengths: float
+) -> np.ndarray:
+    """Ranges of rays ``[M, 2, 3]`` (origin, unit direction), NaN for misses."""
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        for mesh, pose in [*((mesh, np.zeros(4)) for mesh in meshes), *bodies]:
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_MESH,
+                vertices=mesh.vertices.tolist(),
+                indices=mesh.faces.ravel().tolist(),
+                flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+                physicsClientId=client,
+            )
+            turn = pybullet.getQuaternionFromEuler((0, 0, pose[3]))
+            pybullet.createMultiBody(0, shape, -1, pose[:3].tolist(), turn, physicsClientId=client)
+        out = []
+        for part in np.array_split(rays, math.ceil(len(rays) / 8192)):
+            ends = part[:, 0] + lengths * part[:, 1]
+            out += pybullet.rayTestBatch(part[:, 0].tolist(), ends.tolist(), physicsClientId=client)
+        return np.array([lengths * hit[2] if hit[0] >= 0 else np.nan for hit in out])
+    finally:
+        pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize("max_range", [4.0, 60.0])
+def test_agrees_with_pybullet_and_sees_moving_planes(max_range: float) -> None:
+    meshes = clutter(0)
+    positions, rotations = poses(1, 3)
+    ahead = rotations[:, :, 0]
+    planes = np.array(
+        [[*(positions[0] + 2.5 * ahead[0]), 0.7], [*(positions[1] - 3 * ahead[1]), -2.0], [30, 30, 3.5, 1]]
+    )
+    lidar = Lidar(meshes, PLANE, LidarConfig(max_range=max_range))
+    got = ranges(lidar.scan(positions, rotations, planes))
+    without = ranges(lidar.scan(positions, rotations))
+    shortened = (got < without - 1e-3) | (np.isnan(without) & ~np.isnan(got))
+    assert shortened[0].sum() > 100 and shortened[1].sum() > 50
+    assert not (got > without + 1e-6).any()
+    rng = np.random.default_rng(2)
+    for i in range(3):
+        seen = np.flatnonzero(shortened[i])
+        some = np.unique(np.concatenate([rng.choice(NUM_RAYS, 1500, replace=False), seen[:1500]]))
+        directions = lidar.directions[some] @ rotations[i].T
+        rays = np.stack([np.broadcast_to(positions[i], directions.shape), directions], 1)
+        expected = pybullet_ranges(meshes, [(PLANE, pose) for pose in planes], rays, max_range)
+        close = np.isclose(got[i, some], expected, atol=3e-3, rtol=1e-3, equal_nan=True)
+        assert close.mean() > 0.995  # rays that graze an edge may differ
+
+
+def test_a_plane_is_seen_from_within_its_bounding_sphere_and_not_beyond_range() -> None:
+    lidar = Lidar([], PLANE, LidarConfig(max_range=4.0))
+    near = lidar.scan(ORIGIN, LEVEL, np.array([[0.8, 0, 0, 0]]))  # its tail is 0.2 m ahead, at -0.6 - 0.0
+    assert np.nanmin(ranges(near)) == pytest.approx(0.2, abs=5e-3)
+    assert np.isnan(lidar.scan(ORIGIN, LEVEL, np.array([[4.7, 0, 0, 0]]))).all()  # its tail is 4.1 m ahead
+    assert not np.isnan(lidar.scan(ORIGIN, LEVEL, np.array([[4.5, 0, 0, 0]]))).all()
+    behind = lidar.scan(ORIGIN, LEVEL, np.array([[-3, 0, 0, math.pi / 2]]))
+    assert np.nanmax(behind[..., 0]) < -2
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 2.5, 7.3]), st.sampled_from(["face", "range"]))
+def test_a_cut_range_leaves_the_reduction_identical(seed: int, radius: float, statistic: str) -> None:
+    meshes = clutter(seed)
+    positions, rotations = poses(seed, 2)
+    planes = np.column_stack([positions + np.array([1.5, 1.0, 0.1]), [0.3, 2.0]])
+    clouds = [
+        torch.from_numpy(Lidar(meshes, PLANE, LidarConfig(max_range=reach)).scan(positions, rotations, planes))
+        for reach in (radius, 100.0)
+    ]
+    assert clouds[0].isnan().sum() >= clouds[1].isnan().sum()
+    cut, uncut = (truncated_icosahedron(cloud, radius, statistic) for cloud in clouds)
+    assert cut.equal(uncut)
+    assert cut.any()
+
+
+def test_noise_and_dropout_statistics() -> None:
+    clean = ranges(Lidar([WALL]).scan(ORIGIN, LEVEL))
+    lidar = Lidar([WALL], None, LidarConfig(range_noise=0.01, dropout=0.2))
+    spoilt = lidar.scan(ORIGIN, LEVEL, rng=np.random.default_rng(0))
+    error = (ranges(spoilt) - clean)[~np.isnan(clean)]
+    assert np.isnan(error).mean() == pytest.approx(0.2, abs=0.015)
+    assert np.nanstd(error) == pytest.approx(0.01, rel=0.05)
+    assert np.nanmean(error) == pytest.approx(0, abs=5e-4)
+    directions = spoilt / ranges(spoilt)[..., None]
+    hit = ~np.isnan(directions).any(-1)
+    np.testing.assert_allclose(directions[hit], lidar.directions[None][hit], atol=1e-5)  # along the ray only
+    again = lidar.scan(ORIGIN, LEVEL, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(spoilt, again)
+
+
+def test_minimum_range() -> None:
+    cloud = Lidar([WALL], None, LidarConfig(min_range=6.0)).scan(ORIGIN, LEVEL)
+    plain = Lidar([WALL]).scan(ORIGIN, LEVEL)
+    np.testing.assert_array_equal(np.isnan(cloud), np.isnan(plain) | (ranges(plain) < 6)[..., None])
+
+
+def test_motion_distortion_of_a_moving_and_of_a_turning_sensor() -> None:
+    lidar = Lidar([WALL], None, LidarConfig(motion_distortion=True))
+    ahead = lidar.directions[:, 0] > 0.2
+    still = np.zeros((1, 3))
+    moving = lidar.scan(ORIGIN, LEVEL, velocities=[[2.0, 1, 0]], angular_velocities=still)
+    # at 2 m/s the wall comes nearer by 2 t: from 5 m at the first firing to 4.8 m at the last
+    np.testing.assert_allclose(moving[0, ahead, 0], (5 - 2 * FIRING_TIMES)[ahead], atol=1e-4)
+    turning = lidar.scan(ORIGIN, LEVEL, velocities=still, angular_velocities=[[0, 0, 1.5]])
+    x, y, _ = lidar.directions.astype(float).T
+    towards = x * np.cos(1.5 * FIRING_TIMES) - y * np.sin(1.5 * FIRING_TIMES)  # the ray's world x, turned left by 1.5 t
+    ahead &= towards > 0.2
+    np.testing.assert_allclose(ranges(turning)[0, ahead], 5 / towards[ahead], rtol=1e-4)
+    plain = Lidar([WALL]).scan(ORIGIN, LEVEL)
+    np.testing.assert_allclose(lidar.scan(ORIGIN, LEVEL, velocities=still, angular_velocities=still), plain, rtol=1e-5)
+
+
+def test_motion_distortion_moves_the_sensor_past_planes() -> None:
+    lidar = Lidar([], PLANE, LidarConfig(motion_distortion=True))
+    velocity = np.array([[40.0, 0, 0]])
+    cloud = lidar.scan(
+        ORIGIN, LEVEL, np.array([[9.0, 1, 0, 0]]), velocities=velocity, angular_velocities=np.zeros((1, 3))
+    )
+    hit = np.flatnonzero(~np.isnan(cloud[0, :, 0]))
+    assert len(hit) > 10
+    world = cloud[0, hit] + velocity * FIRING_TIMES[hit, None] - [9, 1, 0]
+    assert (np.abs(world) <= [0.61, 1.01, 0.41]).all()  # every point lies on the plane
+
+
+def test_buffers_are_reused_but_clouds_are_not() -> None:
+    lidar = Lidar(clutter(3), PLANE)
+    positions, rotations = poses(4, 5)
+    whole = lidar.scan(positions, rotations)
+    kept = whole.copy()
+    for i in (0, 3):
+        np.testing.assert_array_equal(lidar.scan(positions[i : i + 1], rotations[i : i + 1])[0], whole[i])
+    np.testing.assert_array_equal(kept, whole)
+    assert lidar.scan(positions[:0], rotations[:0]).shape == (0, NUM_RAYS, 3)
+
+
+@pytest.mark.parametrize("remake", [copy.deepcopy, lambda lidar: pickle.loads(pickle.dumps(lidar))])
+def test_copies_see_the_same(remake) -> None:
+    lidar = Lidar(clutter(5), PLANE, LidarConfig(max_range=9.0))
+    positions, rotations = poses(6, 1)
+    np.testing.assert_array_equal(remake(lidar).scan(positions, rotations), lidar.scan(positions, rotations))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"positions": [[0, 0, np.nan]]}, "positions must be finite"),
+        ({"rotations": LEVEL * np.nan}, "rotations must be finite"),
+        ({"rotations": LEVEL * 2}, "orthonormal"),
+        ({"positions": [0, 0, 0]}, "positions must have shape"),
+        ({"rotations": np.eye(3)}, "rotations must have shape"),
+        ({"moving_poses": [[0, 0, 0]]}, "moving_poses must have shape"),
+        ({"moving_poses": [[0, 0, 0, np.inf]]}, "moving_poses must be finite"),
+    ],
+)
+def test_wrong_poses(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Lidar([WALL], PLANE).scan(**{"positions": ORIGIN, "rotations": LEVEL, **arguments})
+
+
+def test_missing_arguments() -> None:
+    with pytest.raises(ValueError, match="moving mesh"):
+        Lidar([WALL]).scan(ORIGIN, LEVEL, np.zeros((1, 4)))
+    with pytest.raises(ValueError, match="need rng"):
+        Lidar([WALL], None, LidarConfig(dropout=0.1)).scan(ORIGIN, LEVEL)
+    with pytest.raises(ValueError, match="velocities is needed"):
+        Lidar([WALL], None, LidarConfig(motion_distortion=True)).scan(ORIGIN, LEVEL)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("max_range", 0.0),
+        ("max_range", math.inf),
+        ("min_range", -1.0),
+        ("min_range", 100.0),
+        ("range_noise", -0.1),
+        ("range_noise", math.nan),
+        ("dropout", 1.0),
+    ],
+)
+def test_wrong_config(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"^{name} must be "):
+        LidarConfig(**{name: value})

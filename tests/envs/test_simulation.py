@@ -1,0 +1,342 @@
+"""The flying quadrotor against what physics says."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.simulation import Simulation, split_mesh
+
+NO_DRAG = Aerodynamics(force_coefficients=(0.0, 0.0, 0.0), moment_coefficients=(0.0, 0.0, 0.0))
+WALL = Mesh([[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]], [[0, 1, 2], [0, 2, 3]])  # the plane x = 2
+WING = Mesh([[0.2, -1, 0], [-0.2, -1, 0], [-0.2, 1, 0], [0.2, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+GRID = np.array(list(itertools.product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=4)))
+
+
+@contextmanager
+def world(count: int = 1, meshes: tuple[Mesh, ...] = (), spacing: float = 0.0, **settings) -> Iterator[Simulation]:
+    """Vehicles at (0, spacing i, 3.5), heading along x."""
+    simulation = Simulation(meshes, count, **settings)
+    positions = np.arange(count)[:, None] * [0.0, spacing, 0.0] + [0.0, 0.0, 3.5]
+    simulation.reset(np.arange(count), positions, np.zeros(count))
+    try:
+        yield simulation
+    finally:
+        simulation.close()
+
+
+def seen(simulation: Simulation) -> np.ndarray:
+    """Velocities in the yaw-aligned frame, and rate about the vertical: what the commands command."""
+    cos, sin = np.cos(simulation.yaw), np.sin(simulation.yaw)
+    x, y, z = simulation.velocity.T
+    rate = (simulation.rotation[:, 2] * simulation.angular_velocity).sum(1)
+    return np.stack([cos * x + sin * y, cos * y - sin * x, z, rate], axis=1)
+
+
+def command(*entries: float) -> np.ndarray:
+    return np.array([entries])
+
+
+# ---------------------------------------------------------------------- control
+
+
+@pytest.mark.parametrize("lidar_mass", [0.83, 0.0])
+def test_hover_holds(lidar_mass):
+    with world(airframe=Airframe(lidar_mass=lidar_mass)) as simulation:
+        for _ in range(100):
+            simulation.step(np.zeros((1, 4)))
+            assert np.abs(simulation.position - [0, 0, 3.5]).max() < 1e-3
+            assert abs(simulation.yaw[0]) < 1e-6
+
+
+# Without the LiDAR's weight, drag takes more of what the tilt limit allows: in four corners (the fastest descending
+# circles) no controller comes closer than 10.7 %.
+@pytest.mark.parametrize(("lidar_mass", "tolerance"), [(0.83, 0.1), (0.0, 0.11)])
+def test_every_command_is_tracked_within_ten_percent_after_one_and_a_half_seconds(lidar_mass, tolerance):
+    with world(len(GRID), airframe=Airframe(lidar_mass=lidar_mass)) as simulation:
+        for step in range(30):
+            simulation.step(GRID)
+            if step < 14:
+                continue
+            error = np.abs(seen(simulation) - GRID)
+            straight = GRID[:, 3] == 0
+            moving = np.abs(GRID) > 0
+            relative = error / np.where(moving, np.abs(GRID), 1.0)
+            assert relative[straight][moving[straight]].max() < 0.1
+            assert error[straight][~moving[straight]].max() < 0.06
+            # In a turn the velocity counts as one vector.
+            speed = np.linalg.norm(GRID[:, :3], axis=1)
+            assert (np.linalg.norm(error[:, :3], axis=1) <= tolerance * speed + 0.01 * (speed == 0)).all()
+            assert (error[:, 3] < np.where(moving[:, 3], 0.1 * np.abs(GRID[:, 3]), 0.03)).all()
+
+
+def test_velocities_reverse_within_two_seconds():
+    grid = GRID[GRID[:, 3] == 0]
+    with world(len(grid)) as simulation:
+        for commands, steps in ((-grid, 20), (grid, 20)):
+            for _ in range(steps):
+                simulation.step(commands)
+        assert np.abs(seen(simulation) - grid).max() < 0.1
+
+
+def test_yaw_and_frame_at_reset():
+    with world() as simulation:
+        simulation.reset(np.array([0]), np.array([[1.0, 2.0, 3.0]]), np.array([np.pi / 2]))
+        np.testing.assert_allclose(simulation.position, [[1, 2, 3]], atol=1e-12)
+        np.testing.assert_allclose(simulation.lidar_position, [[1, 2, 3.1]], atol=1e-12)
+        assert simulation.yaw[0] == pytest.approx(np.pi / 2) and not simulation.velocity.any()
+        for _ in range(20):
+            simulation.step(command(1, 0, 0, 0))
+        np.testing.assert_allclose(simulation.velocity, [[0, 1, 0]], atol=0.05)  # forward is now world y
+
+
+def test_velocity_is_the_derivative_of_the_position():
+    with world(physics_rate=240, control_rate=240) as simulation:  # one physics step per call
+        for _ in range(100):
+            simulation.step(command(2, 1, 1, 2))
+        before, speed = simulation.position, simulation.velocity
+        simulation.step(command(2, 1, 1, 2))
+        np.testing.assert_allclose((simulation.position - before) * 240, (simulation.velocity + speed) / 2, atol=0.02)
+
+
+# ---------------------------------------------------------------------- forces
+
+
+def test_free_fall():
+    with world(aerodynamics=NO_DRAG) as simulation:
+        simulation.motors_on = False
+        for _ in range(10):
+            simulation.step(np.zeros((1, 4)))
+        np.testing.assert_allclose(simulation.velocity, [[0, 0, -9.81]], atol=1e-9)
+        # Semi-implicit Euler: g t² / 2 and half a step more.
+        np.testing.assert_allclose(simulation.position, [[0, 0, 3.5 - 9.81 / 2 * (1 + 1 / 240)]], atol=1e-9)
+
+
+@pytest.mark.parametrize("coefficient", [0.16327, 1.0])
+def test_terminal_velocity(coefficient):
+    air = Aerodynamics(force_coefficients=(0.2, 0.2, coefficient))
+    with world(aerodynamics=air) as simulation:
+        simulation.motors_on = False
+        for _ in range(150):
+            simulation.step(np.zeros((1, 4)))
+        expected = np.sqrt(2 * 2.307 * 9.81 / (1.225 * coefficient))
+        assert -simulation.velocity[0, 2] == pytest.approx(expected, rel=1e-3)
+
+
+def test_wind_carries_a_falling_vehicle_and_a_hovering_one_resists():
+    with world(aerodynamics=Aerodynamics(wind=(5.0, 0.0, 0.0))) as simulation:
+        for _ in range(3):
+            simulation.step(np.zeros((1, 4)))
+        assert 0.05 < simulation.velocity[0, 0] < 1.0
+        for _ in range(60):
+            simulation.step(np.zeros((1, 4)))
+        assert abs(simulation.velocity[0, 0]) < 0.02
+        assert simulation.rotation[0, 0, 2] < -0.1  # leaning into the wind
+        simulation.motors_on = False
+        for _ in range(300):
+            simulation.step(np.zeros((1, 4)))
+        assert simulation.velocity[0, 0] > 3.0
+
+
+def test_gusts_shake_and_repeat():
+    def flight(seed: int) -> np.ndarray:
+        air = Aerodynamics(gust_intensity=2.0)
+        with world(aerodynamics=air, rng=np.random.default_rng(seed)) as simulation:
+            for _ in range(20):
+                simulation.step(np.zeros((1, 4)))
+            return simulation.position
+
+    assert np.abs(flight(0) - [0, 0, 3.5]).max() > 1e-3
+    np.testing.assert_array_equal(flight(0), flight(0))
+    assert (flight(0) != flight(1)).any()
+
+
+def test_applied_forces_and_torques_act_in_the_frames_they_are_meant_in():
+    """One rotor alone, on a yawed vehicle without weight on the others: linear and angular acceleration by hand."""
+    air, airframe = NO_DRAG, Airframe()
+    with world(aerodynamics=air, physics_rate=240, control_rate=240) as simulation:
+        simulation.reset(np.array([0]), np.array([[0.0, 0.0, 9.0]]), np.array([0.7]))
+        simulation._controller.thrusts = lambda rotation, twist: (
+            simulation.airframe.thrust_coefficient * (simulation.rotor_speed**2)
+        )  # the rotors stay at the speeds that they have
+        speeds = np.array([[700.0, 600.0, 500.0, 600.0]])
+        simulation.rotor_speed = speeds
+        simulation.step(np.zeros((1, 4)))
+        thrusts = 1.53819e-5 * speeds[0] ** 2
+        moments = [
+            0.0,
+            -0.275 * (thrusts[0] - thrusts[2]),
+            0.01534 * (thrusts[1] + thrusts[3] - thrusts[0] - thrusts[2]),
+        ]
+        expected = np.array(moments) / airframe.combined_inertia / 240
+        np.testing.assert_allclose(simulation.angular_velocity[0], expected, atol=2e-4)
+        linear = simulation.velocity[0, 2]
+        assert linear == pytest.approx((thrusts.sum() / 2.307 - 9.81) / 240, abs=2e-4)
+
+
+# ---------------------------------------------------------------------- long runs, independence, repetition
+
+
+def test_ten_thousand_random_steps_stay_bounded():
+    rng, count = np.random.default_rng(0), 16
+    with world(count) as simulation:
+        for _ in range(10_000 // count):
+            simulation.step(rng.uniform(-2, 2, (count, 4)))
+            assert np.isfinite(simulation.position).all()
+            assert np.linalg.norm(simulation.velocity, axis=1).max() < 5.0
+            assert np.abs(simulation.angular_velocity).max() < 15.0
+            assert simulation.rotation[:, 2, 2].min() > 0.5  # never near its side
+        assert np.abs(simulation.rotation @ simulation.rotation.transpose(0, 2, 1) - np.eye(3)).max() < 1e-9
+
+
+def test_random_flight_among_walls_recovers():
+    rng, floor = np.random.default_rng(1), Mesh([[-20, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]], WALL.faces)
+    with world(4, (WALL, floor)) as simulation:
+        for _ in range(300):
+            touched = simulation.step(rng.uniform(-2, 2, (4, 4)) + command(1, 0, -0.5, 0))
+            assert np.isfinite(simulation.position).all() and np.linalg.norm(simulation.velocity, axis=1).max() < 12
+            if touched.any():
+                hit = np.flatnonzero(touched)[::2]  # every other one is left to tumble
+                simulation.reset(hit, np.tile([0.0, 0.0, 3.5], (len(hit), 1)), np.zeros(len(hit)))
+
+
+def test_vehicles_neither_touch_nor_disturb_each_other():
+    rng = np.random.default_rng(0)
+    commands = rng.uniform(-2, 2, (60, 3, 4))
+
+    def flight(rows: list[int]) -> np.ndarray:
+        with world(len(rows)) as simulation:
+            path = []
+            for step in commands:
+                assert not simulation.step(step[rows]).any()
+                path.append(simulation.position)
+            return np.array(path)
+
+    together = flight([0, 1, 2])  # all start at one place
+    for row in range(3):
+        np.testing.assert_allclose(flight([row])[:, 0], together[:, row], atol=1e-9)
+
+
+def test_bit_identical_when_rebuilt():
+    def flight() -> np.ndarray:
+        rng = np.random.default_rng(3)
+        with world(3, (WALL,), plane_mesh=WING, plane_count=1) as simulation:
+            simulation.place_planes(np.array([[0.0, 5.0, 3.5, 0.0]]))
+            for _ in range(50):
+                touched = simulation.step(rng.uniform(-2, 2, (3, 4)) + command(0.5, 0, 0, 0))
+                if touched.any():
+                    rows = np.flatnonzero(touched)
+                    simulation.reset(rows, np.tile([0.0, 0.0, 3.5], (len(rows), 1)), np.zeros(len(rows)))
+            return np.concatenate(
+                [simulation.position.ravel(), simulation.rotation.ravel(), simulation.velocity.ravel()]
+            )
+
+    np.testing.assert_array_equal(flight(), flight())
+
+
+# ---------------------------------------------------------------------- contacts
+
+
+def test_wall_is_reported_where_it_stands_and_forgotten_after_a_reset():
+    with world(2, (WALL,)) as simulation:
+        commands = np.array([[1.0, 0, 0, 0], [0.0, 0, 0, 0]])
+        while not (touched := simulation.step(commands)).any():
+            assert simulation.position[0, 0] < 2 - 0.3
+        assert touched.tolist() == [True, False]
+        assert simulation.position[0, 0] == pytest.approx(2 - 0.35, abs=0.06)
+        simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.5]]), np.zeros(1))
+        assert not simulation.step(np.zeros((2, 4))).any()
+        np.testing.assert_allclose(simulation.position[0], [0, 0, 3.5], atol=1e-3)
+
+
+def test_touch_between_two_control_steps_is_reported():
+    """A plane brushes past within one control step: far away at its start and at its end."""
+    with world(plane_mesh=WING, plane_count=1) as simulation:
+        x = np.linspace(-2.0, 2.0, 24)  # 40 m/s, in 17 cm strides
+        path = np.stack([x, np.full(24, 1.3), np.full(24, 3.5), np.zeros(24)], axis=1)[:, None]
+        assert simulation.step(np.zeros((1, 4)), path).tolist() == [True]  # its wing tip reaches y = 0.3
+        assert np.hypot(2.0, 1.3) - np.hypot(0.2, 1.0) > 0.7
+        simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.5]]), np.zeros(1))
+        path[..., 1] = 1.4  # the wing tip stays 5 cm away
+        assert simulation.step(np.zeros((1, 4)), path).tolist() == [False]
+
+
+@pytest.mark.parametrize("speed", [2.5, 4.0, 10.0, 30.0])
+@pytest.mark.parametrize("height", [3.4, 3.5, 3.6])
+def test_planes_do_not_tunnel(speed, height):
+    with world(plane_mesh=WING, plane_count=1) as simulation:
+        travelled, hit = -1.5, False
+        while travelled < 1.5 and not hit:
+            x = travelled + speed / 240 * np.arange(1, 25)
+            path = np.stack([x, np.zeros(24), np.full(24, height), np.zeros(24)], axis=1)[:, None]
+            hit = bool(simulation.step(np.zeros((1, 4)), path)[0])
+            travelled = x[-1]
+        assert hit
+
+
+def test_yawed_plane_reaches_where_its_wing_is():
+    with world(plane_mesh=WING, plane_count=1) as simulation:
+        along, across = np.array([[1.0, 0.0, 3.5, 0.0]]), np.array([[1.0, 0.0, 3.5, np.pi / 2]])
+        assert not simulation.step(np.zeros((1, 4)), np.tile(along, (24, 1, 1))).any()
+        assert simulation.step(np.zeros((1, 4)), np.tile(across, (24, 1, 1))).all()
+
+
+def test_closest_distance():
+    with world(2, (WALL,), plane_mesh=WING, plane_count=1) as simulation:
+        simulation.place_planes(np.array([[0.0, 50.0, 3.5, 0.0]]))
+        simulation.reset(np.array([1]), np.array([[-9.0, 0.0, 3.5]]), np.zeros(1))
+        np.testing.assert_allclose(simulation.closest_distance(), [2 - 0.35, 5.0], atol=2e-3)
+        simulation.place_planes(np.array([[-0.2, 1.85, 3.5, 0.0]]))
+        np.testing.assert_allclose(simulation.closest_distance(), [1.85 - 1 - 0.35, 5.0], atol=5e-3)
+
+
+def test_large_meshes_are_split_without_loss():
+    rng = np.random.default_rng(0)
+    mesh = Mesh(rng.normal(size=(300, 3)), rng.integers(300, size=(1000, 3)))
+    parts = split_mesh(mesh, faces=64)
+    assert max(len(part.faces) for part in parts) == 64
+    np.testing.assert_array_equal(
+        np.concatenate([part.vertices[part.faces] for part in parts]), mesh.vertices[mesh.faces]
+    )
+
+
+# ---------------------------------------------------------------------- what is refused
+
+
+def test_commands_are_clipped_and_nan_refused():
+    with world() as one, world() as other:
+        one.step(command(9, -9, np.inf, 3))
+        other.step(command(2, -2, 2, 2))
+        np.testing.assert_array_equal(one.position, other.position)
+        with pytest.raises(ValueError, match="NaN"):
+            one.step(command(np.nan, 0, 0, 0))
+        with pytest.raises(ValueError, match="shape"):
+            one.step(np.zeros(4))
+        with pytest.raises(ValueError, match="shape"):
+            one.place_planes(np.zeros((1, 4)))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"count": 0},
+        {"count": 1, "control_rate": 7},
+        {"count": 1, "plane_count": 1},
+        {"count": 1, "aerodynamics": Aerodynamics(gust_intensity=1.0)},
+    ],
+)
+def test_settings_that_make_no_world_are_refused(settings):
+    with pytest.raises(ValueError):
+        Simulation([], **settings)
+
+
+def test_close_twice():
+    simulation = Simulation([], 1)
+    simulation.close()
+    simulation.close()

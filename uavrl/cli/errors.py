@@ -1,0 +1,29 @@
+"""Turns errors into one sentence and an exit code."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from uavrl.errors import UavrlError
+
+
+@contextmanager
+def one_sentence() -> Iterator[None]:
+    """Prints what the user can mend, without a traceback, and exits with 1; Ctrl-C exits with 130."""
+    try:
+        yield
+    except UavrlError as error:
+        print(f"uavrl: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        print("uavrl: stopped.", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+def configure_logging() -> None:
+    """Sends the library's log to standard error, in short lines."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr, force=True)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)

@@ -1,0 +1,124 @@
+"""``uavrl-evaluate``: flies fixed tasks with the policy of a run, or with a policy that learns nothing."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.errors import UavrlError
+
+if TYPE_CHECKING:
+    from uavrl.configs import EvaluateConfig, TrainConfig
+
+register_schemas()
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="evaluate")
+def main(config: DictConfig) -> None:
+    """Evaluates one policy."""
+    configure_logging()
+    with one_sentence():
+        chosen = any(o.lstrip("+").startswith("env") for o in HydraConfig.get().overrides.task)
+        _evaluate(to_dataclass(config), env_chosen=chosen)
+
+
+def _evaluate(settings: EvaluateConfig, *, env_chosen: bool) -> None:
+    import torch
+
+    from uavrl.training.evaluation import fly, summarize_flights, table
+    from uavrl.training.factory import make_device, make_env
+
+    torch.set_num_threads(settings.threads)
+    device = make_device(settings.device)
+    if (settings.run is None) == (settings.policy is None):
+        raise UavrlError("Give either run=RUN_FOLDER or policy=straight, and not both.")
+    env_config, perception = settings.env, settings.perception
+    if settings.run is not None:
+        train_config, policy, source = _load(Path(settings.run), settings.checkpoint, device)
+        perception = train_config.perception
+        env_config = env_config if env_chosen else train_config.env
+    else:
+        policy, source = _baseline(str(settings.policy), env_config.world.flight_level), {"policy": settings.policy}
+    output = _output(settings)
+    if settings.valleys is not None:
+        env_config = replace(env_config, world=replace(env_config.world, seeds=settings.valleys))
+    env = make_env(
+        env_config,
+        perception,
+        seed=settings.seed,
+        num_uavs=min(settings.num_uavs, settings.episodes),
+        measure_clearance=True,
+    )
+    flights = fly(env, policy, settings.episodes, progress=settings.progress)
+    env.close()
+    result: dict[str, Any] = {
+        **summarize_flights(flights),
+        "seed": settings.seed,
+        "env": env_config.name,
+        "valleys": list(env_config.world.seeds),
+        **source,
+        "flights": [asdict(flight) for flight in flights],
+    }
+    partial = output.with_name(output.name + ".partial")
+    partial.write_text(json.dumps(result, indent=1) + "\n")
+    partial.replace(output)
+    print(table(result))
+    print(f"Written to {output}")
+
+
+def _output(settings: EvaluateConfig) -> Path:
+    """Where the result goes; found writable before anything is flown."""
+    output = Path(settings.output or (Path(settings.run or ".") / "evaluation.json"))
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.with_name(output.name + ".partial").touch()
+    except OSError as error:
+        raise UavrlError(f"{output} cannot be written ({error.strerror}): choose another with output=FILE.") from error
+    return output
+
+
+def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[TrainConfig, Any, dict[str, Any]]:
+    from torchrl.checkpoint import Checkpoint
+
+    from uavrl.training.checkpoint import latest_checkpoint, load_checkpoint, read_config
+    from uavrl.training.factory import make_actor
+
+    config = read_config(run_dir)
+    path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
+    if not path.is_file():
+        raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
+    train_config: TrainConfig = to_dataclass(config)
+    actor = make_actor(train_config.algo.hidden, train_config.perception, device)
+    metadata = load_checkpoint(Checkpoint(policy=actor), path, config, ["policy"])
+    source = {
+        "run": str(run_dir),
+        "checkpoint": path.name,
+        "training_steps": metadata["collected_frames"],
+        "training_episodes": metadata["episodes"],
+    }
+
+    def policy(tensordict: Any) -> Any:
+        action = actor.module(tensordict["observation"].to(device))
+        return tensordict.set("action", action.to(tensordict["observation"].device))
+
+    return train_config, policy, source
+
+
+def _baseline(name: str, flight_level: float) -> Any:
+    from uavrl.training.baselines import StraightPolicy
+
+    if name != "straight":
+        raise UavrlError(f"policy must be straight, got {name!r}: to fly a trained policy give run=RUN_FOLDER.")
+    return StraightPolicy(flight_level)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,270 @@
+"""Typed configuration: one dataclass per yaml file of ``conf/``. Meanings and units stand in the yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.world import WorldConfig
+from uavrl.errors import UavrlError
+
+
+def require(condition: bool, key: str, expected: str, value: Any) -> None:
+    """Raises one clear sentence unless ``condition`` holds."""
+    if not condition:
+        raise UavrlError(
+            f"{key} must be {expected}, got {value!r}: change it in the configuration or on the command line."
+        )
+
+
+def require_one_of(value: str, key: str, choices: Sequence[str]) -> None:
+    """Raises one clear sentence unless ``value`` is one of ``choices``."""
+    require(value in choices, key, f"one of {', '.join(choices)}", value)
+
+
+@dataclass
+class EnvConfig:
+    """conf/env: the task."""
+
+    name: str = "static"
+    num_uavs: int = 8
+    max_steps: int = 300
+    goal_angle: str = "elevation"
+    world: WorldConfig = field(default_factory=WorldConfig)
+    airframe: Airframe = field(default_factory=Airframe)
+    aerodynamics: Aerodynamics = field(default_factory=Aerodynamics)
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(self.num_uavs >= 1, "env.num_uavs", "at least 1", self.num_uavs)
+        require(self.max_steps >= 1, "env.max_steps", "at least 1", self.max_steps)
+        require_one_of(self.goal_angle, "env.goal_angle", ("elevation", "course"))
+
+
+@dataclass
+class PerceptionConfig:
+    """conf/perception: LiDAR, reduction, scaling and frames."""
+
+    name: str = "truncated_icosahedron"
+    radius: float = 4.0
+    statistic: str = "face"
+    angles: str = "folded"
+    frames: int = 3
+    lidar: LidarConfig = field(default_factory=lambda: LidarConfig(max_range=4.0))
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(self.radius > 0, "perception.radius", "a length above 0 m", self.radius)
+        require(self.frames >= 1, "perception.frames", "at least 1", self.frames)
+        require_one_of(self.statistic, "perception.statistic", ("face", "range"))
+        require_one_of(self.angles, "perception.angles", ("folded", "raw"))
+
+
+@dataclass
+class TraditionalRewardConfig:
+    """conf/reward/traditional.yaml."""
+
+    name: str = "traditional"
+    arrived_reward: float = 50.0
+    collided_reward: float = -50.0
+
+
+@dataclass
+class NavigationRewardConfig:
+    """conf/reward/navigation.yaml."""
+
+    name: str = "navigation"
+    weights: tuple[float, ...] = (8.0, 1.0, 0.5, 0.5)
+    flight_level: float = 3.5
+    collided_reward: float = -50.0
+    altitude_term: str = "absolute"
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(len(self.weights) == 4, "reward.weights", "four numbers w_1 to w_4", list(self.weights))
+        require(self.flight_level > 0, "reward.flight_level", "a height above 0 m", self.flight_level)
+        require_one_of(self.altitude_term, "reward.altitude_term", ("absolute", "literal"))
+
+
+@dataclass
+class DDPGConfig:
+    """conf/algo/ddpg.yaml."""
+
+    name: str = "ddpg"
+    gamma: float = 0.99
+    tau: float = 0.005
+    batch_size: int = 100
+    actor_lr: float = 1e-4
+    critic_lr: float = 1e-3
+    policy_delay: int = 1
+    exploration_noise: float = 0.1
+    random_steps: int = 10_000
+    hidden: tuple[int, ...] = (400, 300)
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(0 <= self.gamma < 1, "algo.gamma", "in [0, 1)", self.gamma)
+        require(0 < self.tau <= 1, "algo.tau", "in (0, 1]", self.tau)
+        for key in ("actor_lr", "critic_lr"):
+            require(getattr(self, key) > 0, f"algo.{key}", "above 0", getattr(self, key))
+        for key in ("batch_size", "policy_delay"):
+            require(getattr(self, key) >= 1, f"algo.{key}", "at least 1", getattr(self, key))
+        require(self.exploration_noise >= 0, "algo.exploration_noise", "at least 0", self.exploration_noise)
+        require(self.random_steps >= 0, "algo.random_steps", "at least 0", self.random_steps)
+        require(
+            len(self.hidden) > 0 and min(self.hidden) >= 1,
+            "algo.hidden",
+            "one or more widths above 0",
+            list(self.hidden),
+        )
+
+
+@dataclass
+class TD3Config(DDPGConfig):
+    """conf/algo/td3.yaml."""
+
+    name: str = "td3"
+    policy_delay: int = 2
+    policy_noise: float = 0.2
+    noise_clip: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        super().__post_init__()
+        require(self.policy_noise >= 0, "algo.policy_noise", "at least 0", self.policy_noise)
+        require(self.noise_clip >= 0, "algo.noise_clip", "at least 0", self.noise_clip)
+
+
+@dataclass
+class UniformBufferConfig:
+    """conf/buffer/uniform.yaml."""
+
+    name: str = "uniform"
+    capacity: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(self.capacity >= 1, "buffer.capacity", "at least 1", self.capacity)
+
+
+@dataclass
+class PrioritizedBufferConfig(UniformBufferConfig):
+    """conf/buffer/prioritized.yaml."""
+
+    name: str = "prioritized"
+    alpha: float = 0.6
+    beta: float = 0.4
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        super().__post_init__()
+        require(0 <= self.alpha <= 1, "buffer.alpha", "in [0, 1]", self.alpha)
+        require(0 <= self.beta <= 1, "buffer.beta", "in [0, 1]", self.beta)
+
+
+@dataclass
+class CollectorConfig:
+    """conf/collector."""
+
+    name: str = "sync"
+    steps_per_batch: int = 16
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(self.steps_per_batch >= 1, "collector.steps_per_batch", "at least 1", self.steps_per_batch)
+
+
+@dataclass
+class TrainerConfig:
+    """conf/trainer."""
+
+    episodes: int = 5000
+    updates_per_step: float = 1.0
+    window: int = 500
+    checkpoint_interval: int = 20_000
+    keep_checkpoints: int = 2
+    threads: int = 1
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        for key in ("episodes", "window", "checkpoint_interval", "keep_checkpoints", "threads"):
+            require(getattr(self, key) >= 1, f"trainer.{key}", "at least 1", getattr(self, key))
+        require(self.updates_per_step > 0, "trainer.updates_per_step", "above 0", self.updates_per_step)
+
+
+@dataclass
+class LoggerConfig:
+    """conf/logger."""
+
+    name: str = "csv"
+    interval: int = 1000
+    project: str = "uavrl"
+    offline: bool = True
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require_one_of(self.name, "logger.name", ("csv", "tensorboard", "wandb"))
+        require(self.interval >= 1, "logger.interval", "at least 1", self.interval)
+
+
+@dataclass
+class TrainConfig:
+    """conf/config.yaml: one training run."""
+
+    env: EnvConfig = field(default_factory=EnvConfig)
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    reward: Any = None
+    algo: Any = None
+    buffer: Any = None
+    collector: CollectorConfig = field(default_factory=CollectorConfig)
+    trainer: TrainerConfig = field(default_factory=TrainerConfig)
+    logger: LoggerConfig = field(default_factory=LoggerConfig)
+    seed: int = 0
+    device: str = "cpu"
+    run_dir: str = "runs"
+    resume: str | None = None
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
+
+
+@dataclass
+class EvaluateConfig:
+    """conf/evaluate.yaml: one evaluation."""
+
+    run: str | None = None
+    policy: str | None = None
+    env: EnvConfig = field(default_factory=EnvConfig)
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    episodes: int = 500
+    seed: int = 20_000
+    valleys: tuple[int, ...] | None = None
+    checkpoint: str | None = None
+    output: str | None = None
+    num_uavs: int = 8
+    device: str = "cpu"
+    threads: int = 1
+    progress: bool = True
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(self.episodes >= 1, "episodes", "at least 1", self.episodes)
+        require(self.num_uavs >= 1, "num_uavs", "at least 1", self.num_uavs)
+        require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
+
+
+GROUPS: dict[str, dict[str, type]] = {
+    "env": {"static": EnvConfig, "dynamic": EnvConfig},
+    "perception": {"truncated_icosahedron": PerceptionConfig},
+    "reward": {"navigation": NavigationRewardConfig, "traditional": TraditionalRewardConfig},
+    "algo": {"td3": TD3Config, "ddpg": DDPGConfig},
+    "buffer": {"uniform": UniformBufferConfig, "prioritized": PrioritizedBufferConfig},
+    "collector": {"sync": CollectorConfig},
+    "trainer": {"default": TrainerConfig},
+    "logger": {"csv": LoggerConfig, "tensorboard": LoggerConfig, "wandb": LoggerConfig},
+}

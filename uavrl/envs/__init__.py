@@ -1,0 +1,30 @@
+"""Environments: the valley, its quadrotors, their LiDAR and the navigation task."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from uavrl.envs.lidar import Lidar, LidarConfig
+    from uavrl.envs.navigation import NavigationEnv
+    from uavrl.envs.quadrotor import Aerodynamics, Airframe
+    from uavrl.envs.world import World, WorldConfig
+
+_MODULES = {
+    "Aerodynamics": "quadrotor",
+    "Airframe": "quadrotor",
+    "Lidar": "lidar",
+    "LidarConfig": "lidar",
+    "NavigationEnv": "navigation",
+    "World": "world",
+    "WorldConfig": "world",
+}
+__all__ = ["Aerodynamics", "Airframe", "Lidar", "LidarConfig", "NavigationEnv", "World", "WorldConfig"]
+
+
+def __getattr__(name: str) -> Any:
+    """Imports on first use: reading a configuration needs neither torch nor PyBullet."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

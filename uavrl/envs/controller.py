@@ -1,0 +1,268 @@
+"""The flight controller: velocity command → force → attitude → body rates → moments → rotor thrusts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavrl.envs.quadrotor import GRAVITY, ROTOR_SPINS, Aerodynamics, Airframe, Vector, drag, mixing_matrix
+
+THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
+_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # row (x, y) → (-y, x)
+
+
+@dataclass(frozen=True)
+class ControllerGains:
+    """Gains of the cascade.
+
+    Args:
+        velocity: Acceleration per velocity error along x, y, z in 1/s.
+        disturbance: Rate at which the estimate of unknown forces (wind) follows them in 1/s.
+        disturbance_limit: Most that it can be along each axis in N.
+        attitude: Rate per tilt error in 1/s.
+        rate: Angular acceleration per rate error about x, y, z in 1/s.
+
+    Examples:
+        >>> ControllerGains(attitude=5.0).attitude
+        5.0
+    """
+
+    velocity: Vector = (2.6, 2.6, 4.0)
+    disturbance: float = 2.0
+    disturbance_limit: float = 6.0
+    attitude: float = 7.0
+    rate: Vector = (24.0, 24.0, 6.0)
+
+
+def feasible_command(command: np.ndarray, airframe: Airframe, aerodynamics: Aerodynamics) -> np.ndarray:
+    """Slows circles that are tighter than the tilt limit allows.
+
+    A velocity v in the yaw-aligned frame and a yaw rate ψ' make a circle: it takes the acceleration |ψ'| |v| towards
+    the centre, and drag takes its share. A vehicle at its tilt limit has g tan(limit), so at 2.83 m/s and 2 rad/s,
+    the corner of the action range, it lacks about 6 %. Slowing keeps the direction; saturation would turn it.
+
+    Args:
+        command: ``[N, 4]``: velocities in m/s and yaw rate in rad/s.
+        airframe: Gives mass and tilt limit.
+        aerodynamics: Gives the drag.
+
+    Returns:
+        ``[N, 4]``, with x and y scaled where needed.
+
+    Examples:
+        >>> command = np.array([[2.0, 2.0, 0.0, 0.0], [2.0, 2.0, 0.0, 2.0]])
+        >>> feasible_command(command, Airframe(), Aerodynamics()).round(1)[:, 0].tolist()
+        [2.0, 1.9]
+    """
+    per_mass = aerodynamics.coefficients[0] / airframe.total_mass
+    speed = np.sqrt((command[:, :3] ** 2).sum(1))
+    horizontal = np.sqrt((command[:, :2] ** 2).sum(1))
+    needed = horizontal * np.sqrt(command[:, 3] ** 2 + (per_mass[0] * speed) ** 2)
+    available = np.tan(airframe.tilt_limit) * (GRAVITY + per_mass[2] * speed * command[:, 2])
+    feasible = command.copy()
+    feasible[:, :2] *= np.minimum(1.0, available / np.maximum(needed, 1e-9))[:, None]
+    return feasible
+
+
+def to_world(
+    command: np.ndarray, rotation: np.ndarray, yaw_rate: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The commanded velocity in world axes, and the acceleration that keeps it turning with the yaw.
+
+    Errata: Chansuparp (2022), Eq. 2.1, multiplies 6-vectors element by element and mixes up its angles; what is meant
+    is this rotation about the vertical by the yaw ψ.
+
+    Args:
+        command: ``[N, 4]``: velocities in the yaw-aligned body frame in m/s, and yaw rate in rad/s.
+        rotation: ``[N, 3, 3]``, body to world.
+        yaw_rate: ``[N]``, what the vehicles turn at in rad/s; default: what is commanded.
+
+    Returns:
+        Two ``[N, 3]``, in m/s and m/s².
+
+    Examples:
+        >>> left = np.array([[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])  # yawed by 90°
+        >>> velocity, acceleration = to_world(np.array([[2.0, 0.0, 1.0, 0.5]]), left)
+        >>> velocity.tolist(), acceleration.tolist()
+        ([[0.0, 2.0, 1.0]], [[-1.0, 0.0, 0.0]])
+    """
+    head = rotation[:, :2, 0]
+    cos, sin = (head / np.sqrt(np.maximum(np.add.reduce(head * head, axis=1, keepdims=True), 1e-12))).T
+    forward, left, up, commanded = command.T
+    yaw_rate = commanded if yaw_rate is None else yaw_rate
+    x, y = cos * forward - sin * left, sin * forward + cos * left
+    velocity = np.stack([x, y, up], axis=1)
+    return velocity, np.stack([-yaw_rate * y, yaw_rate * x, np.zeros_like(x)], axis=1)
+
+
+def limit_force(force: np.ndarray, airframe: Airframe) -> np.ndarray:
+    """Keeps a force within what the rotors can give; the vertical part comes first, then the tilt limit.
+
+    Args:
+        force: ``[N, 3]`` in world axes in N.
+        airframe: Gives weight, thrust and tilt limit.
+
+    Returns:
+        ``[N, 3]`` in N.
+
+    Examples:
+        >>> limit_force(np.array([[10.0, 0.0, 10.0]]), Airframe(tilt_limit=np.pi / 8)).round(2).tolist()
+        [[4.14, 0.0, 10.0]]
+    """
+    most = (1 - THRUST_RESERVE) * airframe.max_total_thrust * math.cos(airframe.tilt_limit)
+    vertical = np.minimum(np.maximum(force[:, 2:], 0.3 * airframe.total_mass * GRAVITY), most)
+    horizontal = force[:, :2]
+    size = np.sqrt(np.add.reduce(horizontal * horizontal, axis=1, keepdims=True))
+    scale = np.minimum(1.0, math.tan(airframe.tilt_limit) * vertical / np.maximum(size, 1e-9))
+    return np.concatenate([scale * horizontal, vertical], axis=1)
+
+
+def tilt_error(direction: np.ndarray) -> np.ndarray:
+    """The turn that brings the body's z axis to a direction: 2 sin(angle / 2) about the shortest axis.
+
+    Args:
+        direction: ``[N, 3]``, unit vectors in body axes.
+
+    Returns:
+        ``[N, 2]``, about x and y, near rad. It grows up to 180°, so that a vehicle on its back turns over.
+
+    Examples:
+        >>> tilt_error(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])).round(3).tolist()
+        [[0.0, 0.0], [0.0, 1.414]]
+    """
+    half_cosine = np.sqrt(np.maximum(0.5 + 0.5 * direction[:, 2:], 1e-3))
+    return direction[:, :2] @ _QUARTER_TURN / half_cosine
+
+
+class Mixer:
+    """Thrust and moments → thrusts of the four rotors, each within [0, a quarter of the total limit].
+
+    Where not everything fits, roll and pitch come first, then the total thrust, then yaw.
+
+    Args:
+        airframe: Gives geometry and limits.
+
+    Examples:
+        >>> mixer = Mixer(Airframe())
+        >>> mixer(np.array([[20.0, 0.0, 0.0, 0.0], [99.0, 0.0, 0.0, 0.0]])).round(9).tolist()
+        [[5.0, 5.0, 5.0, 5.0], [9.5, 9.5, 9.5, 9.5]]
+    """
+
+    def __init__(self, airframe: Airframe) -> None:
+        self._inverse = np.ascontiguousarray(np.linalg.inv(mixing_matrix(airframe)).T)
+        self.most = airframe.max_total_thrust / 4
+
+    def __call__(self, wrench: np.ndarray) -> np.ndarray:
+        """Returns thrusts ``[N, 4]`` in N for ``wrench [N, 4]``: total thrust in N, moments in N m."""
+        thrusts = wrench @ self._inverse
+        if np.minimum.reduce(thrusts, axis=None) < 0 or np.maximum.reduce(thrusts, axis=None) > self.most:
+            over = ((thrusts < 0) | (thrusts > self.most)).any(1)
+            thrusts[over] = self._saturated(wrench[over])
+        return thrusts
+
+    def _saturated(self, wrench: np.ndarray) -> np.ndarray:
+        """Gives up yaw first, then total thrust, then roll and pitch."""
+        half = self.most / 2
+        tilting = wrench[:, 1:3] @ self._inverse[1:3]
+        widest = np.abs(tilting).max(1, keepdims=True)
+        tilting *= np.minimum(1.0, half / np.maximum(widest, half))
+        widest = np.minimum(widest, half)
+        thrusts = tilting + np.clip(wrench[:, :1] / 4, widest, self.most - widest)
+        used = ROTOR_SPINS * (thrusts - half)  # of the room on the side to which a positive yaw moment pushes
+        lowest, highest = -half - used.min(1, keepdims=True), half - used.max(1, keepdims=True)
+        yawing = np.clip(wrench[:, 3:] * abs(self._inverse[3, 0]), lowest, highest)
+        return np.clip(thrusts + yawing * ROTOR_SPINS, 0.0, self.most)
+
+
+class VelocityController:
+    """Cascaded controller of N quadrotors: the usual ``cmd_vel`` meaning of an action.
+
+    :meth:`track`, the outer loop, turns velocity errors into a force, with feed-forward of drag, of the turn and of
+    an estimate of the wind's force. :meth:`thrusts`, the inner loop, turns the body's z axis towards that force, rate
+    errors into moments, and thrust and moments into rotor thrusts. The drag that it expects is that of still air.
+
+    Args:
+        count: Number of vehicles N.
+        airframe: The vehicle.
+        aerodynamics: Its drag.
+        gains: Gains of the cascade.
+
+    Attributes:
+        disturbance: ``[N, 3]``, estimate of the unknown forces in world axes in N.
+
+    Examples:
+        >>> controller = VelocityController(1, Airframe(), Aerodynamics())
+        >>> command, level, rest = np.zeros((1, 4)), np.eye(3)[None], np.zeros((1, 2, 3))
+        >>> weight = Airframe().total_mass * 9.81
+        >>> controller.track(command, level, rest[:, 0], rest, np.array([weight]), dt=1 / 80)
+        >>> bool(abs(controller.thrusts(level, rest).sum() - weight) < 1e-9)
+        True
+    """
+
+    def __init__(
+        self, count: int, airframe: Airframe, aerodynamics: Aerodynamics, gains: ControllerGains | None = None
+    ) -> None:
+        self.airframe, self.gains = airframe, gains or ControllerGains()
+        self.disturbance = np.zeros((count, 3))
+        self._velocity_tm1 = np.zeros((count, 3))
+        self._mixer = Mixer(airframe)
+        self._coefficients = aerodynamics.coefficients
+        self._velocity_gain = airframe.total_mass * np.array(self.gains.velocity)
+        self._rate_gain = np.array(airframe.combined_inertia) * np.array(self.gains.rate)
+        self._weight = np.array([0.0, 0.0, airframe.total_mass * GRAVITY])
+        self._wrench = np.zeros((count, 4))
+        self._rates = np.zeros((count, 3))
+
+    def reset(self, index: np.ndarray) -> None:
+        """Forgets the past of the vehicles in ``index``; they are at rest."""
+        self.disturbance[index] = 0.0
+        self._velocity_tm1[index] = 0.0
+
+    def track(
+        self,
+        command: np.ndarray,
+        rotation: np.ndarray,
+        velocity: np.ndarray,
+        twist: np.ndarray,
+        lift: np.ndarray,
+        dt: float,
+    ) -> None:
+        """Outer loop: chooses the force for the inner loop.
+
+        Args:
+            command: ``[N, 4]``, see :func:`to_world`.
+            rotation: ``[N, 3, 3]``, body to world.
+            velocity: ``[N, 3]``, of the centre of mass in world axes in m/s.
+            twist: ``[N, 2, 3]``: that velocity in body axes, and the body rates in rad/s.
+            lift: ``[N]``, thrust of all rotors now in N.
+            dt: Time since the last call in s.
+        """
+        resistance = drag(twist, self._coefficients)
+        drag_world = np.matmul(rotation, resistance[:, 0, :, None])[:, :, 0]
+        self._estimate(velocity, drag_world - self._weight + lift[:, None] * rotation[:, :, 2], dt)
+        yaw_rate = np.add.reduce(twist[:, 1] * rotation[:, 2], axis=1)
+        target, turning = to_world(command, rotation, yaw_rate)
+        force = self._velocity_gain * (target - velocity) + self.airframe.total_mass * turning + self._weight
+        self._force = limit_force(force - drag_world - self.disturbance, self.airframe)
+        self._direction = self._force / np.sqrt(np.add.reduce(self._force * self._force, axis=1, keepdims=True))
+        self._yaw_rate = command[:, 3:]
+        self._moment = -resistance[:, 1]  # feed-forward of the rotational drag
+
+    def thrusts(self, rotation: np.ndarray, twist: np.ndarray) -> np.ndarray:
+        """Inner loop: the rotor thrusts ``[N, 4]`` in N to aim at, from the state as in :meth:`track`."""
+        rates, wrench = self._rates, self._wrench
+        np.multiply(self._yaw_rate, rotation[:, 2], out=rates)
+        rates[:, :2] += self.gains.attitude * tilt_error(np.matmul(self._direction[:, None], rotation)[:, 0])
+        wrench[:, 0] = np.add.reduce(self._force * rotation[:, :, 2], axis=1)
+        wrench[:, 1:] = self._rate_gain * (rates - twist[:, 1]) + self._moment
+        return self._mixer(wrench)
+
+    def _estimate(self, velocity: np.ndarray, known: np.ndarray, dt: float) -> None:
+        """Lets the estimate follow what the known forces ``[N, 3]`` leave unexplained of the acceleration."""
+        limit = self.gains.disturbance_limit
+        unknown = (self.airframe.total_mass / dt) * (velocity - self._velocity_tm1) - known
+        unknown = np.minimum(np.maximum(unknown, -limit), limit)
+        self.disturbance += -np.expm1(-self.gains.disturbance * dt) * (unknown - self.disturbance)
+        self._velocity_tm1 = velocity.copy()

@@ -1,0 +1,290 @@
+"""The Velodyne VLP-16, cast on Embree (Chansuparp (2022), section 3.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.ray_culling import RayCuller
+from uavrl.envs.vlp16 import (
+    AZIMUTH_STEP,
+    AZIMUTH_STEPS,
+    FIRING_TIMES,
+    LASER_ELEVATIONS,
+    NUM_RAYS,
+    firing_directions,
+)
+
+__all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
+
+_BY_ELEVATION = np.argsort(np.argsort(LASER_ELEVATIONS))  # of each laser id, its place from the lowest
+_CULLED_RANGE = 10.0  # m: up to this range, rays that pass no triangle in range are not cast
+
+
+@dataclass
+class LidarConfig:
+    """What the sensor can do. The defaults are the thesis's ideal sensor.
+
+    Args:
+        max_range: farthest range in metres. The device reaches 100 m; cut to the circumradius of the reduction (4 m),
+            `uavrl.transforms.functional.truncated_icosahedron` gives the identical result for less than half the time.
+        min_range: points nearer than this are not reported, in metres; 0 is off. The device has 0.9.
+        range_noise: standard deviation of the range error in metres; 0 is off. About 0.01 for the device.
+        dropout: probability in [0, 1) that a hit is not reported.
+        motion_distortion: whether the sensor moves on during the 0.1 s of a spin.
+
+    Examples:
+        >>> LidarConfig(max_range=4.0, range_noise=0.01).max_range
+        4.0
+    """
+
+    max_range: float = 100.0
+    min_range: float = 0.0
+    range_noise: float = 0.0
+    dropout: float = 0.0
+    motion_distortion: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks the values."""
+        if not (math.isfinite(self.max_range) and self.max_range > 0.0):
+            raise ValueError(f"max_range must be a positive length in metres, got {self.max_range}.")
+        if not 0.0 <= self.min_range < self.max_range:
+            raise ValueError(f"min_range must be in [0, max_range) metres, got {self.min_range}.")
+        if not (math.isfinite(self.range_noise) and self.range_noise >= 0.0):
+            raise ValueError(f"range_noise must be a standard deviation in metres, 0 or more, got {self.range_noise}.")
+        if not 0.0 <= self.dropout < 1.0:
+            raise ValueError(f"dropout must be a probability in [0, 1), got {self.dropout}.")
+
+
+def _embree_scene(mesh: Mesh) -> EmbreeScene:
+    scene = EmbreeScene()
+    TriangleMesh(scene, mesh.vertices, mesh.faces)
+    return scene
+
+
+class Lidar:
+    """Casts whole VLP-16 scans of any number of vehicles at once.
+
+    One Embree call casts the rays of all vehicles against the static scene; at short range, only those that pass near a
+    triangle (`uavrl.envs.ray_culling.RayCuller`), which changes no result. Moving bodies live in a small Embree scene
+    of their own, in the body's frame: only rays that can hit a body's bounding sphere are carried there, and only where
+    it is within range. The vehicles do not see each other. A sensor keeps its ray buffers from call to call, so one
+    object serves one thread.
+
+    Args:
+        meshes: static triangle meshes in the world frame. May be empty.
+        moving: the shape of all moving bodies in their own frame (x ahead, z up). None: nothing moves.
+        config: range and imperfections of the sensor, `LidarConfig()` if None.
+
+    Attributes:
+        directions: ``float32 [28928, 3]``, read-only, as `uavrl.envs.vlp16.firing_directions` gives them.
+        num_points: points in one scan: 28,928.
+
+    Examples:
+        A wall 2 m ahead, seen from the origin:
+
+        >>> import numpy as np
+        >>> from uavrl.envs.mesh import Mesh
+        >>> corners = [[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]]
+        >>> lidar = Lidar([Mesh(np.array(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32))])
+        >>> cloud = lidar.scan(np.zeros((1, 3)), np.eye(3)[None])
+        >>> cloud.shape, round(float(cloud[0, 0, 0]), 4), bool(np.isnan(cloud[0, 904 * 16]).all())
+        ((1, 28928, 3), 2.0, True)
+    """
+
+    num_points: ClassVar[int] = NUM_RAYS
+
+    def __init__(self, meshes: Sequence[Mesh], moving: Mesh | None = None, config: LidarConfig | None = None) -> None:
+        self.config = LidarConfig() if config is None else config
+        self.directions = firing_directions()
+        self.directions.setflags(write=False)
+        self._columns = np.ascontiguousarray(
+            self.directions.T
+        )  # [3, R]: x, y and z contiguous, which numpy runs through fastest
+        self._meshes, self._moving = list(meshes), moving
+        self._static_scene = _embree_scene(Mesh.merge(self._meshes)) if self._meshes else None
+        self._moving_scene = None if moving is None else _embree_scene(moving)
+        self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
+        self._max_range = np.float32(self.config.max_range)
+        self._culler = self._build_culler()
+        self._allocate(0)
+
+    def __reduce__(self) -> tuple[type[Lidar], tuple[list[Mesh], Mesh | None, LidarConfig]]:
+        """Rebuilds the Embree scenes where the sensor is copied or sent to, as they cannot be pickled."""
+        return type(self), (self._meshes, self._moving, self.config)
+
+    def scan(
+        self,
+        positions: np.ndarray,
+        rotations: np.ndarray,
+        moving_poses: np.ndarray | None = None,
+        *,
+        velocities: np.ndarray | None = None,
+        angular_velocities: np.ndarray | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> np.ndarray:
+        """Casts one scan per vehicle.
+
+        With motion distortion the pose is that of the first firing and moves on with constant velocities, and each
+        point is given in the sensor frame at its own firing, as the device gives it. Moving bodies stand still
+        during a scan.
+
+        Args:
+            positions: ``[N, 3]``, sensor positions in the world in metres.
+            rotations: ``[N, 3, 3]``, sensor-to-world rotation matrices.
+            moving_poses: ``[K, 4]``, (x, y, z, yaw) of the moving bodies in metres and radians.
+            velocities: ``[N, 3]``, world-frame velocities in m/s. Needed for motion distortion only.
+            angular_velocities: ``[N, 3]``, world-frame angular velocities in rad/s. Needed for motion distortion only.
+            rng: source of range noise and dropout. Needed for these only.
+
+        Returns:
+            ``float32 [N, 28928, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
+            three coordinates where a ray hits nothing. A fresh array each call. Its memory holds all x, all y and all z
+            of a scan in turn, so it is not C-contiguous.
+
+        Raises:
+            ValueError: if an argument is missing, has a wrong shape, or holds NaN or infinite values.
+        """
+        positions = _checked("positions", positions, (-1, 3))
+        rotations = _checked("rotations", rotations, (len(positions), 3, 3))
+        if np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) > 1e-3:
+            raise ValueError("rotations must be rotation matrices, got one whose rows are not orthonormal.")
+        poses = np.empty((0, 4)) if moving_poses is None else _checked("moving_poses", moving_poses, (-1, 4))
+        if len(poses) and self._moving_scene is None:
+            raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
+        if rng is None and (self.config.range_noise > 0.0 or self.config.dropout > 0.0):
+            raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
+        if self.config.motion_distortion:
+            velocities = _checked("velocities", velocities, positions.shape)
+            angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
+        else:
+            velocities = angular_velocities = None
+        self._aim(positions, rotations, velocities, angular_velocities)
+        self._cast_static(positions, rotations)
+        self._cast_moving(positions, poses, velocities)
+        self._spoil(rng)
+        return (self._columns * self._ranges[:, None, :]).transpose(0, 2, 1)
+
+    def _allocate(self, num: int) -> None:
+        """Makes the ray buffers for ``num`` vehicles."""
+        self._origins = np.empty((3, num, NUM_RAYS), dtype=np.float32)
+        self._directions = np.empty((3, num, NUM_RAYS), dtype=np.float32)
+        self._ranges = np.empty((num, NUM_RAYS), dtype=np.float32)
+
+    def _aim(
+        self,
+        positions: np.ndarray,
+        rotations: np.ndarray,
+        velocities: np.ndarray | None,
+        angular_velocities: np.ndarray | None,
+    ) -> None:
+        """Writes the world-frame ray origins and directions, ``[3, N, R]``."""
+        num = len(positions)
+        if len(self._ranges) != num:
+            self._allocate(num)
+        rows = rotations.transpose(1, 0, 2).reshape(3 * num, 3).astype(np.float32)
+        np.matmul(rows, self._columns, out=self._directions.reshape(3 * num, NUM_RAYS))
+        self._origins[:] = positions.T[:, :, None]
+        if velocities is not None and angular_velocities is not None:
+            self._origins += (velocities.T[:, :, None] * FIRING_TIMES).astype(np.float32)
+            self._directions[:] = _turned(self._directions, angular_velocities)
+
+    def _build_culler(self) -> RayCuller | None:
+        """Returns the culler if it pays: in a long scan all rays are candidates, and a moving sensor sweeps more."""
+        if self.config.max_range > _CULLED_RANGE or self.config.motion_distortion or not self._meshes:
+            return None
+        elevations = np.radians(np.sort(LASER_ELEVATIONS))
+        return RayCuller(Mesh.merge(self._meshes), self.config.max_range, AZIMUTH_STEPS, AZIMUTH_STEP, elevations)
+
+    def _cast_static(self, positions: np.ndarray, rotations: np.ndarray) -> None:
+        """Writes the ranges to the static scene, ``[N, R]``, ``max_range`` where there is none."""
+        self._ranges.fill(self._max_range)
+        origins, directions, ranges = (
+            self._origins.reshape(3, -1),
+            self._directions.reshape(3, -1),
+            self._ranges.reshape(-1),
+        )
+        if self._static_scene is None or not ranges.size:
+            return
+        if self._culler is None:
+            self._static_scene.run(origins.T, directions.T, ranges, query="DISTANCE")  # shortens ranges in place
+            return
+        rays = np.flatnonzero(self._culler.candidates(positions, rotations)[:, :, _BY_ELEVATION])
+        if rays.size:
+            some = ranges[rays]
+            self._static_scene.run(
+                origins.take(rays, axis=1).T, directions.take(rays, axis=1).T, some, query="DISTANCE"
+            )
+            ranges[rays] = some
+
+    def _cast_moving(self, positions: np.ndarray, poses: np.ndarray, velocities: np.ndarray | None) -> None:
+        """Shortens the ranges of the rays that hit a moving body."""
+        travel = 0.0 if velocities is None else np.linalg.norm(velocities, axis=-1) * FIRING_TIMES[-1]
+        radius = np.broadcast_to(self._moving_radius + travel, len(positions))
+        gap = np.linalg.norm(positions[:, None] - poses[None, :, :3], axis=-1)  # [N, K]
+        for vehicle, body in np.argwhere(gap < self.config.max_range + radius[:, None]):
+            ahead = (poses[body, :3] - positions[vehicle]).astype(np.float32) @ self._directions[:, vehicle]
+            if gap[vehicle, body] <= radius[vehicle]:
+                rays = np.arange(NUM_RAYS)
+            else:
+                rays = np.flatnonzero(ahead > math.sqrt(gap[vehicle, body] ** 2 - radius[vehicle] ** 2))
+            if rays.size:
+                self._cast_body(vehicle, rays, poses[body])
+
+    def _cast_body(self, vehicle: int, rays: np.ndarray, pose: np.ndarray) -> None:
+        """Shortens the ranges of one vehicle's ``rays`` to one body, in the body's frame."""
+        cos, sin = math.cos(pose[3]), math.sin(pose[3])
+        to_body = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
+        origins = to_body @ (self._origins[:, vehicle, rays] - pose[:3, None].astype(np.float32))
+        directions = to_body @ self._directions[:, vehicle, rays]
+        ranges = self._ranges[vehicle, rays]
+        assert self._moving_scene is not None
+        self._moving_scene.run(origins.T, directions.T, ranges, query="DISTANCE")
+        self._ranges[vehicle, rays] = ranges
+
+    def _spoil(self, rng: np.random.Generator | None) -> None:
+        """Applies noise, dropout and the minimum range, and writes NaN ranges for misses."""
+        config, ranges = self.config, self._ranges
+        np.putmask(ranges, ranges >= self._max_range, np.nan)
+        if config.range_noise > 0.0 or config.dropout > 0.0:
+            assert rng is not None
+            hits = np.flatnonzero(~np.isnan(ranges))
+            measured = ranges.reshape(-1)[hits]
+            if config.range_noise > 0.0:
+                noise = rng.standard_normal(len(hits), dtype=np.float32)
+                measured = np.maximum(measured + np.float32(config.range_noise) * noise, 0.0)
+            if config.dropout > 0.0:
+                measured[rng.random(len(hits)) < config.dropout] = np.nan
+            ranges.reshape(-1)[hits] = measured
+        if config.min_range > 0.0:
+            np.putmask(ranges, ranges < config.min_range, np.nan)
+
+
+def _turned(directions: np.ndarray, angular_velocities: np.ndarray) -> np.ndarray:
+    """Turns directions ``[3, N, R]`` by ``angular_velocities [N, 3]`` times the firing times (Rodrigues' formula)."""
+    speed = np.linalg.norm(angular_velocities, axis=-1)
+    axis = (angular_velocities / np.maximum(speed, 1e-12)[:, None]).T[:, :, None]  # [3, N, 1]
+    angle = speed[:, None] * FIRING_TIMES
+    cos, sin = np.cos(angle), np.sin(angle)
+    across = np.cross(axis, directions, axis=0)
+    along = (axis * directions).sum(axis=0)
+    return directions * cos + across * sin + axis * (along * (1.0 - cos))
+
+
+def _checked(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Returns ``values`` as float64 after checking them against ``shape``, where -1 stands for any length."""
+    if values is None:
+        raise ValueError(f"{name} is needed for motion distortion, got None.")
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != len(shape) or any(want not in (-1, have) for want, have in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"{name} must have shape {list(shape)} (-1: any length), got {list(array.shape)}.")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got NaN or infinite values.")
+    return array

@@ -1,0 +1,334 @@
+"""The navigation task as a natively batched TorchRL environment."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
+from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.simulation import Simulation
+from uavrl.envs.traffic import Traffic
+from uavrl.envs.world import World, WorldConfig
+
+GoalAngle = Literal["elevation", "course"]
+CONTROL_RATE = 10  # Hz
+PHYSICS_RATE = 240  # Hz
+ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1)
+
+
+def wrap_degrees(angle: np.ndarray) -> np.ndarray:
+    """An angle in radians as degrees in [0, 360), in float32.
+
+    Examples:
+        >>> wrap_degrees(np.array([-np.pi / 2, -1e-12])).tolist()
+        [270.0, 0.0]
+    """
+    degrees = (np.degrees(angle) % 360.0).astype(np.float32)
+    return np.where(degrees < 360.0, degrees, np.float32(0.0))  # float32 rounds 360 - 1e-12 up to 360
+
+
+def goal_heading_deg(position: np.ndarray, yaw: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """h (§3.2): the horizontal angle from the UAV's head to the goal, degrees in [0, 360), left positive.
+
+    Examples:
+        >>> goal_heading_deg(np.zeros((1, 3)), np.zeros(1), np.array([[0.0, 1.0, 5.0]])).tolist()
+        [90.0]
+    """
+    to_goal = goal - position
+    return wrap_degrees(np.arctan2(to_goal[:, 1], to_goal[:, 0]) - yaw)
+
+
+def goal_elevation_deg(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """g (§3.2): the elevation angle from the UAV's position to the goal, degrees in [0, 360).
+
+    Examples:
+        >>> goal_elevation_deg(np.zeros((1, 3)), np.array([[3.0, 4.0, -5.0]])).tolist()
+        [315.0]
+    """
+    to_goal = goal - position
+    return wrap_degrees(np.arctan2(to_goal[:, 2], np.hypot(to_goal[:, 0], to_goal[:, 1])))
+
+
+def goal_course_deg(position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """The other reading of g: the angle between the direction of motion and the goal, degrees in [0, 180].
+
+    It is 0 where the UAV or the distance to the goal is at rest (below 1e-6).
+
+    Examples:
+        >>> goal_course_deg(np.zeros((1, 3)), np.array([[0.0, 2.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])).tolist()
+        [90.0]
+    """
+    to_goal = goal - position
+    norms = np.sqrt((to_goal**2).sum(1) * (velocity**2).sum(1))
+    cosine = (to_goal * velocity).sum(1) / np.maximum(norms, 1e-6)
+    return np.where(norms > 1e-6, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), 0.0)
+
+
+class NavigationEnv(EnvBase):
+    """Quadrotors that fly to goals through a cluttered valley, seeing only through a VLP-16 LiDAR.
+
+    The batch is native: ``num_uavs`` vehicles with tasks of their own fly in one PyBullet world,
+    invisible to each other, and one Embree call casts all their rays (Chansuparp (2022), §4.1).
+
+    Every step is 0.1 s: 24 physics steps, then a LiDAR scan. Actions are ``(l_x, l_y, l_z, a_z)``: the
+    velocities in the yaw-aligned body frame (m/s) and the yaw rate (rad/s), each in [-2, 2].
+
+    The environment emits ``point_cloud`` (``[28928, 3]``, m, sensor frame, NaN = no return),
+    ``altitude`` (m), ``heading_deg`` and ``elevation_deg`` (the thesis's h and g), and for rewards,
+    metrics and pictures ``distance``, ``position``, ``velocity``, ``goal``, ``arrived``, ``collided``,
+    ``world_seed`` and ``task``. Its own reward is the progress to the goal in metres; the thesis's
+    rewards are transforms (:mod:`uavrl.transforms`).
+
+    Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, so that two policies flown with
+    one seed meet the same tasks (only a plane in the way makes the environment draw it anew).
+    ``set_seed`` also rebuilds physics and traffic at the next full reset: what follows is bit-identical
+    to a newly built environment with that seed.
+
+    Args:
+        num_uavs: number of vehicles N; the batch size is ``[N]``.
+        world: valley, goals and planes.
+        lidar: the sensor and its noise.
+        airframe: mass, inertia and limits of the vehicle.
+        aerodynamics: drag, wind and gusts.
+        max_steps: steps until an episode is truncated (Table 4.1: 300).
+        goal_angle: ``"elevation"``, or ``"course"`` for the other reading of g.
+        measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
+        seed: seed of tasks, traffic, gusts and sensor noise.
+        device: where the outputs go. The simulation itself runs on the CPU.
+
+    Raises:
+        ValueError: for settings out of range, a world without solvable tasks, or NaN actions.
+
+    Examples:
+        >>> from torchrl.envs import check_env_specs
+        >>> env = NavigationEnv(num_uavs=2)
+        >>> check_env_specs(env)
+        >>> env.rollout(3)["next", "point_cloud"].shape
+        torch.Size([2, 3, 28928, 3])
+    """
+
+    def __init__(
+        self,
+        num_uavs: int = 8,
+        *,
+        world: WorldConfig | None = None,
+        lidar: LidarConfig | None = None,
+        airframe: Airframe | None = None,
+        aerodynamics: Aerodynamics | None = None,
+        max_steps: int = 300,
+        goal_angle: GoalAngle = "elevation",
+        measure_clearance: bool = False,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        if num_uavs < 1 or max_steps < 1:
+            raise ValueError(f"num_uavs and max_steps must be at least 1, got {num_uavs} and {max_steps}.")
+        if goal_angle not in ("elevation", "course"):
+            raise ValueError(f"goal_angle must be 'elevation' or 'course', got {goal_angle!r}.")
+        super().__init__(device=device, batch_size=torch.Size([num_uavs]))
+        self.num_uavs = num_uavs
+        self.max_steps = max_steps
+        self.goal_angle = goal_angle
+        self.measure_clearance = measure_clearance
+        self.world = World(world or WorldConfig())
+        self.airframe = airframe or Airframe()
+        self.aerodynamics = aerodynamics or Aerodynamics()
+        self._lidar_config = lidar or LidarConfig()
+        self._lidar: Lidar | None = None
+        self._simulation: Simulation | None = None
+        self._goal = np.zeros((num_uavs, 3))
+        self._valley = np.zeros(num_uavs, dtype=np.int64)
+        self._world_seed = np.zeros(num_uavs, dtype=np.int64)
+        self._task = np.zeros(num_uavs, dtype=np.int64)
+        self._steps = np.zeros(num_uavs, dtype=np.int64)
+        self._make_specs()
+        self.set_seed(seed)
+
+    # ------------------------------------------------------------------ specs and seeds
+
+    def _make_specs(self) -> None:
+        n, device = self.num_uavs, self.device
+
+        def vector(width: int) -> Unbounded:
+            return Unbounded(shape=(n, width), dtype=torch.float32, device=device)
+
+        def flag() -> Binary:
+            return Binary(n=1, shape=(n, 1), dtype=torch.bool, device=device)
+
+        def count() -> Unbounded:
+            return Unbounded(shape=(n, 1), dtype=torch.int64, device=device)
+
+        entries = {
+            "point_cloud": Unbounded(shape=(n, NUM_RAYS, 3), dtype=torch.float32, device=device),
+            **{key: vector(1) for key in ("altitude", "heading_deg", "elevation_deg", "distance")},
+            **{key: vector(3) for key in ("position", "velocity", "goal")},
+            **{key: flag() for key in ("arrived", "collided")},
+            **{key: count() for key in ("world_seed", "task")},
+        }
+        if self.measure_clearance:
+            entries["clearance"] = vector(1)
+        self.observation_spec = Composite(entries, shape=(n,), device=device)
+        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, shape=(n, 4), dtype=torch.float32, device=device)
+        self.reward_spec = vector(1)
+        self.done_spec = Composite(
+            {key: flag() for key in ("done", "terminated", "truncated")}, shape=(n,), device=device
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._seed = 0 if seed is None else int(seed)
+        self._stale = True
+
+    def _rebuild(self) -> None:
+        """Builds physics, traffic and generators anew from the seed; meshes and the ray-casting scene stay."""
+        self.close_simulation()
+        traffic_rng, lidar_rng, gust_rng = (
+            np.random.default_rng(s) for s in np.random.SeedSequence(self._seed).spawn(3)
+        )
+        self._traffic = Traffic(self.world, traffic_rng)
+        planes = len(self._traffic.positions)
+        mesh = self._traffic.mesh if planes else None
+        self._lidar_rng = lidar_rng
+        self._simulation = Simulation(
+            self.world.meshes,
+            self.num_uavs,
+            airframe=self.airframe,
+            aerodynamics=self.aerodynamics,
+            plane_mesh=mesh,
+            plane_count=planes,
+            physics_rate=PHYSICS_RATE,
+            control_rate=CONTROL_RATE,
+            rng=gust_rng,
+        )
+        if self._lidar is None:
+            self._lidar = Lidar(self.world.meshes, mesh, self._lidar_config)
+        self._next_task = 0
+        self._stale = False
+
+    # ------------------------------------------------------------------ reset and step
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        mask = np.ones(self.num_uavs, dtype=bool)
+        if tensordict is not None and (reset := tensordict.get("_reset", None)) is not None:
+            mask = reset.reshape(self.num_uavs).cpu().numpy()
+        if self._stale or self._simulation is None:
+            if not mask.all():
+                raise RuntimeError("A new seed takes effect at a full reset: reset all UAVs first.")
+            self._rebuild()
+        self._place(np.flatnonzero(mask))
+        nothing = np.zeros(self.num_uavs, dtype=bool)
+        data = self._observe(np.flatnonzero(mask), nothing, nothing)
+        for key in ("done", "terminated", "truncated"):
+            data[key] = nothing[:, None]
+        return self._pack(data)
+
+    def _place(self, index: np.ndarray) -> None:
+        assert self._simulation is not None
+        starts, yaws = np.zeros((len(index), 3)), np.zeros(len(index))
+        for row, uav in enumerate(index):
+            rng = np.random.default_rng((self._seed, self._next_task))
+            task = self.world.sample_task(rng, avoid=self._traffic.positions)
+            starts[row], yaws[row] = task.start, task.yaw
+            self._goal[uav], self._valley[uav] = task.goal, task.valley
+            self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
+            self._next_task += 1
+        self._steps[index] = 0
+        self._simulation.reset(index, starts, yaws)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        if self._simulation is None:
+            raise RuntimeError("Reset the environment before the first step.")
+        distance_tm1 = self._distance()
+        path = None
+        if len(self._traffic.positions):
+            path = self._traffic.advance(PHYSICS_RATE // CONTROL_RATE, 1 / PHYSICS_RATE)
+        action = tensordict.get("action").detach().cpu().numpy().astype(np.float64)
+        collided = self._simulation.step(action, path)
+        collided |= self.world.out_of_bounds(self._simulation.position, self._valley)
+        arrived = self.world.arrived(self._simulation.position, self._goal) & ~collided
+        self._steps += 1
+        terminated = arrived | collided
+        truncated = (self._steps >= self.max_steps) & ~terminated
+        data = self._observe(np.arange(self.num_uavs), arrived, collided)
+        data["reward"] = (distance_tm1 - self._distance())[:, None]
+        data["terminated"], data["truncated"] = terminated[:, None], truncated[:, None]
+        data["done"] = data["terminated"] | data["truncated"]
+        return self._pack(data)
+
+    # ------------------------------------------------------------------ what is seen
+
+    def _distance(self) -> np.ndarray:
+        assert self._simulation is not None
+        return np.sqrt(((self._goal - self._simulation.position) ** 2).sum(1))
+
+    def _observe(self, index: np.ndarray, arrived: np.ndarray, collided: np.ndarray) -> dict[str, np.ndarray]:
+        """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
+        simulation = self._simulation
+        assert simulation is not None
+        position, velocity = simulation.position, simulation.velocity
+        if self.goal_angle == "course":
+            elevation = goal_course_deg(position, velocity, self._goal)
+        else:
+            elevation = goal_elevation_deg(position, self._goal)
+        data = {
+            "point_cloud": self._scan(index),
+            "altitude": position[:, 2:],
+            "heading_deg": goal_heading_deg(position, simulation.yaw, self._goal)[:, None],
+            "elevation_deg": elevation[:, None],
+            "distance": self._distance()[:, None],
+            "position": position,
+            "velocity": velocity,
+            "goal": self._goal,
+            "arrived": arrived[:, None],
+            "collided": collided[:, None],
+            "world_seed": self._world_seed[:, None],
+            "task": self._task[:, None],
+        }
+        if self.measure_clearance:
+            data["clearance"] = simulation.closest_distance()[:, None]
+        return data
+
+    def _scan(self, index: np.ndarray) -> np.ndarray:
+        simulation, lidar = self._simulation, self._lidar
+        assert simulation is not None and lidar is not None
+        planes = np.column_stack([self._traffic.positions, self._traffic.yaws]) if self.world.config.planes else None
+        points = lidar.scan(
+            simulation.lidar_position[index],
+            simulation.rotation[index],
+            planes,
+            velocities=simulation.velocity[index],
+            angular_velocities=simulation.angular_velocity[index],
+            rng=self._lidar_rng,
+        )
+        if len(index) == self.num_uavs:
+            return points
+        cloud = np.full((self.num_uavs, NUM_RAYS, 3), np.nan, dtype=np.float32)
+        cloud[index] = points
+        return cloud
+
+    def _pack(self, data: dict[str, np.ndarray]) -> TensorDict:
+        specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
+        tensors = {
+            # `point_cloud` is fresh and float32 already: it is not copied; the others are small and copied
+            key: torch.as_tensor(np.array(v) if key != "point_cloud" else v, dtype=specs[key].dtype, device=self.device)
+            for key, v in data.items()
+        }
+        return TensorDict(tensors, batch_size=self.batch_size, device=self.device)
+
+    # ------------------------------------------------------------------ end
+
+    def close_simulation(self) -> None:
+        """Frees the PyBullet world, if there is one."""
+        if self._simulation is not None:
+            self._simulation.close()
+            self._simulation = None
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Frees the PyBullet world and closes the environment."""
+        self.close_simulation()
+        super().close(raise_if_closed=raise_if_closed)

@@ -1,0 +1,250 @@
+"""The quadrotor as a rigid body: masses, rotors and aerodynamic drag, in pure numpy over N vehicles.
+
+Source: Chansuparp (2022), §2.1, Eq. 2.1 to 2.5, with the parameters of hector_quadrotor, the simulator model it flew:
+Meyer, Sendobry, Kohlbrecher, Klingauf and von Stryk (2012), "Comprehensive Simulation of Quadrotor UAVs Using ROS and
+Gazebo". Axes are x forward, y left, z up. Gravity and rigid-body motion (Eq. 2.3 and 2.4) are the physics engine's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+GRAVITY = 9.81  # m/s²
+Vector = tuple[float, float, float]
+
+# The rotors sit in front, at the left, at the back and at the right; neighbours turn against each other.
+ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+ROTOR_SPINS = np.array([-1.0, 1.0, -1.0, 1.0])  # sign of the yaw moment that each rotor leaves on the body
+
+# Products of quaternion entries (x, y, z, w), numbered 4 i + j, that add up to the entries of a rotation matrix.
+_PRODUCTS = np.zeros((16, 9))
+for _entry, _terms in enumerate(
+    (
+        {0: 1, 5: -1, 10: -1, 15: 1},
+        {1: 2, 11: -2},
+        {2: 2, 7: 2},
+        {1: 2, 11: 2},
+        {0: -1, 5: 1, 10: -1, 15: 1},
+        {6: 2, 3: -2},
+        {2: 2, 7: -2},
+        {6: 2, 3: 2},
+        {0: -1, 5: -1, 10: 1, 15: 1},
+    )
+):
+    for _product, _factor in _terms.items():
+        _PRODUCTS[_product, _entry] = _factor
+
+
+@dataclass
+class Airframe:
+    """hector_quadrotor with a Velodyne VLP-16 on top.
+
+    Sources: Chansuparp (2022), §2.1 and §3.1; Meyer et al. (2012) for masses, arm and rotors (``CT0s``, ``k_t``). Their
+    motor model, linearised at hover, has the time constant 0.047 s; ours is a first-order lag of the rotor speed.
+
+    Args:
+        mass: Mass without the LiDAR in kg.
+        inertia: Its principal moments of inertia about its own centre in kg m².
+        arm: Distance from the centre to each rotor's axis in m.
+        thrust_coefficient: Thrust per squared rotor speed in N s²/rad².
+        torque_to_thrust: Drag torque per thrust of a rotor in m.
+        motor_time_constant: First-order lag of the rotor speed in s.
+        max_total_thrust: Most that all four rotors give together in N.
+        tilt_limit: Greatest tilt that the controller asks for in rad.
+        collision_radius: Radius of the collision cylinder in m.
+        collision_height: Height of the collision cylinder, centred in the airframe, in m.
+        lidar_mass: Mass of the LiDAR in kg.
+        lidar_position: Its centre in body axes in m; on the z axis.
+        lidar_diameter: Diameter of its cylindrical housing in m.
+        lidar_height: Height of its housing in m.
+
+    Examples:
+        >>> airframe = Airframe()
+        >>> round(airframe.total_mass, 3), [round(x, 4) for x in airframe.centre_of_mass]
+        (2.307, [0.0, 0.0, 0.036])
+    """
+
+    mass: float = 1.477
+    inertia: Vector = (0.01152, 0.01152, 0.0218)
+    arm: float = 0.275
+    thrust_coefficient: float = 1.53819e-5
+    torque_to_thrust: float = 0.01534
+    motor_time_constant: float = 0.05
+    max_total_thrust: float = 38.0
+    tilt_limit: float = 0.5
+    collision_radius: float = 0.35
+    collision_height: float = 0.28
+    lidar_mass: float = 0.83
+    lidar_position: Vector = (0.0, 0.0, 0.1)
+    lidar_diameter: float = 0.103
+    lidar_height: float = 0.072
+
+    def __post_init__(self) -> None:
+        """Refuses vehicles that cannot fly."""
+        if self.lidar_position[0] or self.lidar_position[1]:
+            raise ValueError(
+                f"The LiDAR must sit on the body's z axis, got {self.lidar_position}; pass (0, 0, height) in metres."
+            )
+        if min(self.mass, *self.inertia, self.arm, self.thrust_coefficient, self.motor_time_constant) <= 0:
+            raise ValueError(
+                "Mass, inertia, arm, thrust coefficient and motor time constant of an airframe must be above 0."
+            )
+        if self.lidar_mass < 0 or self.max_total_thrust <= self.total_mass * GRAVITY:
+            raise ValueError(
+                f"An airframe of {self.total_mass} kg must lift its weight of {self.total_mass * GRAVITY:.1f} N, "
+                f"but max_total_thrust is {self.max_total_thrust} N."
+            )
+
+    @property
+    def total_mass(self) -> float:
+        """Mass with the LiDAR in kg."""
+        return self.mass + self.lidar_mass
+
+    @property
+    def centre_of_mass(self) -> Vector:
+        """Common centre of mass ``(x, y, z)`` in body axes, from the airframe's geometric centre, in m."""
+        x, y, z = (self.lidar_mass / self.total_mass * p for p in self.lidar_position)
+        return x, y, z
+
+    @property
+    def combined_inertia(self) -> Vector:
+        """Moments of inertia ``(xx, yy, zz)`` of airframe and LiDAR about their common centre of mass in kg m².
+
+        The LiDAR counts as a solid cylinder; the parallel-axis theorem brings both bodies to the common centre.
+        """
+        radius, height = self.lidar_diameter / 2, self.lidar_height
+        across = self.lidar_mass * (3 * radius**2 + height**2) / 12
+        along = self.lidar_mass * radius**2 / 2
+        apart = self.mass * self.lidar_mass / self.total_mass * self.lidar_position[2] ** 2
+        return self.inertia[0] + across + apart, self.inertia[1] + across + apart, self.inertia[2] + along
+
+    @property
+    def hover_speed(self) -> float:
+        """Rotor speed in rad/s at which four rotors carry the weight."""
+        return float(np.sqrt(self.total_mass * GRAVITY / 4 / self.thrust_coefficient))
+
+
+@dataclass
+class Aerodynamics:
+    """Drag, wind and gusts: Chansuparp (2022), Eq. 2.5, reduced to its diagonal terms.
+
+    Force and moment are quadratic: ``F_i = -(ρ/2) c_i |v| v_i`` with the air-relative velocity v in body axes, and
+    ``M_i = -(ρ/2) d_i |ω| ω_i`` with the body rates ω, both at the centre of mass.
+
+    Errata: the text takes the angles of attack in Eq. 2.5 from moments of inertia (I_z / I_x); it means velocities.
+    With one coefficient per axis they cancel out: ``|v| v_i`` is ``|v|²`` times their sines and cosines.
+
+    The defaults are those of Meyer et al. (2012): (ρ/2) c = (0.12, 0.12, 0.1) N s²/m² and
+    (ρ/2) d = (0.0742, 0.0742, 0.0506) N m s².
+
+    Args:
+        air_density: ρ in kg/m³.
+        force_coefficients: c along the body axes in m².
+        moment_coefficients: d about the body axes in m⁵.
+        wind: Constant wind along the world axes in m/s.
+        gust_intensity: Standard deviation of the gusts along each world axis in m/s; 0 turns them off.
+        gust_time_constant: Correlation time of the gusts in s.
+
+    Examples:
+        >>> Aerodynamics().coefficients.round(3).tolist()
+        [[0.12, 0.12, 0.1], [0.074, 0.074, 0.051]]
+    """
+
+    air_density: float = 1.225
+    force_coefficients: Vector = (0.19592, 0.19592, 0.16327)
+    moment_coefficients: Vector = (0.12107, 0.12107, 0.08268)
+    wind: Vector = (0.0, 0.0, 0.0)
+    gust_intensity: float = 0.0
+    gust_time_constant: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuses air that would push instead of drag."""
+        if min(self.air_density, *self.force_coefficients, *self.moment_coefficients, self.gust_intensity) < 0:
+            raise ValueError("Air density, drag coefficients and gust intensity must not be negative.")
+        if self.gust_time_constant <= 0:
+            raise ValueError(f"gust_time_constant must be above 0 s, got {self.gust_time_constant}.")
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """``[2, 3]``: drag per squared velocity in N s²/m², and drag moment per squared rate in N m s²."""
+        return self.air_density / 2 * np.array([self.force_coefficients, self.moment_coefficients])
+
+
+def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices of unit quaternions: every entry is a sum of products of two quaternion entries.
+
+    Args:
+        quaternion: ``[N, 4]`` in the order x, y, z, w.
+
+    Returns:
+        ``[N, 3, 3]``, body to world.
+
+    Examples:
+        >>> rotation_from_quaternion(np.array([[0.0, 0.0, 1.0, 0.0]]))[0].tolist()
+        [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
+    return (products @ _PRODUCTS).reshape(-1, 3, 3)
+
+
+def mixing_matrix(airframe: Airframe) -> np.ndarray:
+    """What the rotors do together: ``(total thrust, moments about x, y, z) = matrix @ thrusts``.
+
+    Args:
+        airframe: Gives arm and torque per thrust.
+
+    Returns:
+        ``[4, 4]`` from N to (N, N m, N m, N m).
+
+    Examples:
+        >>> (mixing_matrix(Airframe()) @ np.ones(4)).tolist()  # equal thrusts lift without turning
+        [4.0, 0.0, 0.0, 0.0]
+    """
+    x, y = airframe.arm * ROTOR_DIRECTIONS.T
+    return np.stack([np.ones(4), y, -x, airframe.torque_to_thrust * ROTOR_SPINS])
+
+
+def drag(twist: np.ndarray, coefficients: np.ndarray, limit: np.ndarray | float = np.inf) -> np.ndarray:
+    """Quadratic drag force and moment: Chansuparp (2022), Eq. 2.5, diagonal.
+
+    Args:
+        twist: ``[N, 2, 3]``: air-relative velocity in m/s and rates in rad/s, in body axes.
+        coefficients: ``[2, 3]``, see :attr:`Aerodynamics.coefficients`.
+        limit: ``[2, 3]``, the most drag per velocity in N s/m and N m s. Mass and inertia over the time step keep an
+            explicit integration stable: drag then stops a motion, at most, and never turns it round.
+
+    Returns:
+        ``[N, 2, 3]``: force in N and moment in N m, in body axes.
+
+    Examples:
+        >>> twist = np.array([[[3.0, -12.0, 4.0], [0.0, 0.0, 0.0]]])
+        >>> drag(twist, np.full((2, 3), 0.1))[0, 0].round(2).tolist()
+        [-3.9, 15.6, -5.2]
+    """
+    magnitude = np.sqrt(np.add.reduce(twist * twist, axis=2, keepdims=True))
+    return -np.minimum(coefficients * magnitude, limit) * twist
+
+
+def gust_step(
+    gust: np.ndarray, intensity: float, time_constant: float, dt: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Gusts one time step later: first-order noise (Ornstein-Uhlenbeck), the simplest of Dryden's spectra.
+
+    Args:
+        gust: ``[N, 3]`` in m/s.
+        intensity: Its stationary standard deviation in m/s.
+        time_constant: Its correlation time in s.
+        dt: Time step in s; the step is exact for any length.
+        rng: Source of the noise.
+
+    Returns:
+        ``[N, 3]`` in m/s.
+
+    Examples:
+        >>> gust_step(np.ones((1, 3)), 0.0, 1.0, np.log(2.0), np.random.default_rng(0)).round(3).tolist()
+        [[0.5, 0.5, 0.5]]
+    """
+    kept = np.exp(-dt / time_constant)
+    return kept * gust + intensity * np.sqrt(1 - kept**2) * rng.standard_normal(gust.shape)

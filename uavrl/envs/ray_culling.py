@@ -1,0 +1,129 @@
+"""Which rays of a short-range scan can hit anything at all: most cannot, and need no ray casting."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uavrl.envs.mesh import Mesh
+
+__all__ = ["RayCuller"]
+
+_SPHERE = 0.35  # m: triangles that need a larger bounding sphere are cut up
+
+
+class RayCuller:
+    """Finds the rays of a spinning multi-laser scan that pass near a triangle within range.
+
+    Each triangle in reach is seen as its bounding sphere (large ones as several), which covers an interval of azimuths
+    and an interval of elevations. The rays in none of these rectangles cannot hit, and need not be cast. The rays come
+    in a grid: firing cycles at even azimuth steps, clockwise from straight ahead, times lasers at even elevation steps.
+
+    Args:
+        mesh: the triangles in the world frame.
+        max_range: farthest range in metres.
+        cycles: firing cycles per revolution, a multiple of 8.
+        azimuth_step: clockwise turn from cycle to cycle in radians; ``cycles`` of them make one turn, short of one
+            step at most.
+        elevations: the lasers' elevations in radians, lowest first, evenly spaced.
+
+    Examples:
+        >>> import numpy as np
+        >>> ahead = Mesh(np.array([[2, -0.1, 0], [2, 0.1, 0], [2, 0, 0.1]]), np.array([[0, 1, 2]]))
+        >>> culler = RayCuller(ahead, 4.0, 360, np.radians(1.0), np.radians([-10.0, 0.0, 10.0]))
+        >>> grid = culler.candidates(np.zeros((1, 3)), np.eye(3)[None])
+        >>> grid.shape, np.unique(np.argwhere(grid)[:, 1]).tolist(), np.unique(np.argwhere(grid)[:, 2]).tolist()
+        ((1, 360, 3), [0, 1, 2, 3, 4, 5, 6, 7, 352, 353, 354, 355, 356, 357, 358, 359], [1])
+    """
+
+    _BIN = 8  # firing cycles that are kept or dropped together
+
+    def __init__(self, mesh: Mesh, max_range: float, cycles: int, azimuth_step: float, elevations: np.ndarray) -> None:
+        if cycles % self._BIN:
+            raise ValueError(f"cycles must be a multiple of {self._BIN}, got {cycles}.")
+        centres, radii = _spheres(mesh.vertices[mesh.faces].astype(np.float64))
+        by_x = np.argsort(centres[:, 0], kind="stable")
+        self._centres = np.ascontiguousarray(centres[by_x].T)  # [3, T], by x, so that a range of x is a slice
+        self._radii = radii[by_x] * 1.001 + 1e-4  # float32 rounding stays within
+        self._window = max_range + self._radii.max(initial=0.0)
+        self._reach = (max_range + self._radii) ** 2
+        self._bins, self._width = cycles // self._BIN, azimuth_step * self._BIN
+        self._lowest, self._rise = float(elevations[0]), float(elevations[1] - elevations[0])
+        self._lasers = len(elevations)
+
+    def candidates(self, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """Returns which rays can hit, ``bool [N, cycles, lasers]``, lasers by elevation.
+
+        Args:
+            positions: ``[N, 3]``, sensor positions in the world in metres.
+            rotations: ``[N, 3, 3]``, sensor-to-world rotations.
+        """
+        vehicles, (x, y, z), radii = self._near(positions, rotations)
+        flat, far = np.hypot(x, y), np.sqrt(x * x + y * y + z * z)
+        half_azimuth = np.where(radii < flat, np.arcsin(np.minimum(radii / np.maximum(flat, 1e-9), 1.0)), np.pi)
+        half_elevation = np.where(radii < far, np.arcsin(np.minimum(radii / np.maximum(far, 1e-9), 1.0)), np.pi)
+        azimuth = np.where(radii < flat, np.arctan2(-y, x), 0.0)
+        elevation = np.arctan2(z, flat) - self._lowest
+        bottom = np.ceil((elevation - half_elevation) / self._rise).clip(0, self._lasers).astype(np.int64)
+        top = np.floor((elevation + half_elevation) / self._rise + 1.0).clip(0, self._lasers).astype(np.int64)
+        left = np.floor((azimuth - half_azimuth) / self._width).astype(np.int64)
+        # The cycles may end a step short of a full turn: bins counted backwards from straight ahead are off by that.
+        right = np.floor((azimuth + half_azimuth) / self._width + 1.0 / self._BIN).astype(np.int64) + 1
+        seen = bottom < top
+        vehicles, left, right, bottom, top = (part[seen] for part in (vehicles, left, right, bottom, top))
+        bins = self._painted(len(positions), vehicles, left, right, bottom, top)
+        return np.repeat(bins, self._BIN, axis=1)
+
+    def _near(self, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Returns vehicle ids ``[M]``, sphere centres in the sensor frame ``[3, M]`` and radii ``[M]`` within range."""
+        vehicles, centres, radii = [], [], []
+        for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
+            window = slice(*np.searchsorted(self._centres[0], position[0] + np.array([-1, 1]) * self._window))
+            offsets = self._centres[:, window] - position[:, None]
+            near = np.flatnonzero(np.einsum("it,it->t", offsets, offsets) < self._reach[window])
+            vehicles.append(np.full(len(near), vehicle))
+            centres.append(rotation.T @ offsets[:, near])
+            radii.append(self._radii[window][near])
+        if not vehicles:
+            return np.empty(0, np.int64), np.empty((3, 0)), np.empty(0)
+        return np.concatenate(vehicles), np.concatenate(centres, axis=1), np.concatenate(radii)
+
+    def _painted(
+        self, num: int, vehicles: np.ndarray, left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray
+    ) -> np.ndarray:
+        """Returns the union of rectangles ``[left, right) x [bottom, top)`` per vehicle, ``bool [N, bins, lasers]``.
+
+        Rectangles are written as steps at their corners and summed up. Azimuth bins wrap around: a rectangle that
+        begins in an earlier turn than it ends is there from bin 0 on.
+        """
+        columns = self._lasers + 1
+        edges = [(0 * left, right // self._bins - left // self._bins), (left % self._bins, 1), (right % self._bins, -1)]
+        steps = np.zeros(num * self._bins * columns)
+        for edge, weight in edges:
+            weights = np.broadcast_to(weight, edge.shape)
+            for side, sign in ((bottom, 1), (top, -1)):
+                cells = (vehicles * self._bins + edge) * columns + side
+                steps += np.bincount(cells, sign * weights, len(steps))
+        covered = steps.reshape(num, self._bins, columns).cumsum(axis=2)[:, :, : self._lasers].cumsum(axis=1)
+        return covered > 0.5
+
+
+def _spheres(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns centres ``[S, 3]`` and radii ``[S]`` of spheres that together cover triangles ``[T, 3, 3]``."""
+    centres, radii = [], []
+    while len(corners):
+        middle = (corners.min(axis=1) + corners.max(axis=1)) / 2.0
+        radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
+        small = radius <= _SPHERE
+        centres.append(middle[small])
+        radii.append(radius[small])
+        corners = _halved(corners[~small])
+    return np.concatenate([np.empty((0, 3)), *centres]), np.concatenate([np.empty(0), *radii])
+
+
+def _halved(corners: np.ndarray) -> np.ndarray:
+    """Cuts triangles ``[T, 3, 3]`` in two at the middle of their longest edges: ``[2T, 3, 3]``."""
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)  # [T, 3]: a-b, b-c, c-a
+    order = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(corners, order[:, :, None], axis=1).transpose(1, 0, 2)
+    middle = (a + b) / 2.0
+    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])

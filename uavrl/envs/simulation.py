@@ -1,0 +1,357 @@
+"""Quadrotors, static geometry and moving planes in one PyBullet world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pybullet
+
+from uavrl.envs.controller import VelocityController, feasible_command
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.quadrotor import (
+    GRAVITY,
+    Aerodynamics,
+    Airframe,
+    drag,
+    gust_step,
+    mixing_matrix,
+    rotation_from_quaternion,
+)
+
+COMMAND_LIMIT = 2.0  # m/s and rad/s: Chansuparp (2022), Table 4.1
+TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz
+CLOSEST_DISTANCE_CAP = 5.0  # m
+CONTACT_DISTANCE = 1e-3  # m: Bullet stops a body where it touches, within rounding, before it penetrates
+MESH_FACES = 10_000  # per collision shape: 30,000 indices stay below PyBullet's least limit, 32,768
+STATIC, VEHICLE, PLANE = 2, 64, 128  # collision groups
+
+
+def split_mesh(mesh: Mesh, faces: int = MESH_FACES) -> list[Mesh]:
+    """Cuts a mesh into parts small enough for one PyBullet shape each.
+
+    Args:
+        mesh: Any mesh.
+        faces: Most faces of one part.
+
+    Returns:
+        Meshes that hold all faces of ``mesh`` together.
+
+    Examples:
+        >>> mesh = Mesh(np.eye(3), np.zeros((5, 3)))
+        >>> [len(part.faces) for part in split_mesh(mesh, faces=2)]
+        [2, 2, 1]
+    """
+    if len(mesh.faces) <= faces:
+        return [mesh]
+    parts = []
+    for start in range(0, len(mesh.faces), faces):
+        used, renumbered = np.unique(mesh.faces[start : start + faces], return_inverse=True)
+        parts.append(Mesh(mesh.vertices[used], renumbered.reshape(-1, 3)))
+    return parts
+
+
+class Simulation:
+    """N quadrotors in one PyBullet world: they touch static geometry and planes, never each other.
+
+    Gravity, rigid-body motion and contacts are Bullet's; rotors, drag and control are ours, at the physics rate. All
+    quantities are ``float64`` numpy arrays in SI units, new ones after every reset and step.
+
+    Source: Chansuparp (2022), §2.1.
+
+    Args:
+        meshes: Static geometry.
+        count: Number of vehicles N.
+        airframe: The vehicle.
+        aerodynamics: Drag, wind and gusts.
+        plane_mesh: Shape of the planes, x forward; needed when ``plane_count`` is above 0.
+        plane_count: Number of planes K.
+        physics_rate: Physics steps per second.
+        control_rate: Calls of :meth:`step` per second; divides the physics rate.
+        rng: Source of the gusts; needed when they are on.
+
+    Attributes:
+        position: ``[N, 3]``, the geometric centre of each airframe in m.
+        velocity: ``[N, 3]``, its velocity in m/s.
+        rotation: ``[N, 3, 3]``, body to world.
+        yaw: ``[N]`` in rad, in [-π, π].
+        angular_velocity: ``[N, 3]``, rates in body axes in rad/s.
+        lidar_position: ``[N, 3]``, the LiDAR's centre in m.
+        rotor_speed: ``[N, 4]`` in rad/s.
+        motors_on: Set it to False to stop all rotors at once.
+
+    Examples:
+        >>> simulation = Simulation([], count=1)
+        >>> simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.5]]), np.array([0.0]))
+        >>> for _ in range(20):
+        ...     touched = simulation.step(np.array([[1.0, 0.0, 0.0, 0.0]]))
+        >>> simulation.velocity.round(1).tolist(), touched.tolist()
+        ([[1.0, 0.0, 0.0]], [False])
+        >>> simulation.close()
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[Mesh],
+        count: int,
+        *,
+        airframe: Airframe | None = None,
+        aerodynamics: Aerodynamics | None = None,
+        plane_mesh: Mesh | None = None,
+        plane_count: int = 0,
+        physics_rate: int = 240,
+        control_rate: int = 10,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        self.airframe, self.aerodynamics = airframe or Airframe(), aerodynamics or Aerodynamics()
+        if count < 1 or physics_rate % control_rate:
+            raise ValueError(
+                f"A simulation takes at least 1 vehicle and a control rate that divides the physics rate, "
+                f"got {count} vehicles, {control_rate} Hz and {physics_rate} Hz."
+            )
+        if plane_count and plane_mesh is None:
+            raise ValueError(f"{plane_count} planes need a shape: pass plane_mesh.")
+        if self.aerodynamics.gust_intensity and rng is None:
+            raise ValueError("Gusts need a source of randomness: pass rng.")
+        self.count, self.substeps, self._dt = count, physics_rate // control_rate, 1 / physics_rate
+        self.motors_on = True
+        self._rng = rng
+        self._prepare_model()
+        self._build(meshes, plane_mesh, plane_count)
+        self.reset(np.arange(count), np.zeros((count, 3)), np.zeros(count))
+
+    # ------------------------------------------------------------------ building
+
+    def _prepare_model(self) -> None:
+        """Keeps what every physics step needs as arrays."""
+        airframe, aerodynamics = self.airframe, self.aerodynamics
+        self._controller = VelocityController(self.count, airframe, aerodynamics)
+        self._mixing = np.ascontiguousarray(airframe.thrust_coefficient * mixing_matrix(airframe).T)
+        self._centre_of_mass = np.array(airframe.centre_of_mass)
+        self._lidar_offset = np.array(airframe.lidar_position)
+        self._motor_gain = 1 - np.exp(-self._dt / airframe.motor_time_constant)
+        self._coefficients = aerodynamics.coefficients
+        self._drag_limit = np.array([(airframe.total_mass,) * 3, airframe.combined_inertia]) / self._dt
+        self._wind = np.array(aerodynamics.wind)
+        self._gust = np.zeros((self.count, 3))
+        self._still_air = not (self._wind.any() or aerodynamics.gust_intensity)
+        self.rotor_speed = np.full((self.count, 4), airframe.hover_speed)
+
+    def _build(self, meshes: Sequence[Mesh], plane_mesh: Mesh | None, plane_count: int) -> None:
+        """Connects and fills the world."""
+        self._client = pybullet.connect(pybullet.DIRECT)
+        if self._client < 0:
+            raise RuntimeError("PyBullet gave no physics client: close simulations that are no longer needed.")
+        pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=self._client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=self._dt, deterministicOverlappingPairs=1, physicsClientId=self._client
+        )
+        self._statics = [self._add_fixed(part, STATIC) for mesh in meshes for part in split_mesh(mesh)]
+        self._planes = [self._add_fixed(plane_mesh, PLANE) for _ in range(plane_count) if plane_mesh is not None]
+        self._vehicles = [self._add_vehicle() for _ in range(self.count)]
+        self._row = {body: row for row, body in enumerate(self._vehicles)}
+
+    def _add_fixed(self, mesh: Mesh, group: int) -> int:
+        """Adds an exact triangle mesh that nothing moves but ourselves."""
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_MESH,
+            vertices=mesh.vertices.tolist(),
+            indices=mesh.faces.ravel().tolist(),
+            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+            physicsClientId=self._client,
+        )
+        body = pybullet.createMultiBody(0, shape, physicsClientId=self._client)
+        pybullet.setCollisionFilterGroupMask(body, -1, group, VEHICLE, physicsClientId=self._client)
+        return body
+
+    def _add_vehicle(self) -> int:
+        """Adds a cylinder with the mass of airframe and LiDAR, its centre of mass shifted; no damping, no sleep."""
+        airframe = self.airframe
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_CYLINDER,
+            radius=airframe.collision_radius,
+            height=airframe.collision_height,
+            physicsClientId=self._client,
+        )
+        body = pybullet.createMultiBody(
+            airframe.total_mass,
+            shape,
+            baseInertialFramePosition=airframe.centre_of_mass,
+            physicsClientId=self._client,
+        )
+        pybullet.changeDynamics(
+            body,
+            -1,
+            localInertiaDiagonal=airframe.combined_inertia,
+            linearDamping=0,
+            angularDamping=0,
+            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+            physicsClientId=self._client,
+        )
+        pybullet.setCollisionFilterGroupMask(body, -1, VEHICLE, STATIC | PLANE, physicsClientId=self._client)
+        return body
+
+    # ------------------------------------------------------------------ reset and step
+
+    def reset(self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray) -> None:
+        """Places vehicles level and at rest, with hovering rotors, in still air: in equilibrium.
+
+        Args:
+            index: ``int [M]``, which vehicles.
+            positions: ``[M, 3]`` in m.
+            yaws: ``[M]`` in rad.
+        """
+        for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
+            body, attitude = self._vehicles[row], (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
+            pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)
+            pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self._client)
+        self.rotor_speed[index] = self.airframe.hover_speed
+        self._gust[index] = 0.0
+        self._controller.reset(index)
+        self._read()
+        self._publish()
+
+    def place_planes(self, poses: np.ndarray) -> None:
+        """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad."""
+        self._move_planes(self._checked_poses(poses, (len(self._planes), 4)).tolist())
+
+    def step(self, commands: np.ndarray, plane_path: np.ndarray | None = None) -> np.ndarray:
+        """Flies on for one control period.
+
+        Args:
+            commands: ``[N, 4]``: velocities in the yaw-aligned body frame in m/s and yaw rate in rad/s, clipped to
+                [-2, 2].
+            plane_path: ``[substeps, K, 4]``: x, y, z in m and yaw in rad of the planes in each physics step.
+
+        Returns:
+            ``bool [N]``: which vehicles touched anything in any of the physics steps.
+
+        Raises:
+            ValueError: if a command is NaN, or for other shapes.
+        """
+        target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
+        path: list[list[list[float]]] = []
+        if plane_path is not None:
+            path = self._checked_poses(plane_path, (self.substeps, len(self._planes), 4)).tolist()
+        touched = np.zeros(self.count, dtype=bool)
+        for substep in range(self.substeps):
+            if path:
+                self._move_planes(path[substep])
+            if substep % TRACKING_PERIOD == 0:
+                self._track(target)
+            self._push()
+            pybullet.stepSimulation(physicsClientId=self._client)
+            self._read()
+            self._mark_contacts(touched)
+        self._publish()
+        return touched
+
+    def _checked_commands(self, commands: np.ndarray) -> np.ndarray:
+        commands = np.asarray(commands, dtype=np.float64)
+        if commands.shape != (self.count, 4):
+            raise ValueError(f"Commands must have the shape ({self.count}, 4), got {commands.shape}.")
+        if np.isnan(commands).any():
+            raise ValueError("Commands must be numbers, got NaN: check the policy's output.")
+        return np.clip(commands, -COMMAND_LIMIT, COMMAND_LIMIT)
+
+    @staticmethod
+    def _checked_poses(poses: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """Returns x, y, z and the sine and cosine of half the yaw, ``[..., 5]``."""
+        poses = np.asarray(poses, dtype=np.float64)
+        if poses.shape != shape:
+            raise ValueError(f"Poses of planes must have the shape {shape}, got {poses.shape}.")
+        half = poses[..., 3:] / 2
+        return np.concatenate([poses[..., :3], np.sin(half), np.cos(half)], axis=-1)
+
+    def _move_planes(self, poses: list[list[float]]) -> None:
+        for body, (x, y, z, sin, cos) in zip(self._planes, poses, strict=True):
+            pybullet.resetBasePositionAndOrientation(
+                body, (x, y, z), (0.0, 0.0, sin, cos), physicsClientId=self._client
+            )
+
+    # ------------------------------------------------------------------ one physics step
+
+    def _read(self) -> None:
+        """Reads all states; Bullet gives the centre of mass, and velocities in world axes."""
+        client, rows = self._client, []
+        for body in self._vehicles:
+            position, attitude = pybullet.getBasePositionAndOrientation(body, client)
+            linear, angular = pybullet.getBaseVelocity(body, client)
+            rows.append(position + attitude + linear + angular)
+        state = np.array(rows)
+        self._centre = state[:, :3]
+        self._twist_world = state[:, 7:].reshape(-1, 2, 3)
+        self.rotation = rotation_from_quaternion(state[:, 3:7])
+        self._twist = np.matmul(self._twist_world, self.rotation)  # rows times R = Rᵀ times columns: body axes
+
+    def _track(self, target: np.ndarray) -> None:
+        """Runs the controller's outer loop."""
+        lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
+        period = TRACKING_PERIOD * self._dt
+        self._controller.track(target, self.rotation, self._twist_world[:, 0], self._twist, lift, period)
+
+    def _push(self) -> None:
+        """Runs the inner loop and the rotors, and applies thrust, drag and moments at the centres of mass."""
+        if self.motors_on:
+            wanted = np.sqrt(self._controller.thrusts(self.rotation, self._twist) / self.airframe.thrust_coefficient)
+            self.rotor_speed += self._motor_gain * (wanted - self.rotor_speed)
+        else:
+            self.rotor_speed[:] = 0.0
+        wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing
+        loads = drag(self._air_twist(), self._coefficients, self._drag_limit)
+        loads[:, 0, 2] += wrench[:, 0]
+        loads[:, 1] += wrench[:, 1:]
+        # Both in world axes and at the centre of mass, where PyBullet's frames leave no doubt.
+        loads = np.matmul(loads, self.rotation.transpose(0, 2, 1))
+        client, frame = self._client, pybullet.WORLD_FRAME
+        for body, centre, (force, moment) in zip(self._vehicles, self._centre.tolist(), loads.tolist(), strict=True):
+            pybullet.applyExternalForce(body, -1, force, centre, frame, client)
+            pybullet.applyExternalTorque(body, -1, moment, frame, client)
+
+    def _air_twist(self) -> np.ndarray:
+        """Returns velocities relative to the air, and rates, ``[N, 2, 3]`` in body axes."""
+        if self._still_air:
+            return self._twist
+        air = self.aerodynamics
+        if air.gust_intensity and self._rng is not None:
+            self._gust = gust_step(self._gust, air.gust_intensity, air.gust_time_constant, self._dt, self._rng)
+        twist = self._twist.copy()
+        twist[:, 0] -= np.matmul((self._wind + self._gust)[:, None], self.rotation)[:, 0]
+        return twist
+
+    def _mark_contacts(self, touched: np.ndarray) -> None:
+        for contact in pybullet.getContactPoints(physicsClientId=self._client):
+            if contact[8] <= CONTACT_DISTANCE:
+                for body in contact[1:3]:
+                    if body in self._row:
+                        touched[self._row[body]] = True
+
+    # ------------------------------------------------------------------ what is seen
+
+    def _publish(self) -> None:
+        """Turns the last state into the public quantities."""
+        rotation = self.rotation
+        arm = rotation @ self._centre_of_mass  # from the geometric centre to the centre of mass
+        linear, angular = self._twist_world[:, 0], self._twist_world[:, 1]
+        self.position = self._centre - arm
+        self.velocity = linear - np.cross(angular, arm)
+        self.angular_velocity = self._twist[:, 1].copy()
+        self.yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+        self.lidar_position = self.position + rotation @ self._lidar_offset
+
+    def closest_distance(self) -> np.ndarray:
+        """Returns ``[N]``: m from each hull to the nearest geometry or plane, at most 5; below 0 inside."""
+        distances = np.full(self.count, CLOSEST_DISTANCE_CAP)
+        for row, vehicle in enumerate(self._vehicles):
+            for body in self._statics + self._planes:
+                points = pybullet.getClosestPoints(
+                    vehicle, body, distance=float(distances[row]), physicsClientId=self._client
+                )
+                distances[row] = min([distances[row], *(point[8] for point in points)])
+        return distances
+
+    def close(self) -> None:
+        """Frees the PyBullet world; a second call does nothing."""
+        if self._client >= 0:
+            pybullet.disconnect(physicsClientId=self._client)
+            self._client = -1

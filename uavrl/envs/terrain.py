@@ -1,0 +1,135 @@
+"""The valley's ground: a height field with raised walls at its border."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavrl.envs.mesh import Mesh
+
+GRID_STEP = 0.4  # m between two heights of the field
+TILE_CELLS = 64  # PyBullet takes at most 32,768 indices per mesh on macOS (524,288 elsewhere): 64² cells need 24,576
+FLOOR_AMPLITUDE = 0.5  # m, the floor stays within ± this
+WALL_HEIGHT = 7.0  # m, mean height of the walls at the border
+WALL_WIDTH = 2.5  # m, mean width of the slope from the floor to the top of the wall
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """Heights over a regular grid around the origin, triangulated.
+
+    Args:
+        heights: ``[X, Y]`` in metres. The first and the last rows and columns lie on the border.
+        size: Extent along x and y in metres.
+
+    Examples:
+        >>> slope = HeightField(np.array([[0.0, 0.0], [1.0, 1.0]]), (2.0, 2.0))
+        >>> slope.at(np.array([[-1.0, 0.0], [0.0, 0.0], [9.0, 0.0]])).tolist()
+        [0.0, 0.5, 1.0]
+    """
+
+    heights: np.ndarray
+    size: tuple[float, float]
+
+    def at(self, xy: np.ndarray) -> np.ndarray:
+        """Returns the ground's height ``[N]`` in metres at ``xy [N, 2]``, that of the border beyond it."""
+        return interpolate(self.heights[None], self.size, np.zeros(len(xy), dtype=np.int64), xy)
+
+    def tiles(self) -> list[Mesh]:
+        """Returns the surface as meshes that are small enough for PyBullet to take as arrays."""
+        cells_x, cells_y = (n - 1 for n in self.heights.shape)
+        starts = [(i, j) for i in range(0, cells_x, TILE_CELLS) for j in range(0, cells_y, TILE_CELLS)]
+        return [self._tile(slice(i, i + TILE_CELLS + 1), slice(j, j + TILE_CELLS + 1)) for i, j in starts]
+
+    def _tile(self, rows: slice, columns: slice) -> Mesh:
+        """Returns one patch of the surface, every cell split along its (0, 0)–(1, 1) diagonal."""
+        x, y = grid_axes(self.heights.shape, self.size)
+        heights = self.heights[rows, columns]
+        across, along = np.meshgrid(x[rows], y[columns], indexing="ij")
+        index = np.arange(heights.size).reshape(heights.shape)
+        a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+        faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+        return Mesh(np.stack([across, along, heights], -1).reshape(-1, 3), faces)
+
+
+def grid_axes(shape: tuple[int, ...], size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the grid's x ``[X]`` and y ``[Y]`` in metres.
+
+    Examples:
+        >>> grid_axes((3, 2), (4.0, 2.0))
+        (array([-2.,  0.,  2.]), array([-1.,  1.]))
+    """
+    return np.linspace(-size[0] / 2, size[0] / 2, shape[0]), np.linspace(-size[1] / 2, size[1] / 2, shape[1])
+
+
+def interpolate(heights: np.ndarray, size: tuple[float, float], field: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    """Returns the height of the triangulated surface at each point.
+
+    Args:
+        heights: ``[V, X, Y]`` in metres, V fields of equal extent.
+        size: Extent of each field along x and y in metres.
+        field: ``[N]``, the field that each point asks.
+        xy: ``[N, 2]`` in metres in the field's own frame.
+
+    Examples:
+        >>> fields = np.stack([np.zeros((2, 2)), np.ones((2, 2))])
+        >>> interpolate(fields, (1.0, 1.0), np.array([0, 1]), np.zeros((2, 2))).tolist()
+        [0.0, 1.0]
+    """
+    cells = np.array(heights.shape[1:]) - 1
+    scaled = np.clip((np.asarray(xy) / np.asarray(size) + 0.5) * cells, 0, cells)
+    corner = np.minimum(scaled.astype(np.int64), cells - 1)
+    u, v = (scaled - corner).T
+    i, j = corner.T
+    low, high = heights[field, i, j], heights[field, i + 1, j + 1]
+    middle = np.where(u >= v, heights[field, i + 1, j], heights[field, i, j + 1])
+    return low + np.maximum(u, v) * (middle - low) + np.minimum(u, v) * (high - middle)
+
+
+def smooth_noise(rng: np.random.Generator, x: np.ndarray, y: np.ndarray, wavelength: tuple[float, float]) -> np.ndarray:
+    """Returns a sum of plane waves in random directions, scaled to reach exactly ±1 somewhere.
+
+    Args:
+        rng: Source of directions, wavelengths and phases.
+        x: Any shape, in metres.
+        y: Same shape, in metres.
+        wavelength: Shortest and longest in metres.
+
+    Examples:
+        >>> x, y = np.meshgrid(np.arange(9.0), np.arange(9.0))
+        >>> float(abs(smooth_noise(np.random.default_rng(0), x, y, (4.0, 9.0))).max())
+        1.0
+    """
+    total = np.zeros_like(x)
+    for _ in range(12):
+        angle, phase = rng.uniform(0, 2 * np.pi, 2)
+        length = rng.uniform(*wavelength)
+        total += length * np.cos(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / length + phase)
+    return total / np.abs(total).max()
+
+
+def valley_ground(rng: np.random.Generator, size: tuple[float, float]) -> HeightField:
+    """Returns a valley: a floor within ±0.5 m around 0 and walls of about 7 m at the border.
+
+    Source: Chansuparp (2022), §4.1: a valley of 1200 m² with complex geography. The heights are this library's choice.
+
+    Args:
+        rng: Source of the shape.
+        size: Extent along x and y in metres.
+
+    Examples:
+        >>> ground = valley_ground(np.random.default_rng(0), (40.0, 30.0))
+        >>> bool(ground.heights[0].min() > 5.0), bool(abs(ground.at(np.zeros((1, 2)))[0]) <= 0.5)
+        (True, True)
+    """
+    shape = tuple(max(2, round(length / GRID_STEP) + 1) for length in size)
+    x, y = np.meshgrid(*grid_axes(shape, size), indexing="ij")
+    floor = FLOOR_AMPLITUDE * smooth_noise(rng, x, y, (4.0, 14.0))
+    width = WALL_WIDTH + 0.6 * smooth_noise(rng, x, y, (5.0, 15.0))
+    top = WALL_HEIGHT + 0.8 * smooth_noise(rng, x, y, (3.0, 10.0))
+    towards_x = np.clip(1 - (size[0] / 2 - np.abs(x)) / width, 0, 1)
+    towards_y = np.clip(1 - (size[1] / 2 - np.abs(y)) / width, 0, 1)
+    slope = np.minimum(np.hypot(towards_x, towards_y), 1)
+    share = slope**2 * (3 - 2 * slope)
+    return HeightField(floor * (1 - share) + top * share, size)

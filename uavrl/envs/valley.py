@@ -1,0 +1,112 @@
+"""The navigation task as a Gymnasium environment, for users of other RL libraries."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from tensordict import TensorDictBase
+from torchrl.envs import CatFrames, Compose, TransformedEnv
+
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.navigation import ACTION_LIMIT, NavigationEnv
+from uavrl.envs.world import WorldConfig
+from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
+
+_REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
+
+
+class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One quadrotor in the valley; the LiDAR's reduction and the frames are inside.
+
+    Observations are the thesis's state (Chansuparp (2022), §3.2): ``frames`` times 35 numbers, oldest
+    first. ``info`` holds ``is_success``, ``collided``, ``position``, ``goal`` and ``distance``.
+
+    Args:
+        reward: ``"navigation"`` (Eq. 3.6) or ``"traditional"`` (Eq. 2.15).
+        radius: the ball's radius, m.
+        frames: observations in a state.
+        lidar: the sensor; by default its range is cut at the ball, which leaves the faces identical.
+        world: the valley; ``WorldConfig(planes=3)`` gives the dynamic environment.
+        **kwargs: as in :class:`uavrl.envs.NavigationEnv`.
+
+    Raises:
+        ValueError: for an unknown reward or settings out of range.
+
+    Examples:
+        >>> import gymnasium
+        >>> env = gymnasium.make("uavrl/Valley-v0")
+        >>> state, info = env.reset(seed=0)
+        >>> state.shape
+        (105,)
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(
+        self,
+        reward: Literal["navigation", "traditional"] = "navigation",
+        *,
+        radius: float = 4.0,
+        frames: int = 3,
+        lidar: LidarConfig | None = None,
+        world: WorldConfig | None = None,
+        **kwargs: Any,
+    ) -> None:
+        if reward not in _REWARDS:
+            raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
+        world = world or WorldConfig()
+        transforms = Compose(
+            TruncatedIcosahedron(radius=radius),
+            _REWARDS[reward](),
+            NavigationObservation(radius, world.flight_level),
+            CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
+        )
+        base = NavigationEnv(1, world=world, lidar=lidar or LidarConfig(max_range=radius), **kwargs)
+        self._env = TransformedEnv(base, transforms)
+        width = self._env.observation_spec["observation"].shape[-1]
+        self.observation_space = Box(-np.inf, np.inf, (width,), np.float32)
+        self.action_space = Box(-ACTION_LIMIT, ACTION_LIMIT, (4,), np.float32)
+        self._state: TensorDictBase | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts the next task; a seed also rebuilds the physics and starts at its task 0."""
+        first = self._state is None
+        super().reset(seed=seed)
+        if seed is not None or first:
+            self._env.set_seed(int(self.np_random.integers(2**31)) if seed is None else seed)
+        self._state = self._env.reset()
+        return self._observation(), self._info()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Flies for 0.1 s."""
+        if self._state is None:
+            raise RuntimeError("Reset the environment before the first step.")
+        self._state["action"] = torch.as_tensor(action, dtype=torch.float32).reshape(1, 4)
+        self._state = self._env.step(self._state)["next"]
+        reward, terminated, truncated = (self._state[key].item() for key in ("reward", "terminated", "truncated"))
+        return self._observation(), float(reward), bool(terminated), bool(truncated), self._info()
+
+    def _observation(self) -> np.ndarray:
+        assert self._state is not None
+        return self._state["observation"][0].numpy().copy()
+
+    def _info(self) -> dict[str, Any]:
+        assert self._state is not None
+        return {
+            "is_success": bool(self._state["arrived"].item()),
+            "collided": bool(self._state["collided"].item()),
+            "position": self._state["position"][0].numpy().copy(),
+            "goal": self._state["goal"][0].numpy().copy(),
+            "distance": float(self._state["distance"].item()),
+        }
+
+    def close(self) -> None:
+        """Frees the simulation."""
+        if not self._env.is_closed:
+            self._env.close()

@@ -1,0 +1,50 @@
+"""The firing pattern of the Velodyne VLP-16 at 10 Hz (Velodyne VLP-16 user manual 63-9243)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+__all__ = ["AZIMUTH_STEP", "AZIMUTH_STEPS", "FIRING_TIMES", "LASER_ELEVATIONS", "NUM_RAYS", "firing_directions"]
+
+LASER_ELEVATIONS = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
+"""Elevation of each laser id in degrees, in the order in which the lasers fire."""
+
+AZIMUTH_STEPS = 1808
+"""Firing cycles in one revolution at 10 Hz."""
+
+NUM_RAYS = AZIMUTH_STEPS * len(LASER_ELEVATIONS)
+"""Rays in one scan: 28,928."""
+
+_CYCLE = 55.296e-6  # s, all 16 lasers and the recharge time
+_LASER_INTERVAL = 2.304e-6  # s, from one laser to the next
+_SPIN_RATE = 2.0 * math.pi * 10.0  # rad/s
+
+AZIMUTH_STEP = _SPIN_RATE * _CYCLE
+"""Turn from cycle to cycle in radians: 0.1991°."""
+
+FIRING_TIMES: np.ndarray = (
+    np.arange(AZIMUTH_STEPS)[:, None] * _CYCLE + np.arange(len(LASER_ELEVATIONS)) * _LASER_INTERVAL
+).reshape(-1)
+"""Time of each ray after the first one in seconds, ``float64 [28928]``."""
+
+
+def firing_directions() -> np.ndarray:
+    """Returns the unit directions of one scan in the order in which the sensor fires.
+
+    The order is firing cycle (1808), then laser id (16). The sensor starts straight ahead and turns clockwise seen from
+    above, as the VLP-16 does: 0.1991° from cycle to cycle and 0.0083° from laser to laser within a cycle.
+
+    Returns:
+        ``float32 [28928, 3]`` in the sensor frame: x forward, y left, z up.
+
+    Examples:
+        >>> firing_directions()[1].round(4).tolist()  # laser 1 at +1°, 0.0083° to the right
+        [0.9998000264167786, -9.999999747378752e-05, 0.017500000074505806]
+    """
+    azimuth = _SPIN_RATE * FIRING_TIMES
+    elevation = np.radians(np.tile(np.asarray(LASER_ELEVATIONS, dtype=np.float64), AZIMUTH_STEPS))
+    x = np.cos(elevation) * np.cos(azimuth)
+    y = -np.cos(elevation) * np.sin(azimuth)
+    return np.stack([x, y, np.sin(elevation)], axis=-1).astype(np.float32)

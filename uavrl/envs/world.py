@@ -1,0 +1,234 @@
+"""The world: valleys of terrain and obstacles, and the tasks to fly in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.obstacles import Obstacle, place_obstacles
+from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
+from uavrl.envs.terrain import HeightField, interpolate, valley_ground
+
+VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
+MESH_FACES = 10_000  # about, per mesh: PyBullet takes at most 32,768 indices on macOS
+
+
+@dataclass
+class WorldConfig:
+    """Size, contents and rules of the world.
+
+    Source: Chansuparp (2022), §4.1 and Table 4.1: 1200 m², random starts and goals, planes at a flight level of 3.5 m.
+
+    Args:
+        seeds: One valley per seed.
+        size: Extent of a valley along x and y in m.
+        obstacles: Number of obstacles per valley.
+        obstacle_scale: Factor on all lengths of the obstacles.
+        flight_level: Height in m (world z) at which flights start and planes fly.
+        ceiling: Height above the ground in m at which a flight ends.
+        goal_radius: Radius of the goal cylinder in m.
+        goal_height: Height of the goal cylinder in m.
+        goal_base: Lower end of the goal cylinder in m (world z).
+        min_goal_distance: Least horizontal distance from start to goal in m.
+        min_clearance: Least distance in m from start and goal, at flight level, to the geometry.
+        uav_radius: Radius in m of a ball around the UAV; corridors are wide enough for it.
+        planes: Number of planes per valley; 3 in the thesis's dynamic environment.
+        plane_speed: Least and greatest speed of a plane in m/s.
+        plane_wingspan: Wingspan of a plane in m.
+        plane_keep_out: Least distance in m from a start to a plane.
+
+    Examples:
+        >>> WorldConfig(seeds=(0, 1), planes=3).size
+        (40.0, 30.0)
+    """
+
+    seeds: tuple[int, ...] = (0,)
+    size: tuple[float, float] = (40.0, 30.0)
+    obstacles: int = 45
+    obstacle_scale: float = 1.0
+    flight_level: float = 3.5
+    ceiling: float = 8.0
+    goal_radius: float = 1.0
+    goal_height: float = 7.0
+    goal_base: float = 0.0
+    min_goal_distance: float = 10.0
+    min_clearance: float = 1.5
+    uav_radius: float = 0.35
+    planes: int = 0
+    plane_speed: tuple[float, float] = (2.5, 4.0)
+    plane_wingspan: float = 2.0
+    plane_keep_out: float = 6.0
+
+    def __post_init__(self) -> None:
+        """Refuses values that make no world."""
+        for name in ("seeds", "size", "plane_speed"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not self.seeds or any(seed < 0 for seed in self.seeds):
+            raise ValueError(f"seeds takes one non-negative integer per valley, got {self.seeds}; pass (0,) for one.")
+        if len(self.size) != 2:
+            raise ValueError(f"size takes two lengths in metres, got {self.size}; pass (40.0, 30.0) for 1200 m².")
+        positive = ("obstacle_scale", "flight_level", "ceiling", "goal_radius", "goal_height", "uav_radius")
+        for name in (*positive, "plane_wingspan", "size", "plane_speed"):
+            if not np.all(np.asarray(getattr(self, name)) > 0):
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}; give it in metres (or m/s).")
+        for name in ("obstacles", "planes", "min_goal_distance", "min_clearance", "plane_keep_out"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}; pass 0 to go without.")
+        if len(self.plane_speed) != 2 or self.plane_speed[0] > self.plane_speed[1]:
+            raise ValueError(
+                f"plane_speed takes the least and the greatest speed, got {self.plane_speed}; pass (2.5, 4.0)."
+            )
+        if not self.goal_base <= self.flight_level <= self.goal_base + self.goal_height:
+            raise ValueError(
+                f"The goal cylinder must cross the flight level of {self.flight_level} m, got {self.goal_base} m to "
+                f"{self.goal_base + self.goal_height} m; change goal_base or goal_height."
+            )
+        if self.flight_level >= self.ceiling:
+            raise ValueError(
+                f"flight_level must be below the ceiling of {self.ceiling} m, got {self.flight_level} m; raise ceiling."
+            )
+
+    @property
+    def goal_z(self) -> float:
+        """Mid-height of the goal cylinder in m (world z)."""
+        return self.goal_base + self.goal_height / 2
+
+
+@dataclass(frozen=True)
+class Valley:
+    """One valley of the world.
+
+    Args:
+        seed: It alone, with the config, decides the valley.
+        origin: ``[2]``, the valley's middle in the world in metres. All else is in the valley's own frame around it.
+        ground: The height field.
+        obstacles: What stands on it.
+        flight: Its free space at flight level.
+    """
+
+    seed: int
+    origin: np.ndarray
+    ground: HeightField
+    obstacles: list[Obstacle]
+    flight: FlightMap
+
+    def meshes(self) -> list[Mesh]:
+        """Returns its geometry in world coordinates: tiles of the ground, then the obstacles."""
+        parts = [*self.ground.tiles(), *_bundles([obstacle.mesh for obstacle in self.obstacles])]
+        return [part.translated((*self.origin, 0.0)) for part in parts]
+
+
+def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
+    """Builds one valley and maps its free space.
+
+    Args:
+        config: The world's config.
+        seed: The valley's seed.
+        origin: ``[2]``, the valley's middle in the world in metres.
+
+    Raises:
+        ValueError: If no start and goal can be found in it.
+
+    Examples:
+        >>> len(build_valley(WorldConfig(obstacles=9), 0, np.zeros(2)).obstacles)
+        9
+    """
+    ground = valley_ground(np.random.default_rng([seed, 0]), config.size)
+    obstacles = place_obstacles(np.random.default_rng([seed, 1]), config.obstacles, config.obstacle_scale, ground)
+    solid = Mesh.merge([_NOTHING, *(obstacle.mesh for obstacle in obstacles)])
+    clearances = (config.uav_radius, config.min_clearance, config.min_goal_distance)
+    flight = flight_map(ground, solid, config.flight_level, *clearances)
+    if not len(flight.candidates):
+        raise ValueError(
+            f"A valley needs a start and a goal {config.min_goal_distance} m apart, {config.min_clearance} m clear of "
+            f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
+            "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
+        )
+    return Valley(seed, origin, ground, obstacles, flight)
+
+
+_NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+def _bundles(meshes: list[Mesh]) -> list[Mesh]:
+    """Merges meshes into few of about ``MESH_FACES`` triangles: the physics steps faster over few bodies."""
+    ends = np.cumsum([len(mesh.faces) for mesh in meshes])
+    groups: dict[int, list[Mesh]] = {}
+    for end, mesh in zip(ends, meshes, strict=True):
+        groups.setdefault(int(end) // MESH_FACES, []).append(mesh)
+    return [Mesh.merge(group) for group in groups.values()]
+
+
+class World:
+    """All valleys side by side, out of each other's LiDAR range.
+
+    Args:
+        config: Size, contents and rules.
+
+    Examples:
+        >>> world = World(WorldConfig(seeds=(3,)))
+        >>> task = world.sample_task(np.random.default_rng(0))
+        >>> bool(np.linalg.norm(task.goal - task.start) >= 10.0), task.world_seed
+        (True, 3)
+        >>> world.arrived(task.goal[None] + [0.9, 0.0, 2.0], task.goal[None]).tolist()
+        [True]
+    """
+
+    def __init__(self, config: WorldConfig) -> None:
+        self.config = config
+        columns = int(np.ceil(len(config.seeds) ** 0.5))
+        pitch = np.array(config.size) + VALLEY_GAP
+        origins = [pitch * divmod(i, columns) for i in range(len(config.seeds))]
+        self.valleys = [build_valley(config, seed, xy) for seed, xy in zip(config.seeds, origins, strict=True)]
+        self.meshes = [mesh for valley in self.valleys for mesh in valley.meshes()]
+        self._origins = np.stack(origins)
+        self._heights = np.stack([valley.ground.heights for valley in self.valleys])
+
+    def sample_task(self, rng: np.random.Generator, valley: int | None = None, avoid: np.ndarray | None = None) -> Task:
+        """Draws a solvable task: a free corridor for the UAV's radius joins start and goal at flight level.
+
+        Args:
+            rng: Source of the task.
+            valley: Index of the valley; drawn if None.
+            avoid: ``[K, 3]`` in metres: planes from which the start keeps ``plane_keep_out``.
+
+        Raises:
+            ValueError: If the planes leave no place to start.
+        """
+        index = int(rng.integers(len(self.valleys))) if valley is None else valley
+        place, config = self.valleys[index], self.config
+        starts = goals = place.flight.candidates
+        if avoid is not None and len(avoid):
+            apart = np.linalg.norm(starts[:, None] + place.origin - np.asarray(avoid)[:, :2], axis=-1).min(1)
+            starts = starts[apart >= config.plane_keep_out + JITTER]
+            if not len(starts):
+                raise ValueError(
+                    f"A start needs {config.plane_keep_out} m to {len(avoid)} planes, but no free place of the valley "
+                    f"of seed {place.seed} has that; lower plane_keep_out or planes."
+                )
+        start = starts[rng.integers(len(starts))]
+        far = np.linalg.norm(goals - start, axis=1) >= config.min_goal_distance + 2 * JITTER
+        goal = goals[rng.choice(np.flatnonzero(far))]
+        start, goal = np.stack([start, goal]) + rng.uniform(-CELL / 2, CELL / 2, (2, 2)) + place.origin
+        yaw = float(rng.uniform(-np.pi, np.pi))
+        return Task(np.append(start, config.flight_level), yaw, np.append(goal, config.goal_z), index, place.seed)
+
+    def ground_height(self, xy: np.ndarray) -> np.ndarray:
+        """Returns the terrain's height ``[N]`` in metres at ``xy [N, 2]`` in the world, in the nearest valley."""
+        nearest = np.linalg.norm(np.asarray(xy)[:, None] - self._origins, axis=-1).argmin(1)
+        return interpolate(self._heights, self.config.size, nearest, xy - self._origins[nearest])
+
+    def out_of_bounds(self, positions: np.ndarray, valley: np.ndarray) -> np.ndarray:
+        """Returns which positions ``[N, 3]`` are over the ceiling or beyond the edge of ``valley [N]``, as bools."""
+        local = positions[:, :2] - self._origins[valley]
+        beyond = (np.abs(local) > np.array(self.config.size) / 2).any(1)
+        ground = interpolate(self._heights, self.config.size, valley, local)
+        return beyond | (positions[:, 2] > ground + self.config.ceiling)
+
+    def arrived(self, positions: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """Returns which positions ``[N, 3]`` are in the cylinders around ``goals [N, 3]``: ``bool [N]``."""
+        apart = positions - goals
+        level = np.linalg.norm(apart[:, :2], axis=1) <= self.config.goal_radius
+        return level & (np.abs(apart[:, 2]) <= self.config.goal_height / 2)

@@ -1,0 +1,6 @@
+"""Loss modules. They need torch, tensordict and torchrl only."""
+
+from uavrl.losses.ddpg import DDPGLoss
+from uavrl.losses.td3 import TD3Loss
+
+__all__ = ["DDPGLoss", "TD3Loss"]

@@ -1,0 +1,92 @@
+"""DDPG (Lillicrap et al. 2015) as the thesis uses it, on TorchRL's loss."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tensordict import TensorDictBase, TensorDictParams
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.objectives import DDPGLoss as _DDPGLoss
+from torchrl.objectives import ValueEstimators
+
+
+class DDPGLoss(_DDPGLoss):
+    """DDPG's critic and actor losses (Chansuparp (2022), Eq. 2.7–2.8), with target actor and target critic.
+
+    Args:
+        actor_network: reads the state, writes ``action``.
+        value_network: the critic; reads the state and ``action``, writes ``state_action_value``.
+        gamma: discount γ.
+        loss_function: ``"l2"`` (Eq. 2.8), ``"l1"`` or ``"smooth_l1"``.
+        reduction: ``"mean"``, ``"sum"`` or ``"none"``.
+        **kwargs: as in :class:`torchrl.objectives.DDPGLoss`.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from uavrl.models import Actor, Critic
+        >>> critic = Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"])
+        >>> loss = DDPGLoss(Mod(Actor(6, 4), ["observation"], ["action"]), critic)
+        >>> data = TensorDict({"observation": torch.zeros(5, 6), "action": torch.zeros(5, 4), "next": {
+        ...     "observation": torch.zeros(5, 6), "reward": torch.ones(5, 1),
+        ...     "done": torch.zeros(5, 1, dtype=torch.bool), "terminated": torch.zeros(5, 1, dtype=torch.bool)}}, [5])
+        >>> loss.actor_loss(data)[0].shape
+        torch.Size([])
+    """
+
+    actor_network: TensorDictModule
+    value_network: TensorDictModule
+    actor_network_params: TensorDictParams
+    value_network_params: TensorDictParams
+    target_actor_network_params: TensorDictParams
+    target_value_network_params: TensorDictParams
+
+    def __init__(
+        self,
+        actor_network: TensorDictModule,
+        value_network: TensorDictModule,
+        *,
+        gamma: float = 0.99,
+        loss_function: str = "l2",
+        reduction: str = "mean",
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(
+            actor_network,
+            value_network,
+            loss_function=loss_function,
+            delay_actor=True,
+            delay_value=True,
+            reduction=reduction,
+            **kwargs,
+        )
+        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    @property
+    def critic_network_params(self) -> TensorDictParams:
+        """The parameters that the critic's optimiser moves."""
+        return self.value_network_params
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Eq. 2.8: the squared temporal-difference error.
+
+        Args:
+            tensordict: ``[*B]`` with state, action and ``"next"``.
+
+        Returns:
+            The reduced loss and metadata, ``td_error`` among them.
+        """
+        return self.loss_value(tensordict)
+
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Eq. 2.13: ``-Q(s, μ(s))``; the critic is constant.
+
+        Args:
+            tensordict: ``[*B]`` with the state.
+
+        Returns:
+            The reduced loss and metadata.
+        """
+        return self.loss_actor(tensordict)

@@ -1,0 +1,124 @@
+"""TD3 (Fujimoto et al. 2018) as the thesis uses it, on TorchRL's loss."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase, TensorDictParams
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.data import Bounded
+from torchrl.objectives import TD3Loss as _TD3Loss
+from torchrl.objectives import ValueEstimators
+
+from uavrl.models import Critic
+
+
+class TD3Loss(_TD3Loss):
+    """TD3's critic and actor losses (Chansuparp (2022), Eq. 2.10–2.13).
+
+    What differs from :class:`torchrl.objectives.TD3Loss`: the squared error is the default, target noise
+    and clip are stated for unit actions and scaled by half the action's range, both critics keep the
+    weights they come with, and the actor's loss evaluates the first critic only.
+
+    Args:
+        actor_network: reads the state, writes ``action``.
+        qvalue_networks: the two critics; each reads the state and ``action``, writes ``state_action_value``.
+        action_spec: the bounded spec of one action.
+        gamma: discount γ.
+        policy_noise: σ of Eq. 2.10, for unit actions.
+        noise_clip: c of Eq. 2.10, for unit actions.
+        loss_function: ``"l2"`` (Eq. 2.12), ``"l1"`` or ``"smooth_l1"``.
+        reduction: ``"mean"``, ``"sum"`` or ``"none"``.
+        **kwargs: as in :class:`torchrl.objectives.TD3Loss`.
+
+    Raises:
+        ValueError: for another number of critics than two.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from uavrl.models import Actor, Critic
+        >>> spec = Bounded(-2.0, 2.0, (4,))
+        >>> critics = [Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
+        >>> loss = TD3Loss(Mod(Actor(6, 4), ["observation"], ["action"]), critics, action_spec=spec)
+        >>> data = TensorDict({"observation": torch.zeros(5, 6), "action": torch.zeros(5, 4), "next": {
+        ...     "observation": torch.zeros(5, 6), "reward": torch.ones(5, 1),
+        ...     "done": torch.zeros(5, 1, dtype=torch.bool), "terminated": torch.zeros(5, 1, dtype=torch.bool)}}, [5])
+        >>> value, metadata = loss.value_loss(data)
+        >>> sorted(metadata)
+        ['next_state_value', 'pred_value', 'target_value', 'td_error']
+    """
+
+    actor_network: TensorDictModule
+    qvalue_network: TensorDictModule
+    actor_network_params: TensorDictParams
+    qvalue_network_params: TensorDictParams
+    target_actor_network_params: TensorDictParams
+    target_qvalue_network_params: TensorDictParams
+
+    def __init__(
+        self,
+        actor_network: TensorDictModule,
+        qvalue_networks: Sequence[TensorDictModule],
+        *,
+        action_spec: Bounded,
+        gamma: float = 0.99,
+        policy_noise: float = 0.2,
+        noise_clip: float = 0.5,
+        loss_function: str = "l2",
+        reduction: str = "mean",
+        **kwargs: Any,
+    ) -> None:
+        if len(qvalue_networks) != 2:
+            raise ValueError(f"TD3 takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
+        super().__init__(
+            actor_network,
+            list(qvalue_networks),
+            action_spec=action_spec,
+            loss_function=loss_function,
+            reduction=reduction,
+            **kwargs,
+        )
+        half_range = (self.max_action - self.min_action) / 2
+        del self.policy_noise, self.noise_clip
+        self.register_buffer("policy_noise", policy_noise * half_range)
+        self.register_buffer("noise_clip", noise_clip * half_range)
+        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    def _make_vmap(self) -> None:
+        super()._make_vmap()
+        if isinstance(self.qvalue_network.module, Critic):
+            self._vmap_qvalue_network00 = self._stacked_critics
+
+    def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:
+        """What ``vmap`` over the critics gives, without its cost: ``[2, B]`` states and actions to values."""
+        inputs = (tensordict.get(key) for key in self.qvalue_network.in_keys)
+        parameters = dict(params.get("module").flatten_keys(".").items())
+        value = self.qvalue_network.module.forward_stacked(parameters, *inputs)
+        return tensordict.empty().set(self.tensor_keys.state_action_value, value)
+
+    @property
+    def critic_network_params(self) -> TensorDictParams:
+        """The parameters that the critic's optimiser moves."""
+        return self.qvalue_network_params
+
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Eq. 2.13: ``-Q_1(s, μ(s))``; the critic is constant.
+
+        Args:
+            tensordict: ``[*B]`` with the state.
+
+        Returns:
+            The reduced loss and the detached values.
+        """
+        weights = self._maybe_get_priority_weight(tensordict)
+        data = tensordict.select(*self.actor_network.in_keys, *self.qvalue_network.in_keys, strict=False)
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            data = self.actor_network(data)
+        with self._cached_detach_qvalue_network_params[0].to_module(self.qvalue_network, preserve_module_state=False):
+            value = self.qvalue_network(data).get(self.tensor_keys.state_action_value).squeeze(-1)
+        loss = self._reduce_loss(-value, tensordict=tensordict, weights=weights)
+        return loss, {"state_action_value_actor": value.detach()}

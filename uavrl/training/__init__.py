@@ -1,0 +1,1 @@
+"""Builds and runs trainings and evaluations from configurations."""

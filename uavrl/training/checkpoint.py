@@ -1,0 +1,144 @@
+"""Checkpoints: what they hold and how a damaged or foreign one is told from a good one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import tensordict
+import torch
+from omegaconf import DictConfig, OmegaConf
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.data import ReplayBuffer
+
+from uavrl.errors import UavrlError
+
+CHECKPOINTS = "checkpoints"
+CONFIG = "config.yaml"
+# What may differ between a run and its continuation: none of it changes what is learned.
+FREE_KEYS = ("run_dir", "resume", "logger", "trainer.episodes", "trainer.progress", "trainer.keep_checkpoints")
+
+
+class BufferState:
+    """Dumps the filled part of a replay buffer instead of its whole capacity."""
+
+    def __init__(self, buffer: ReplayBuffer) -> None:
+        self.buffer = buffer
+
+    def dump(self, path: Path) -> None:
+        """Writes data, write cursor and sampler below ``path``."""
+        path = Path(path)
+        if len(self.buffer):
+            tensordict.save(self.buffer.storage.get(slice(0, len(self.buffer))), path / "storage")
+        self.buffer.writer.dumps(path / "writer")
+        self.buffer.sampler.dumps(path / "sampler")
+        (path / "length.json").write_text(json.dumps(len(self.buffer)))
+
+    def load(self, path: Path) -> None:
+        """Restores what :meth:`dump` wrote."""
+        path = Path(path)
+        length = json.loads((path / "length.json").read_text())
+        if length:
+            data = tensordict.load(path / "storage").clone()
+            self.buffer.storage.set(torch.arange(length), data)
+        self.buffer.writer.loads(path / "writer")
+        self.buffer.sampler.loads(path / "sampler")
+
+
+def fingerprint(config: DictConfig) -> str:
+    """A hash of everything in a resolved configuration that changes what is learned."""
+    plain = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
+    for key in FREE_KEYS:
+        parent, _, leaf = key.rpartition(".")
+        node = OmegaConf.select(plain, parent) if parent else plain
+        if node is not None and leaf in node:
+            del node[leaf]
+    text = json.dumps(OmegaConf.to_container(plain), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def rotation(run_dir: Path, keep: int = 2) -> CheckpointRotation:
+    """The rotating checkpoints of a run folder."""
+    return CheckpointRotation(run_dir / CHECKPOINTS, keep_last=keep)
+
+
+def latest_checkpoint(run_dir: Path) -> Path:
+    """The newest checkpoint of a run.
+
+    Raises:
+        UavrlError: when there is no run or no checkpoint.
+    """
+    if not run_dir.is_dir():
+        raise UavrlError(
+            f"Expected a run folder at {run_dir} and found none: give the folder that uavrl-train printed."
+        )
+    found = sorted((run_dir / CHECKPOINTS).glob("checkpoint*")) if (run_dir / CHECKPOINTS).is_dir() else []
+    if not found:
+        raise UavrlError(
+            f"Expected a checkpoint in {run_dir / CHECKPOINTS} and found none: the run was stopped before its first one, "
+            f"or it is not a run folder; start a new run."
+        )
+    newest = rotation(run_dir).latest()
+    if newest is None:
+        raise _damaged(found[-1], "it cannot be opened")
+    if newest.name != found[-1].name:
+        raise _damaged(found[-1], "it cannot be opened")
+    return newest
+
+
+def read_config(run_dir: Path) -> DictConfig:
+    """The resolved configuration of a run.
+
+    Raises:
+        UavrlError: when it is missing or no yaml.
+    """
+    path = run_dir / CONFIG
+    if not path.is_file():
+        raise UavrlError(f"Expected a run folder with {path} and found none: give the folder that uavrl-train printed.")
+    try:
+        config = OmegaConf.load(path)
+    except Exception as error:
+        raise UavrlError(f"{path} is damaged: {str(error).splitlines()[0]}.") from error
+    if not isinstance(config, DictConfig) or "algo" not in config:
+        raise UavrlError(f"Expected the configuration of a run in {path}, it holds something else.")
+    return config
+
+
+def load_checkpoint(
+    checkpoint: Checkpoint, path: Path, config: DictConfig, components: list[str] | None = None
+) -> dict[str, Any]:
+    """Restores components after checking that the archive is whole and belongs to ``config``.
+
+    Returns:
+        The checkpoint's metadata.
+
+    Raises:
+        UavrlError: when the archive is damaged or was written under another configuration.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            broken = archive.testzip()
+        if broken is not None:
+            raise zipfile.BadZipFile(f"{broken} fails its checksum")
+        metadata = Checkpoint.manifest(path)["metadata"]
+    except Exception as error:
+        raise _damaged(path, str(error)) from error
+    if metadata.get("fingerprint") != fingerprint(config):
+        raise UavrlError(
+            f"The checkpoint {path} was written under another configuration than the one given: "
+            f"resume it with the {CONFIG} of its own run folder."
+        )
+    try:
+        checkpoint.load(path, components=components, map_location="cpu")
+    except Exception as error:
+        raise _damaged(path, str(error)) from error
+    return metadata
+
+
+def _damaged(path: Path, reason: str) -> UavrlError:
+    return UavrlError(
+        f"The checkpoint {path} is damaged ({reason}): move it away, and the run goes on from the one before it."
+    )

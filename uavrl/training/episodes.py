@@ -1,0 +1,172 @@
+"""What is kept of each flown episode: one row of ``episodes.csv``, and rates over a window."""
+
+from __future__ import annotations
+
+import csv
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from tensordict import TensorDictBase
+
+from uavrl.errors import UavrlError
+
+OUTCOMES = ("arrived", "collided", "timed_out")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One flown episode; lengths in metres."""
+
+    episode: int
+    total_steps: int
+    outcome: str
+    episode_return: float
+    steps: int
+    start_x: float
+    start_y: float
+    start_z: float
+    goal_x: float
+    goal_y: float
+    goal_z: float
+    world_seed: int
+    task: int
+
+    @staticmethod
+    def header() -> list[str]:
+        """The column names."""
+        return [f.name for f in fields(Episode)]
+
+    @staticmethod
+    def from_row(row: list[str]) -> Episode:
+        """Reads one row of ``episodes.csv``."""
+        kinds = {"int": int, "float": float, "str": str}
+        values = [kinds[str(f.type)](v) for f, v in zip(fields(Episode), row, strict=True)]
+        return Episode(*values)
+
+
+def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
+    """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks.
+
+    Raises:
+        ValueError: when the batch ends in the middle of an episode.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> done = torch.tensor([[False], [True], [True]])
+        >>> [len(e) for e in split_episodes(TensorDict({"next": {"done": done}}, [3]))]
+        [2, 1]
+    """
+    ends = batch["next", "done"].reshape(-1).nonzero().reshape(-1).tolist()
+    if not ends or ends[-1] != len(batch) - 1:
+        raise ValueError(f"Expected whole episodes, got a batch of {len(batch)} steps whose last one ends none.")
+    start = 0
+    for end in ends:
+        yield batch[start : end + 1]
+        start = end + 1
+
+
+def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Episode:
+    """One row from the steps of one whole episode.
+
+    Args:
+        trajectory: ``[T]``.
+        episode: its number, from 1.
+        total_steps: steps of training with this episode.
+    """
+    first, last = trajectory[0], trajectory[-1]["next"]
+    outcome = "arrived" if last["arrived"].item() else "collided" if last["collided"].item() else "timed_out"
+    return Episode(
+        episode,
+        total_steps,
+        outcome,
+        trajectory["next", "reward"].double().sum().item(),
+        len(trajectory),
+        *first["position"].tolist(),
+        *first["goal"].tolist(),
+        int(first["world_seed"].item()),
+        int(first["task"].item()),
+    )
+
+
+def read_episodes(path: Path) -> list[Episode]:
+    """Reads ``episodes.csv``; a last row cut off by a killed run is left out.
+
+    Raises:
+        UavrlError: when the file is missing or holds something else.
+    """
+    if not path.is_file():
+        raise UavrlError(f"Expected the episodes of a run in {path} and found no such file: is it a run folder?")
+    with path.open(newline="") as file:
+        text = file.read()
+    lines = text[: text.rfind("\n") + 1].splitlines()
+    rows = list(csv.reader(lines))
+    if not rows or rows[0] != Episode.header():
+        raise UavrlError(
+            f"Expected {path} to start with the columns {','.join(Episode.header())}: it holds something else."
+        )
+    try:
+        return [Episode.from_row(row) for row in rows[1:]]
+    except ValueError as error:
+        raise UavrlError(f"{path} is damaged: {error}.") from error
+
+
+class EpisodeLog:
+    """Appends episodes to ``episodes.csv`` and keeps the rates over the last ``window`` of them.
+
+    Its state is the number of rows: loading it cuts the file back to where the checkpoint was made.
+
+    Args:
+        path: the csv file.
+        window: number of episodes that the rates cover.
+    """
+
+    def __init__(self, path: Path, window: int = 500) -> None:
+        self.path = path
+        self.count = 0
+        self._recent: deque[Episode] = deque(maxlen=window)
+        if not path.exists():
+            self._rewrite([])
+
+    def _rewrite(self, episodes: list[Episode]) -> None:
+        partial = self.path.with_suffix(".partial")
+        with partial.open("w", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([Episode.header(), *map(astuple, episodes)])
+        partial.replace(self.path)
+
+    def add(self, episode: Episode) -> None:
+        """Writes one row."""
+        with self.path.open("a", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerow(astuple(episode))
+        self.count += 1
+        self._recent.append(episode)
+
+    def rates(self) -> dict[str, float]:
+        """Share of each outcome over the window; zeros before the first episode."""
+        total = max(len(self._recent), 1)
+        return {outcome: sum(e.outcome == outcome for e in self._recent) / total for outcome in OUTCOMES}
+
+    def mean_return(self) -> float:
+        """Mean return over the window; 0 before the first episode."""
+        return sum(e.episode_return for e in self._recent) / max(len(self._recent), 1)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The number of rows."""
+        return {"count": self.count}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Cuts the file back to the number of rows that the checkpoint knows."""
+        episodes = read_episodes(self.path)
+        if len(episodes) < state_dict["count"]:
+            raise UavrlError(
+                f"Expected at least {state_dict['count']} episodes in {self.path} and found {len(episodes)}: "
+                f"the file does not belong to the checkpoint."
+            )
+        episodes = episodes[: state_dict["count"]]
+        self._rewrite(episodes)
+        self.count = len(episodes)
+        self._recent.clear()
+        self._recent.extend(episodes)

@@ -1,0 +1,166 @@
+"""Builds environment, networks, loss, buffer and collector from a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import torch
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.collectors import Collector
+from torchrl.data import LazyTensorStorage, PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
+from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
+from torchrl.modules import AdditiveGaussianModule
+
+from uavrl.configs.schema import (
+    DDPGConfig,
+    EnvConfig,
+    NavigationRewardConfig,
+    PerceptionConfig,
+    PrioritizedBufferConfig,
+    TD3Config,
+    TraditionalRewardConfig,
+    TrainConfig,
+    UniformBufferConfig,
+)
+from uavrl.envs.navigation import ACTION_LIMIT, GoalAngle, NavigationEnv
+from uavrl.errors import UavrlError
+from uavrl.losses import DDPGLoss, TD3Loss
+from uavrl.models import Actor, Critic
+from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
+
+RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
+Loss = TD3Loss | DDPGLoss
+
+
+def make_device(name: str) -> torch.device:
+    """Turns ``auto``, ``cpu`` or ``cuda[:i]`` into a device that exists."""
+    if name == "auto":
+        return torch.device("cuda:0" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise UavrlError(f"device must be auto, cpu, cuda or cuda:<index>, got {name!r}.") from error
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise UavrlError(
+            f"device={name} was asked for and this machine has {torch.cuda.device_count()} CUDA devices: use device=cpu."
+        )
+    return device
+
+
+def make_reward(config: RewardConfig) -> Transform:
+    """The reward transform that the configuration names."""
+    if isinstance(config, NavigationRewardConfig):
+        return NavigationReward(
+            config.weights,
+            config.flight_level,
+            config.collided_reward,
+            config.altitude_term,  # type: ignore[arg-type]
+        )
+    return TraditionalReward(config.arrived_reward, config.collided_reward)
+
+
+def make_transforms(
+    perception: PerceptionConfig, reward: RewardConfig | None = None, flight_level: float = 3.5
+) -> list[Transform]:
+    """From the raw scan to the policy's state: reduction, reward, scaling, frames."""
+    return [
+        TruncatedIcosahedron(radius=perception.radius, statistic=perception.statistic),  # type: ignore[arg-type]
+        *([make_reward(reward)] if reward is not None else []),
+        NavigationObservation(perception.radius, flight_level, perception.angles),  # type: ignore[arg-type]
+        CatFrames(perception.frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
+    ]
+
+
+def make_env(
+    env: EnvConfig,
+    perception: PerceptionConfig,
+    reward: RewardConfig | None = None,
+    *,
+    seed: int = 0,
+    num_uavs: int | None = None,
+    measure_clearance: bool = False,
+) -> TransformedEnv:
+    """The navigation environment with everything between the raw scan and the policy's state."""
+    base = NavigationEnv(
+        num_uavs or env.num_uavs,
+        world=env.world,
+        lidar=perception.lidar,
+        airframe=env.airframe,
+        aerodynamics=env.aerodynamics,
+        max_steps=env.max_steps,
+        goal_angle=cast(GoalAngle, env.goal_angle),
+        measure_clearance=measure_clearance,
+        seed=seed,
+    )
+    return TransformedEnv(base, Compose(*make_transforms(perception, reward, env.world.flight_level)))
+
+
+def make_actor(
+    hidden: Sequence[int], perception: PerceptionConfig, device: torch.device | str = "cpu"
+) -> TensorDictModule:
+    """The deterministic policy: reads ``observation``, writes ``action``."""
+    width = perception.frames * (32 + 3)
+    actor = Actor(width, 4, hidden, limit=ACTION_LIMIT).to(device)
+    return TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
+
+
+def make_loss(algo: DDPGConfig, actor: TensorDictModule, env: EnvBase, device: torch.device) -> Loss:
+    """The loss module of the algorithm, with critics of its own."""
+    width = env.observation_spec["observation"].shape[-1]
+
+    def critic() -> TensorDictModule:
+        net = Critic(width, 4, algo.hidden).to(device)
+        return TensorDictModule(net, in_keys=["observation", "action"], out_keys=["state_action_value"])
+
+    if isinstance(algo, TD3Config):
+        return TD3Loss(
+            actor,
+            [critic(), critic()],
+            action_spec=env.action_spec_unbatched.to(device),
+            gamma=algo.gamma,
+            policy_noise=algo.policy_noise,
+            noise_clip=algo.noise_clip,
+        )
+    return DDPGLoss(actor, critic(), gamma=algo.gamma)
+
+
+def make_buffer(config: UniformBufferConfig, batch_size: int, device: torch.device) -> TensorDictReplayBuffer:
+    """The replay buffer, uniform or prioritised (Eq. 2.17–2.18)."""
+    sampler = (
+        PrioritizedSampler(config.capacity, config.alpha, config.beta)
+        if isinstance(config, PrioritizedBufferConfig)
+        else RandomSampler()
+    )
+    move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
+    return TensorDictReplayBuffer(
+        storage=LazyTensorStorage(config.capacity, device="cpu"),
+        sampler=sampler,
+        batch_size=batch_size,
+        priority_key="td_error",
+        transform=move,
+    )
+
+
+def make_collector(config: TrainConfig, env: EnvBase, actor: TensorDictModule, device: torch.device) -> Collector:
+    """Collects whole episodes, one a batch, with exploration noise after the random steps."""
+    sigma = config.algo.exploration_noise * ACTION_LIMIT
+    noise = AdditiveGaussianModule(
+        spec=env.action_spec_unbatched.to(device),
+        sigma_init=sigma,
+        sigma_end=sigma,
+        annealing_num_steps=1,
+        device=device,
+    )
+    return Collector(
+        env,
+        TensorDictSequential(actor, noise),
+        frames_per_batch=config.env.num_uavs * config.collector.steps_per_batch,
+        total_frames=-1,
+        init_random_frames=config.algo.random_steps,
+        trajs_per_batch=1,
+        traj_format="cat",
+        policy_device=device,
+        env_device="cpu",
+        storing_device="cpu",
+    )

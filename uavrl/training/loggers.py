@@ -1,0 +1,30 @@
+"""TorchRL's loggers, chosen by the configuration."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from torchrl.record.loggers import Logger, get_logger
+
+from uavrl.configs.schema import LoggerConfig
+from uavrl.errors import UavrlError
+
+
+def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
+    """Makes the logger; its files go below ``run_dir/logs``.
+
+    Raises:
+        UavrlError: when the logger's package is not installed.
+    """
+    kwargs = {}
+    if config.name == "wandb":
+        os.environ.setdefault("WANDB_SILENT", "true")
+        kwargs = {"wandb_kwargs": {"project": config.project, "mode": "offline" if config.offline else "online"}}
+    package = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb"}[config.name]
+    try:
+        return get_logger(config.name, logger_name=str(run_dir / "logs"), experiment_name=run_dir.name, **kwargs)
+    except ImportError as error:
+        raise UavrlError(
+            f"logger={config.name} needs the package {package}: run pip install 'uavrl[{package}]'."
+        ) from error

@@ -1,0 +1,178 @@
+"""One training run, new or resumed, in its folder."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+import uavrl
+from uavrl.configs import to_dataclass
+from uavrl.configs.schema import TrainConfig
+from uavrl.errors import UavrlError
+from uavrl.training.checkpoint import (
+    CHECKPOINTS,
+    CONFIG,
+    fingerprint,
+    latest_checkpoint,
+    load_checkpoint,
+    read_config,
+    rotation,
+)
+from uavrl.training.episodes import EpisodeLog
+from uavrl.training.factory import make_actor, make_buffer, make_collector, make_device, make_env, make_loss
+from uavrl.training.loggers import make_logger
+from uavrl.training.progress import Progress
+from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.trainer import EpisodeReplay, NavigationTrainer, barrier_seed
+
+log = logging.getLogger(__name__)
+EPISODES = "episodes.csv"
+SUMMARY = "summary.json"
+
+
+def create_run(config: DictConfig) -> Path:
+    """Makes the run folder with its resolved configuration.
+
+    Raises:
+        UavrlError: when it cannot be written, or holds a run already.
+    """
+    run_dir = Path(str(config.run_dir))
+    if (run_dir / CONFIG).exists():
+        raise UavrlError(
+            f"The run folder {run_dir} holds a run already: go on with it by resume={run_dir}, or choose another run_dir."
+        )
+    try:
+        (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
+        (run_dir / CONFIG).write_text(OmegaConf.to_yaml(config, resolve=True))
+    except OSError as error:
+        raise UavrlError(
+            f"The run folder {run_dir} cannot be written ({error.strerror}): choose another with run_dir=FOLDER."
+        ) from error
+    return run_dir
+
+
+def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
+    """Trains until the configured number of episodes is flown.
+
+    Args:
+        config: the composed configuration of the run (for a resumed run: the one in its folder).
+        run_dir: the run's folder.
+        resume: start from the newest checkpoint in ``run_dir``.
+
+    Returns:
+        What ``summary.json`` holds.
+    """
+    settings: TrainConfig = to_dataclass(config)
+    torch.set_num_threads(settings.trainer.threads)
+    torch.manual_seed(settings.seed)
+    checkpoint = latest_checkpoint(run_dir) if resume else None
+    trainer = _build(settings, config, run_dir)
+    try:
+        if checkpoint is not None:
+            _restore(trainer, checkpoint, config)
+            log.info(
+                "Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames
+            )
+            trainer.barrier()
+        else:
+            trainer.save_trainer(force_save=True)
+        trainer.progress = Progress(
+            settings.trainer.episodes,
+            settings.trainer.window,
+            enabled=settings.trainer.progress,
+            done=trainer.episode_log.count,
+            steps=trainer.collected_frames,
+        )
+        if trainer.episode_log.count < settings.trainer.episodes:
+            trainer.train()
+        return _summarize(trainer, settings, run_dir)
+    finally:
+        trainer.progress.close()
+        trainer.shutdown()
+
+
+def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> NavigationTrainer:
+    device = make_device(settings.device)
+    env = make_env(settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
+    actor = make_actor(settings.algo.hidden, settings.perception, device)
+    loss = make_loss(settings.algo, actor, env, device)
+    buffer = make_buffer(settings.buffer, settings.algo.batch_size, device)
+    return NavigationTrainer(
+        collector=make_collector(settings, env, actor, device),
+        loss=loss,
+        stepper=ActorCriticStepper(
+            loss,
+            actor_lr=settings.algo.actor_lr,
+            critic_lr=settings.algo.critic_lr,
+            policy_delay=settings.algo.policy_delay,
+            tau=settings.algo.tau,
+        ),
+        replay=EpisodeReplay(buffer, settings.trainer.updates_per_step),
+        episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
+        progress=Progress(0, 1, enabled=False),
+        rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
+        metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__},
+        policy=actor,
+        episodes=settings.trainer.episodes,
+        seed=settings.seed,
+        checkpoint_interval=settings.trainer.checkpoint_interval,
+        logger=make_logger(settings.logger, run_dir),
+        log_interval=settings.logger.interval,
+    )
+
+
+def _restore(trainer: NavigationTrainer, path: Path, config: DictConfig) -> None:
+    checkpoint = trainer._sync_checkpoint_components()
+    components = [name for name in checkpoint.components if name != "logger"]
+    load_checkpoint(checkpoint, path, config, components)
+
+
+def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
+    summary = {
+        "algo": settings.algo.name,
+        "env": settings.env.name,
+        "reward": settings.reward.name,
+        "seed": settings.seed,
+        "episodes": trainer.episode_log.count,
+        "steps": trainer.collected_frames,
+        "updates": trainer.optimization_stepper.updates,
+        "window": settings.trainer.window,
+        "rates": trainer.episode_log.rates(),
+        "mean_return": trainer.episode_log.mean_return(),
+        "versions": {"uavrl": uavrl.__version__, "torch": str(torch.__version__), "python": platform.python_version()},
+    }
+    partial = run_dir / f"{SUMMARY}.partial"
+    partial.write_text(json.dumps(summary, indent=2) + "\n")
+    os.replace(partial, run_dir / SUMMARY)
+    return summary
+
+
+def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> DictConfig:
+    """The configuration of a run to go on with.
+
+    Args:
+        run_dir: the run's folder.
+        overrides: the configuration composed from the command line.
+        changed: the keys named on the command line, ``resume`` left out.
+
+    Raises:
+        UavrlError: when the command line changes what is learned.
+    """
+    config = read_config(run_dir)
+    before = fingerprint(config)
+    for key in changed:
+        OmegaConf.update(config, key, OmegaConf.select(overrides, key), merge=False)
+    if fingerprint(config) != before:
+        raise UavrlError(
+            f"resume={run_dir} goes on with the run's own configuration, and {', '.join(changed)} would change it: "
+            f"leave that out, or start a new run."
+        )
+    return config

@@ -1,0 +1,186 @@
+"""TorchRL's Trainer, fed with whole episodes and able to resume bit by bit."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState
+from torchrl.collectors import Collector
+from torchrl.data import ReplayBuffer
+from torchrl.record.loggers import Logger
+from torchrl.trainers import Trainer, TrainerHookBase
+
+from uavrl.errors import UavrlError
+from uavrl.training.checkpoint import BufferState
+from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
+from uavrl.training.factory import Loss
+from uavrl.training.progress import Progress
+from uavrl.training.stepper import ActorCriticStepper
+
+# What a learner reads; everything else that the environment emits is for metrics.
+STORED_KEYS = (
+    "observation",
+    "action",
+    ("next", "observation"),
+    ("next", "reward"),
+    ("next", "done"),
+    ("next", "terminated"),
+    ("next", "arrived"),
+)
+
+
+def barrier_seed(seed: int, episodes: int) -> int:
+    """The environment's seed after the checkpoint made at this number of episodes."""
+    return int(np.random.SeedSequence([seed, episodes]).generate_state(1)[0])
+
+
+class EpisodeReplay(TrainerHookBase):
+    """Stores whole episodes and samples batches: after an episode of T steps come T updates."""
+
+    def __init__(self, buffer: ReplayBuffer, updates_per_step: float = 1.0) -> None:
+        self.buffer = buffer
+        self.updates_per_step = updates_per_step
+        self._trainer: Trainer | None = None
+        self._owed = 0.0
+
+    def extend(self, batch: TensorDictBase) -> None:
+        """Writes the episodes and sets how many updates follow."""
+        assert self._trainer is not None
+        self.buffer.extend(batch.select(*STORED_KEYS))
+        self._owed += len(batch) * self.updates_per_step
+        self._trainer.optim_steps_per_batch = int(self._owed)
+        self._owed -= int(self._owed)
+
+    def sample(self, batch: TensorDictBase) -> TensorDictBase:
+        """One batch of transitions."""
+        return self.buffer.sample()
+
+    def update_priority(self, batch: TensorDictBase) -> None:
+        """Hands the new priorities to a prioritised sampler."""
+        self.buffer.update_tensordict_priority(batch)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The fraction of an update still owed."""
+        return {"owed": self._owed}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self._owed = state_dict["owed"]
+
+    def register(self, trainer: Trainer, name: str = "episode_replay") -> None:
+        """Hooks extending, sampling and priorities into the trainer."""
+        self._trainer = trainer
+        trainer.register_module(name, self)
+        trainer.register_op("batch_process", self.extend)
+        trainer.register_op("process_optim_batch", self.sample)
+        if hasattr(self.buffer.sampler, "alpha"):
+            trainer.register_op("post_optim_log", self.update_priority)
+
+
+class NavigationTrainer(Trainer):
+    """Trains until ``episodes`` are flown; every checkpoint is a barrier.
+
+    At a barrier the open episodes are dropped and the environment is built anew from a seed that
+    depends on the run's seed and the number of episodes alone. A resumed process passes the same
+    barrier, so that its run is bit-identical to one that was never stopped.
+
+    Args:
+        collector: yields one whole episode a batch.
+        loss: the loss module.
+        stepper: the optimisation step.
+        replay: where episodes are stored.
+        episode_log: where episodes are recorded.
+        progress: what the user sees.
+        rotation: where checkpoints go.
+        metadata: goes into each checkpoint's manifest.
+        policy: the actor, kept as a component of its own for evaluation.
+        episodes: when to stop.
+        seed: the run's seed.
+        checkpoint_interval: steps between checkpoints.
+        logger: TorchRL logger.
+        log_interval: steps between logged values.
+    """
+
+    def __init__(
+        self,
+        *,
+        collector: Collector,
+        loss: Loss,
+        stepper: ActorCriticStepper,
+        replay: EpisodeReplay,
+        episode_log: EpisodeLog,
+        progress: Progress,
+        rotation: CheckpointRotation,
+        metadata: dict[str, Any],
+        policy: torch.nn.Module,
+        episodes: int,
+        seed: int,
+        checkpoint_interval: int,
+        logger: Logger | None,
+        log_interval: int,
+    ) -> None:
+        self.episode_log = episode_log
+        self.progress = progress
+        self.run_seed = seed
+        self.episodes = episodes
+        super().__init__(
+            collector=collector,
+            total_frames=2**62,
+            frame_skip=1,
+            optim_steps_per_batch=0,
+            loss_module=loss,
+            optimization_stepper=stepper,
+            logger=logger,
+            progress_bar=False,
+            save_trainer_interval=checkpoint_interval,
+            log_interval=log_interval,
+            checkpoint=Checkpoint(
+                policy=policy,
+                replay_data=BufferState(replay.buffer),
+                episode_log=episode_log,
+                random_state=GlobalRNGState(),
+                format="archive",
+                archive_compression="stored",
+            ),
+            checkpoint_rotation=rotation,
+            checkpoint_metadata=lambda _: {**metadata, "episodes": episode_log.count},
+        )
+        replay.register(self)
+        self.register_op("pre_steps_log", self._record)
+        self.register_op("post_optim_complete_log", self._check_losses)
+
+    def _record(self, batch: TensorDictBase) -> dict[str, float]:
+        """Writes the episodes of a batch, shows progress and ends the training when enough are flown."""
+        steps = self.collected_frames - len(batch)
+        for trajectory in split_episodes(batch):
+            steps += len(trajectory)
+            self.episode_log.add(summarize(trajectory, self.episode_log.count + 1, steps))
+        rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
+        self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
+        if self.episode_log.count >= self.episodes:
+            self.request_stop(f"{self.episodes} episodes are flown")
+        return {**{f"rate_{k}": v for k, v in rates.items()}, "return": mean_return, "episodes": self.episode_log.count}
+
+    @staticmethod
+    def _check_losses(updates: int, losses: TensorDictBase | None) -> None:
+        if losses is not None and not math.isfinite(losses["loss_value"].item()):
+            raise UavrlError(
+                f"The critic's loss became {losses['loss_value'].item()} after {updates} updates: "
+                f"lower the learning rates; the last checkpoint is untouched."
+            )
+
+    def barrier(self) -> None:
+        """Drops open episodes and rebuilds the environment."""
+        self.collector.set_seed(barrier_seed(self.run_seed, self.episode_log.count), static_seed=True)
+        self.collector.reset()
+
+    def save_trainer(self, force_save: bool = False) -> None:
+        """Writes a checkpoint when one is due, behind a barrier."""
+        if force_save or self.collected_frames - self._last_save >= self.save_trainer_interval:
+            self._last_save = self.collected_frames
+            self.barrier()
+            self._save_trainer()

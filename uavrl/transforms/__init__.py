@@ -1,0 +1,15 @@
+"""TorchRL transforms: the LiDAR reduction, the policy's observation and the thesis's rewards."""
+
+from uavrl.transforms.observation import NavigationObservation, navigation_observation
+from uavrl.transforms.rewards import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
+from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+
+__all__ = [
+    "NavigationObservation",
+    "NavigationReward",
+    "TraditionalReward",
+    "TruncatedIcosahedron",
+    "navigation_observation",
+    "navigation_reward",
+    "traditional_reward",
+]

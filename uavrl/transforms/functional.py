@@ -1,0 +1,199 @@
+"""Point-cloud reduction as pure tensor functions (Chansuparp (2022), Eq. 3.1-3.2)."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+__all__ = [
+    "NUM_FACES",
+    "Statistic",
+    "TruncatedIcosahedronFaces",
+    "truncated_icosahedron",
+    "truncated_icosahedron_faces",
+]
+
+Statistic = Literal["face", "range"]
+
+NUM_FACES = 32
+"""Faces of the truncated icosahedron: 12 pentagons, then 20 hexagons."""
+
+_PHI = (1.0 + math.sqrt(5.0)) / 2.0
+# A face with a point in it never reads 0, which means "no point": see `truncated_icosahedron`.
+_TOUCHING = 1e-6
+# The ball stops this much (relative, squared) short of the vertices, so that float32 rounding cannot let in a point
+# that a sensor whose range ends at the circumradius does not report.
+_BALL_EDGE = 1.0 - 2e-6
+
+
+class TruncatedIcosahedronFaces(NamedTuple):
+    """The 32 faces of a truncated icosahedron around the origin.
+
+    Args:
+        centres: ``[32, 3]``, face centres in metres: ``offsets * normals``.
+        normals: ``[32, 3]``, outward unit normals.
+        offsets: ``[32]``, distances from the origin to the face planes in metres.
+    """
+
+    centres: Tensor
+    normals: Tensor
+    offsets: Tensor
+
+
+def _cyclic(triples: list[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+    """Returns all cyclic permutations and sign changes of ``triples``, sorted by z, then azimuth in [0, 2π)."""
+    points = set()
+    for a, b, c in triples:
+        for x, y, z in ((a, b, c), (c, a, b), (b, c, a)):
+            points |= {(i * x + 0.0, j * y + 0.0, k * z + 0.0) for i in (1, -1) for j in (1, -1) for k in (1, -1)}
+    return sorted(points, key=lambda p: (round(p[2], 9), round(math.atan2(p[1], p[0]) % math.tau, 9)))
+
+
+@lru_cache(maxsize=64)
+@torch.inference_mode(False)  # a cached inference tensor could not serve autograd later
+def _faces(radius: float, dtype: torch.dtype, device: torch.device) -> TruncatedIcosahedronFaces:
+    pentagons = _cyclic([(0.0, 1.0, _PHI)])
+    hexagons = _cyclic([(1.0, 1.0, 1.0), (1.0 / _PHI, 0.0, _PHI)])
+    normals = torch.tensor(pentagons + hexagons, dtype=torch.float64, device="cpu")
+    normals /= normals.norm(dim=-1, keepdim=True)
+    # One of the 60 vertices: each touches a pentagon and two hexagons.
+    vertex = torch.tensor([0.0, 1.0, 3.0 * _PHI], dtype=torch.float64, device="cpu")
+    vertex *= radius / vertex.norm()
+    heights = normals @ vertex
+    offsets = torch.cat([heights[:12].max().expand(12), heights[12:].max().expand(20)])
+    exact = (offsets[:, None] * normals, normals, offsets)
+    return TruncatedIcosahedronFaces(*(tensor.to(device=device, dtype=dtype) for tensor in exact))
+
+
+@lru_cache(maxsize=64)
+@torch.inference_mode(False)
+def _axes(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Returns the 6 pentagon and 10 hexagon axes ``[3, 16]``, each towards one face, and the face ids ``[2 * 16]``.
+
+    The ids are those of the faces that the axes point to, then those of the opposite faces.
+    """
+    normals = _faces(radius, torch.float64, torch.device("cpu")).normals
+    opposite = (normals @ normals.T).argmin(dim=-1)
+    front = torch.nonzero(torch.arange(NUM_FACES, device="cpu") < opposite)[:, 0]
+    return normals[front].T.contiguous().to(device, dtype), torch.cat([front, opposite[front]]).to(device)
+
+
+def truncated_icosahedron_faces(
+    radius: float = 4.0, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+) -> TruncatedIcosahedronFaces:
+    """Returns the faces in the order in which `truncated_icosahedron` reports them.
+
+    Pentagons come first (0-11), then hexagons (12-31), each group sorted by the z of its centre, lowest first, then by
+    azimuth ``atan2(y, x)`` in [0, 2π). Pentagon normals are the cyclic permutations of (0, ±1, ±φ).
+
+    Args:
+        radius: circumradius in metres: the distance from the origin to the 60 vertices.
+        dtype: type of the tensors.
+        device: device of the tensors.
+
+    Returns:
+        `TruncatedIcosahedronFaces`, fresh tensors that the caller may change.
+
+    Examples:
+        >>> faces = truncated_icosahedron_faces(4.0)
+        >>> [round(value, 4) for value in (faces.offsets[0].item(), faces.offsets[12].item())]
+        [3.7569, 3.6598]
+        >>> [round(value, 4) for value in faces.normals[0].tolist()]
+        [0.0, 0.5257, -0.8507]
+    """
+    _check_radius(radius)
+    return TruncatedIcosahedronFaces(*(t.clone() for t in _faces(float(radius), dtype, torch.device(device))))
+
+
+def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statistic = "face") -> Tensor:
+    """Reduces point clouds to 32 distances (Chansuparp (2022), Eq. 3.1-3.2).
+
+    A truncated icosahedron whose vertices lie ``radius`` from the origin surrounds the sensor. A point ``p`` is dropped
+    if it lies outside any face plane, ``n_i · p > d_i`` (Eq. 3.1; the text has the sign the other way round). Each
+    remaining point belongs to the face whose centre ``c_i = d_i n_i`` is nearest, and (Eq. 3.2)
+
+        ``f_i = min ‖p - c_i‖`` over the points of face i, and 0 where it has none.
+
+    0 means "nothing there", so a point that touches its reference (the face centre, or the sensor for ``"range"``)
+    reads ``1e-6 * radius`` instead. A point equally near to two faces goes to either of them. Points with a NaN or an
+    infinite coordinate are misses, and so are points farther than ``(1 - 1e-6) * radius``, the tips of the vertices: a
+    scan whose range is cut to ``radius`` therefore gives exactly what the uncut scan gives.
+
+    Args:
+        points: ``[*B, P, 3]`` in metres, float32 or float64, in the sensor frame (x forward, y left, z up). ``P`` may
+            be 0. A layout with x, y and z each contiguous (as `uavrl.envs.lidar.Lidar.scan` returns) is read fastest.
+        radius: circumradius in metres.
+        statistic: ``"face"`` for the distance to the face's centre (the thesis), ``"range"`` for the distance of the
+            face's points to the origin. Both are lengths in metres within [0, ``radius``].
+
+    Returns:
+        ``[*B, 32]`` in metres, in the order of `truncated_icosahedron_faces`.
+
+    Raises:
+        ValueError: if the shape, the dtype, the radius or the statistic is not as above.
+
+    Examples:
+        One point, 3 m from the sensor straight towards pentagon 11, whose centre is 3.7569 m away, and one miss:
+
+        >>> towards = 3.0 * truncated_icosahedron_faces().normals[11]
+        >>> faces = truncated_icosahedron(torch.stack([towards, torch.full((3,), torch.nan)]))
+        >>> faces.shape, faces.nonzero().tolist(), round(faces[11].item(), 4)
+        (torch.Size([32]), [[11]], 0.7569)
+    """
+    _check_points(points)
+    _check_radius(radius)
+    if statistic not in ("face", "range"):
+        raise ValueError(f'statistic must be "face" or "range", got {statistic!r}.')
+    radius = float(radius)
+    batch = points.shape[:-2]
+    x, y, z = points.unbind(-1)
+    near = (x * x + y * y).addcmul_(z, z) < radius**2 * _BALL_EDGE  # False for NaN and inf
+    kept = near.reshape(-1).nonzero()[:, 0]
+    x, y, z = (coordinate.reshape(-1).index_select(0, kept) for coordinate in (x, y, z))
+    faces, inside = _nearest_face(x, y, z, radius)
+    if statistic == "face":
+        centres = _faces(radius, points.dtype, points.device).centres.T.index_select(1, faces)
+        x, y, z = x - centres[0], y - centres[1], z - centres[2]
+    lengths = (x * x + y * y + z * z).sqrt().clamp(_TOUCHING * radius, radius)
+    lengths = torch.where(inside, lengths, torch.inf)
+    cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
+    out = points.new_full((batch.numel() * NUM_FACES,), torch.inf)
+    out = out.scatter_reduce(0, cloud * NUM_FACES + faces, lengths, "amin")
+    return torch.where(out.isinf(), 0.0, out).reshape(*batch, NUM_FACES)
+
+
+def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tensor, Tensor]:
+    """Returns for M points the face with the nearest centre and whether the point is inside all planes (Eq. 3.1).
+
+    The centre is ``c_i = d_i n_i``, so ``‖p - c_i‖² = ‖p‖² - 2 d_i (n_i · p) + d_i²``: one product ``n · p`` serves
+    both tests. Faces come in opposite pairs, so 16 products do; among faces of one kind the greatest is the nearest.
+    They are summed by hand, which makes the result independent of the batch and of PyTorch's matmul precision.
+    """
+    axes, ids = _axes(radius, x.dtype, x.device)
+    offsets = _faces(radius, torch.float64, torch.device("cpu")).offsets
+    pentagon, hexagon = offsets[0].item(), offsets[-1].item()
+    along = (axes[0, :, None] * x).addcmul_(axes[1, :, None], y).addcmul_(axes[2, :, None], z)  # [16, M]
+    heights = along.abs()
+    (to_pentagon, pentagons), (to_hexagon, hexagons) = heights[:6].max(dim=0), heights[6:].max(dim=0)
+    inside = (to_pentagon <= pentagon) & (to_hexagon <= hexagon)
+    gap_to_pentagon = pentagon * (pentagon - 2.0 * to_pentagon)  # ‖p - c_i‖² - ‖p‖²
+    gap_to_hexagon = hexagon * (hexagon - 2.0 * to_hexagon)
+    axis = torch.where(gap_to_pentagon < gap_to_hexagon, pentagons, hexagons + 6)
+    behind = along.gather(0, axis[None])[0] < 0.0
+    return ids.index_select(0, axis + 16 * behind), inside
+
+
+def _check_radius(radius: float) -> None:
+    if not (math.isfinite(radius) and radius > 0.0):
+        raise ValueError(f"radius must be a positive length in metres, got {radius}.")
+
+
+def _check_points(points: Tensor) -> None:
+    if points.ndim < 2 or points.shape[-1] != 3:
+        raise ValueError(f"points must have shape [*B, P, 3], got {tuple(points.shape)}.")
+    if points.dtype not in (torch.float32, torch.float64):
+        raise ValueError(f"points must be float32 or float64, got {points.dtype}.")

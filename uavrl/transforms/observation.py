@@ -1,0 +1,118 @@
+"""From the 32 faces, the altitude and the two goal angles to the policy's 35 numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.transforms import ObservationTransform
+
+Angles = Literal["folded", "raw"]
+
+
+def navigation_observation(
+    faces: Tensor,
+    altitude: Tensor,
+    heading_deg: Tensor,
+    elevation_deg: Tensor,
+    *,
+    radius: float = 4.0,
+    flight_level: float = 3.5,
+    angles: Angles = "folded",
+) -> Tensor:
+    """Chansuparp (2022), §3.2: o = (f_1 … f_32, z, h, g), scaled for a network.
+
+    The faces are divided by the ball's radius and the altitude becomes z / p_approAlt - 1. The angles
+    are folded to [-1, 1] with 0 = facing the goal, because the thesis's 0 to 360 degrees jump exactly
+    there; ``angles="raw"`` keeps 0 to 360 degrees for comparison.
+
+    Args:
+        faces: ``[*B, 32]``, m.
+        altitude: ``[*B, 1]``, m.
+        heading_deg: ``[*B, 1]``, degrees in [0, 360).
+        elevation_deg: ``[*B, 1]``, degrees in [0, 360).
+        radius: the ball's radius, m.
+        flight_level: p_approAlt, m.
+        angles: ``"folded"`` or ``"raw"``.
+
+    Returns:
+        ``[*B, 35]``.
+
+    Examples:
+        >>> o = navigation_observation(
+        ...     torch.full((32,), 2.0), torch.tensor([7.0]), torch.tensor([270.0]), torch.tensor([45.0]))
+        >>> o[-4:].tolist()
+        [0.5, 1.0, -0.5, 0.25]
+    """
+    if angles == "folded":
+        heading_deg, elevation_deg = ((a + 180).remainder(360) / 180 - 1 for a in (heading_deg, elevation_deg))
+    return torch.cat([faces / radius, altitude / flight_level - 1, heading_deg, elevation_deg], -1)
+
+
+class NavigationObservation(ObservationTransform):
+    """Writes the policy's observation of one frame, see :func:`navigation_observation`.
+
+    Args:
+        radius: the ball's radius, m.
+        flight_level: p_approAlt, m.
+        angles: ``"folded"`` to [-1, 1], or the thesis's ``"raw"`` degrees.
+        in_keys: keys of the faces, the altitude, the heading and the elevation.
+        out_keys: where the observation goes.
+
+    Raises:
+        ValueError: for an unknown ``angles`` or another number of keys than four and one.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> data = TensorDict({"faces": torch.zeros(2, 32), "altitude": torch.full((2, 1), 3.5),
+        ...                    "heading_deg": torch.zeros(2, 1), "elevation_deg": torch.zeros(2, 1)}, [2])
+        >>> NavigationObservation()(data)["observation"].shape
+        torch.Size([2, 35])
+    """
+
+    def __init__(
+        self,
+        radius: float = 4.0,
+        flight_level: float = 3.5,
+        angles: Angles = "folded",
+        *,
+        in_keys: Sequence[NestedKey] = ("faces", "altitude", "heading_deg", "elevation_deg"),
+        out_keys: Sequence[NestedKey] = ("observation",),
+    ) -> None:
+        if angles not in ("folded", "raw"):
+            raise ValueError(f"angles must be 'folded' or 'raw', got {angles!r}.")
+        if len(in_keys) != 4 or len(out_keys) != 1:
+            raise ValueError(
+                f"NavigationObservation takes four in_keys (faces, altitude, heading, elevation) and one out_key, "
+                f"got {list(in_keys)} and {list(out_keys)}."
+            )
+        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+        self.radius = radius
+        self.flight_level = flight_level
+        self.angles: Angles = angles
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        values = [next_tensordict.get(key) for key in self.in_keys]
+        observation = navigation_observation(
+            *values, radius=self.radius, flight_level=self.flight_level, angles=self.angles
+        )
+        return next_tensordict.set(self.out_keys[0], observation)
+
+    forward = _call
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds the observation's spec: one float per face, altitude and angle."""
+        assert isinstance(observation_spec, Composite)
+        specs = [observation_spec[key] for key in self.in_keys]
+        width = sum(spec.shape[-1] for spec in specs)
+        observation_spec[self.out_keys[0]] = Unbounded(
+            shape=(*specs[0].shape[:-1], width), dtype=specs[0].dtype, device=specs[0].device
+        )
+        return observation_spec

@@ -1,0 +1,250 @@
+"""The thesis's two reward functions, as pure functions and as TorchRL transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.data import TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+AltitudeTerm = Literal["absolute", "literal"]
+
+
+def fold_degrees(angle_deg: Tensor) -> Tensor:
+    """Folds an angle in degrees to its absolute size in [0, 180] (v_h and v_g of Eq. 3.6).
+
+    Examples:
+        >>> fold_degrees(torch.tensor([0.0, 90.0, 270.0, 359.0])).tolist()
+        [0.0, 90.0, 90.0, 1.0]
+    """
+    angle_deg = angle_deg.remainder(360.0)
+    return torch.minimum(angle_deg, 360.0 - angle_deg)
+
+
+def traditional_reward(
+    distance_tm1: Tensor,
+    distance_t: Tensor,
+    arrived_t: Tensor,
+    collided_t: Tensor,
+    *,
+    arrived_reward: float = 50.0,
+    collided_reward: float = -50.0,
+) -> Tensor:
+    """Chansuparp (2022), Eq. 2.15 with Table 4.1: a prize, a punishment, else the progress made.
+
+    Args:
+        distance_tm1: distance to the goal before the step, ``[*B]``, m.
+        distance_t: distance to the goal after the step, ``[*B]``, m.
+        arrived_t: bool ``[*B]``.
+        collided_t: bool ``[*B]``; wins where both are true.
+        arrived_reward: r_g.
+        collided_reward: r_c.
+
+    Examples:
+        >>> t = torch.tensor
+        >>> traditional_reward(
+        ...     t([5.0, 5.0, 5.0]), t([4.5, 1.0, 4.9]), t([False, True, False]), t([False, False, True])
+        ... ).tolist()
+        [0.5, 50.0, -50.0]
+    """
+    reward = torch.where(arrived_t, arrived_reward, distance_tm1 - distance_t)
+    return torch.where(collided_t, collided_reward, reward)
+
+
+def navigation_reward(
+    distance_tm1: Tensor,
+    distance_t: Tensor,
+    altitude_t: Tensor,
+    heading_deg_t: Tensor,
+    elevation_deg_t: Tensor,
+    collided_t: Tensor,
+    *,
+    weights: Sequence[float] = (8.0, 1.0, 0.5, 0.5),
+    flight_level: float = 3.5,
+    collided_reward: float = -50.0,
+    altitude_term: AltitudeTerm = "absolute",
+) -> Tensor:
+    """Chansuparp (2022), Eq. 3.6: progress, flight level and two angles to the goal.
+
+    The thesis prints the altitude term without an absolute value, which pays the UAV twice for lying
+    on the ground; ``altitude_term="literal"`` keeps that form for comparison.
+
+    Args:
+        distance_tm1: distance to the goal before the step, ``[*B]``, m.
+        distance_t: distance to the goal after the step, ``[*B]``, m.
+        altitude_t: height z, ``[*B]``, m.
+        heading_deg_t: h, angle between the UAV's head and the goal, ``[*B]``, degrees in [0, 360).
+        elevation_deg_t: g, angle between the UAV's position and the goal, ``[*B]``, degrees in [0, 360).
+        collided_t: bool ``[*B]``.
+        weights: w_1 to w_4.
+        flight_level: p_approAlt, m.
+        collided_reward: r_collided (-50, or -10 with LifeGuard).
+        altitude_term: ``"absolute"`` or ``"literal"``.
+
+    Examples:
+        >>> t = torch.tensor
+        >>> navigation_reward(t(5.0), t(4.75), t(3.5), t(90.0), t(0.0), t(False)).item()
+        3.75
+    """
+    w_distance, w_altitude, w_heading, w_elevation = weights
+    deviation = (altitude_t - flight_level) / flight_level
+    if altitude_term == "absolute":
+        deviation = deviation.abs()
+    reward = (
+        w_distance * (distance_tm1 - distance_t)
+        + w_altitude * (1 - deviation)
+        + w_heading * (1 - fold_degrees(heading_deg_t) / 180)
+        + w_elevation * (1 - fold_degrees(elevation_deg_t) / 180)
+    )
+    return torch.where(collided_t, collided_reward, reward)
+
+
+class _RewardTransform(Transform):
+    """Reads quantities before and after a step and writes the reward of the step."""
+
+    def __init__(self, distance: NestedKey, in_keys: Sequence[NestedKey], out_key: NestedKey) -> None:
+        super().__init__(in_keys=[distance, *in_keys], out_keys=[out_key])
+
+    def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
+        raise NotImplementedError
+
+    def _get(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+        value = tensordict.get(key, None)
+        if value is None:
+            raise KeyError(
+                f"{type(self).__name__} expected the key {key!r} and found {list(tensordict.keys())}: "
+                f"emit it from the environment, or name the right key in the constructor."
+            )
+        return value
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        next_tensordict.set(self.out_keys[0], self._reward(tensordict, next_tensordict))
+        return next_tensordict
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Recomputes the reward of stored transitions (root and ``"next"`` must hold the in-keys)."""
+        return tensordict.set("next", self._step(tensordict, tensordict.get("next")))
+
+    def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
+        """The reward is one unbounded float per environment."""
+        key = self.out_keys[0]
+        spec = reward_spec[key]
+        reward_spec[key] = Unbounded(shape=spec.shape, dtype=spec.dtype, device=spec.device)
+        return reward_spec
+
+
+class TraditionalReward(_RewardTransform):
+    """The thesis's "TR" (Chansuparp (2022), Eq. 2.15), see :func:`traditional_reward`.
+
+    Args:
+        arrived_reward: r_g.
+        collided_reward: r_c.
+        distance: key of the distance to the goal, m.
+        arrived: key of the bool that tells an arrival.
+        collided: key of the bool that tells a collision.
+        out_key: where the reward goes.
+
+    Raises:
+        KeyError: when a key is missing from the data.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> after = TensorDict({"distance": torch.ones(2, 1), "arrived": torch.zeros(2, 1, dtype=torch.bool),
+        ...                     "collided": torch.tensor([[False], [True]])}, [2])
+        >>> data = TensorDict({"distance": torch.full((2, 1), 1.5), "next": after}, [2])
+        >>> TraditionalReward()(data)["next", "reward"].squeeze(-1).tolist()
+        [0.5, -50.0]
+    """
+
+    def __init__(
+        self,
+        arrived_reward: float = 50.0,
+        collided_reward: float = -50.0,
+        *,
+        distance: NestedKey = "distance",
+        arrived: NestedKey = "arrived",
+        collided: NestedKey = "collided",
+        out_key: NestedKey = "reward",
+    ) -> None:
+        super().__init__(distance, [arrived, collided], out_key)
+        self.arrived_reward = arrived_reward
+        self.collided_reward = collided_reward
+
+    def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
+        distance, arrived, collided = self.in_keys
+        return traditional_reward(
+            self._get(before, distance),
+            self._get(after, distance),
+            self._get(after, arrived),
+            self._get(after, collided),
+            arrived_reward=self.arrived_reward,
+            collided_reward=self.collided_reward,
+        )
+
+
+class NavigationReward(_RewardTransform):
+    """The thesis's reward for navigation (Chansuparp (2022), Eq. 3.6), see :func:`navigation_reward`.
+
+    Args:
+        weights: w_1 to w_4.
+        flight_level: p_approAlt, m.
+        collided_reward: r_collided (-50, or -10 with LifeGuard).
+        altitude_term: ``"absolute"`` or the thesis's ``"literal"`` form.
+        distance: key of the distance to the goal, m.
+        altitude: key of the altitude, m.
+        heading: key of h, degrees.
+        elevation: key of g, degrees.
+        collided: key of the bool that tells a collision.
+        out_key: where the reward goes.
+
+    Raises:
+        ValueError: for another number of weights than four, or an unknown ``altitude_term``.
+        KeyError: when a key is missing from the data.
+
+    Examples:
+        >>> from torchrl.envs import TransformedEnv
+        >>> from uavrl.envs import NavigationEnv
+        >>> env = TransformedEnv(NavigationEnv(num_uavs=2), NavigationReward())
+        >>> bool((env.rollout(3)["next", "reward"] != 0).all())
+        True
+    """
+
+    def __init__(
+        self,
+        weights: Sequence[float] = (8.0, 1.0, 0.5, 0.5),
+        flight_level: float = 3.5,
+        collided_reward: float = -50.0,
+        altitude_term: AltitudeTerm = "absolute",
+        *,
+        distance: NestedKey = "distance",
+        altitude: NestedKey = "altitude",
+        heading: NestedKey = "heading_deg",
+        elevation: NestedKey = "elevation_deg",
+        collided: NestedKey = "collided",
+        out_key: NestedKey = "reward",
+    ) -> None:
+        if len(weights) != 4:
+            raise ValueError(f"NavigationReward takes four weights w_1 to w_4, got {len(weights)}.")
+        if altitude_term not in ("absolute", "literal"):
+            raise ValueError(f"altitude_term must be 'absolute' or 'literal', got {altitude_term!r}.")
+        super().__init__(distance, [altitude, heading, elevation, collided], out_key)
+        self.weights = tuple(weights)
+        self.flight_level = flight_level
+        self.collided_reward = collided_reward
+        self.altitude_term: AltitudeTerm = altitude_term
+
+    def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
+        distance, *keys = self.in_keys
+        return navigation_reward(
+            self._get(before, distance),
+            self._get(after, distance),
+            *(self._get(after, key) for key in keys),
+            weights=self.weights,
+            flight_level=self.flight_level,
+            collided_reward=self.collided_reward,
+            altitude_term=self.altitude_term,
+        )
