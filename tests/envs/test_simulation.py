@@ -9,9 +9,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from uavrl.envs.bodies import split_mesh
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
-from uavrl.envs.simulation import Simulation, split_mesh
+from uavrl.envs.simulation import Simulation
 
 NO_DRAG = Aerodynamics(force_coefficients=(0.0, 0.0, 0.0), moment_coefficients=(0.0, 0.0, 0.0))
 WALL = Mesh([[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]], [[0, 1, 2], [0, 2, 3]])  # the plane x = 2
@@ -83,6 +84,18 @@ def test_velocities_reverse_within_two_seconds():
             for _ in range(steps):
                 simulation.step(commands)
         assert np.abs(seen(simulation) - grid).max() < 0.1
+
+
+def test_control_rate_does_not_change_the_flight():
+    def flight(control_rate: int) -> np.ndarray:
+        with world(control_rate=control_rate) as simulation:
+            for _ in range(control_rate):
+                simulation.step(command(2, 0, 1, 0))
+            assert np.abs(simulation._controller.disturbance).max() < 0.2  # N: still air is not taken for wind
+            return simulation.position
+
+    for control_rate in (16, 48, 240):  # 15, 5 and 1 physics steps
+        np.testing.assert_allclose(flight(control_rate), flight(10), atol=0.02)
 
 
 def test_yaw_and_frame_at_reset():

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pybullet
 
+from uavrl.envs.bodies import PLANE, STATIC, add_fixed, add_vehicle, split_mesh
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import (
@@ -20,35 +21,9 @@ from uavrl.envs.quadrotor import (
 )
 
 COMMAND_LIMIT = 2.0  # m/s and rad/s: Chansuparp (2022), Table 4.1
-TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz
+TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz; 1 where it does not divide
 CLOSEST_DISTANCE_CAP = 5.0  # m
 CONTACT_DISTANCE = 1e-3  # m: Bullet stops a body where it touches, within rounding, before it penetrates
-MESH_FACES = 10_000  # per collision shape: 30,000 indices stay below PyBullet's least limit, 32,768
-STATIC, VEHICLE, PLANE = 2, 64, 128  # collision groups
-
-
-def split_mesh(mesh: Mesh, faces: int = MESH_FACES) -> list[Mesh]:
-    """Cuts a mesh into parts small enough for one PyBullet shape each.
-
-    Args:
-        mesh: Any mesh.
-        faces: Most faces of one part.
-
-    Returns:
-        Meshes that hold all faces of ``mesh`` together.
-
-    Examples:
-        >>> mesh = Mesh(np.eye(3), np.zeros((5, 3)))
-        >>> [len(part.faces) for part in split_mesh(mesh, faces=2)]
-        [2, 2, 1]
-    """
-    if len(mesh.faces) <= faces:
-        return [mesh]
-    parts = []
-    for start in range(0, len(mesh.faces), faces):
-        used, renumbered = np.unique(mesh.faces[start : start + faces], return_inverse=True)
-        parts.append(Mesh(mesh.vertices[used], renumbered.reshape(-1, 3)))
-    return parts
 
 
 class Simulation:
@@ -114,6 +89,7 @@ class Simulation:
         if self.aerodynamics.gust_intensity and rng is None:
             raise ValueError("Gusts need a source of randomness: pass rng.")
         self.count, self.substeps, self._dt = count, physics_rate // control_rate, 1 / physics_rate
+        self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
         self.motors_on = True
         self._rng = rng
         self._prepare_model()
@@ -146,50 +122,12 @@ class Simulation:
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self._dt, deterministicOverlappingPairs=1, physicsClientId=self._client
         )
-        self._statics = [self._add_fixed(part, STATIC) for mesh in meshes for part in split_mesh(mesh)]
-        self._planes = [self._add_fixed(plane_mesh, PLANE) for _ in range(plane_count) if plane_mesh is not None]
-        self._vehicles = [self._add_vehicle() for _ in range(self.count)]
+        self._statics = [add_fixed(self._client, part, STATIC) for mesh in meshes for part in split_mesh(mesh)]
+        self._planes = [
+            add_fixed(self._client, plane_mesh, PLANE) for _ in range(plane_count) if plane_mesh is not None
+        ]
+        self._vehicles = [add_vehicle(self._client, self.airframe) for _ in range(self.count)]
         self._row = {body: row for row, body in enumerate(self._vehicles)}
-
-    def _add_fixed(self, mesh: Mesh, group: int) -> int:
-        """Adds an exact triangle mesh that nothing moves but ourselves."""
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH,
-            vertices=mesh.vertices.tolist(),
-            indices=mesh.faces.ravel().tolist(),
-            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=self._client,
-        )
-        body = pybullet.createMultiBody(0, shape, physicsClientId=self._client)
-        pybullet.setCollisionFilterGroupMask(body, -1, group, VEHICLE, physicsClientId=self._client)
-        return body
-
-    def _add_vehicle(self) -> int:
-        """Adds a cylinder with the mass of airframe and LiDAR, its centre of mass shifted; no damping, no sleep."""
-        airframe = self.airframe
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_CYLINDER,
-            radius=airframe.collision_radius,
-            height=airframe.collision_height,
-            physicsClientId=self._client,
-        )
-        body = pybullet.createMultiBody(
-            airframe.total_mass,
-            shape,
-            baseInertialFramePosition=airframe.centre_of_mass,
-            physicsClientId=self._client,
-        )
-        pybullet.changeDynamics(
-            body,
-            -1,
-            localInertiaDiagonal=airframe.combined_inertia,
-            linearDamping=0,
-            angularDamping=0,
-            activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
-            physicsClientId=self._client,
-        )
-        pybullet.setCollisionFilterGroupMask(body, -1, VEHICLE, STATIC | PLANE, physicsClientId=self._client)
-        return body
 
     # ------------------------------------------------------------------ reset and step
 
@@ -237,7 +175,7 @@ class Simulation:
         for substep in range(self.substeps):
             if path:
                 self._move_planes(path[substep])
-            if substep % TRACKING_PERIOD == 0:
+            if substep % self._tracking_period == 0:
                 self._track(target)
             self._push()
             pybullet.stepSimulation(physicsClientId=self._client)
@@ -273,12 +211,13 @@ class Simulation:
 
     def _read(self) -> None:
         """Reads all states; Bullet gives the centre of mass, and velocities in world axes."""
-        client, rows = self._client, []
+        client = self._client
+        entries: list[float] = []
         for body in self._vehicles:
             position, attitude = pybullet.getBasePositionAndOrientation(body, client)
             linear, angular = pybullet.getBaseVelocity(body, client)
-            rows.append(position + attitude + linear + angular)
-        state = np.array(rows)
+            entries += position + attitude + linear + angular
+        state = np.array(entries).reshape(-1, 13)
         self._centre = state[:, :3]
         self._twist_world = state[:, 7:].reshape(-1, 2, 3)
         self.rotation = rotation_from_quaternion(state[:, 3:7])
@@ -287,7 +226,7 @@ class Simulation:
     def _track(self, target: np.ndarray) -> None:
         """Runs the controller's outer loop."""
         lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
-        period = TRACKING_PERIOD * self._dt
+        period = self._tracking_period * self._dt
         self._controller.track(target, self.rotation, self._twist_world[:, 0], self._twist, lift, period)
 
     def _push(self) -> None:

@@ -31,11 +31,11 @@ class BufferState:
     def dump(self, path: Path) -> None:
         """Writes data, write cursor and sampler below ``path``."""
         path = Path(path)
+        (path / "length.json").write_text(json.dumps(len(self.buffer)))
         if len(self.buffer):
             tensordict.save(self.buffer.storage.get(slice(0, len(self.buffer))), path / "storage")
-        self.buffer.writer.dumps(path / "writer")
-        self.buffer.sampler.dumps(path / "sampler")
-        (path / "length.json").write_text(json.dumps(len(self.buffer)))
+            self.buffer.writer.dumps(path / "writer")
+            self.buffer.sampler.dumps(path / "sampler")
 
     def load(self, path: Path) -> None:
         """Restores what :meth:`dump` wrote."""
@@ -44,8 +44,8 @@ class BufferState:
         if length:
             data = tensordict.load(path / "storage").clone()
             self.buffer.storage.set(torch.arange(length), data)
-        self.buffer.writer.loads(path / "writer")
-        self.buffer.sampler.loads(path / "sampler")
+            self.buffer.writer.loads(path / "writer")
+            self.buffer.sampler.loads(path / "sampler")
 
 
 def fingerprint(config: DictConfig) -> str:

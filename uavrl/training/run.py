@@ -6,10 +6,12 @@ import json
 import logging
 import os
 import platform
+import random
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 
@@ -72,7 +74,7 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     """
     settings: TrainConfig = to_dataclass(config)
     torch.set_num_threads(settings.trainer.threads)
-    torch.manual_seed(settings.seed)
+    seed_everything(settings.seed)
     checkpoint = latest_checkpoint(run_dir) if resume else None
     trainer = _build(settings, config, run_dir)
     try:
@@ -97,6 +99,13 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     finally:
         trainer.progress.close()
         trainer.shutdown()
+
+
+def seed_everything(seed: int) -> None:
+    """Seeds the process-wide generators: weights, exploration, sampling and target noise draw from them."""
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  (TorchRL's prioritised sampler draws from it)
+    torch.manual_seed(seed)
 
 
 def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> NavigationTrainer:

@@ -1,0 +1,124 @@
+"""A killed and resumed run is bit-identical to one that was never stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig
+
+from uavrl.configs import conf_dir, register_schemas
+from uavrl.training.checkpoint import rotation
+from uavrl.training.run import create_run, train
+
+SMALL = [
+    "env.num_uavs=2",
+    "env.max_steps=12",
+    "algo.random_steps=40",
+    "algo.hidden=[16,16]",
+    "algo.batch_size=8",
+    "buffer.capacity=400",
+    "trainer.checkpoint_interval=50",
+    "trainer.keep_checkpoints=10",
+    "trainer.progress=false",
+]
+
+
+def small_config(run_dir: Path, *overrides: str) -> DictConfig:
+    register_schemas()
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return compose("config", [f"run_dir={run_dir}", *SMALL, *overrides])
+
+
+def contents(checkpoint: Path) -> dict[str, bytes]:
+    """Everything in a checkpoint but times and identifiers of its making."""
+    with zipfile.ZipFile(checkpoint) as archive:
+        names = [n for n in archive.namelist() if not n.endswith("manifest.json") and "logger" not in n]
+        return {name: archive.read(name) for name in names}
+
+
+def assert_same_run(one: Path, other: Path) -> None:
+    assert (one / "episodes.csv").read_bytes() == (other / "episodes.csv").read_bytes()
+    last = [contents(rotation(run).latest()) for run in (one, other)]
+    assert last[0].keys() == last[1].keys()
+    differing = [name for name in last[0] if last[0][name] != last[1][name]]
+    assert not differing
+
+
+@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["algo=ddpg"], ["env=dynamic", "perception.lidar.dropout=0.1"]])
+def test_two_runs_are_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
+    for name in ("one", "other"):
+        config = small_config(tmp_path / name, "trainer.episodes=14", *overrides)
+        train(config, create_run(config))
+    assert_same_run(tmp_path / "one", tmp_path / "other")
+
+
+def test_another_seed_gives_another_run(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        config = small_config(tmp_path / str(seed), "trainer.episodes=4", f"seed={seed}")
+        train(config, create_run(config))
+    assert (tmp_path / "0/episodes.csv").read_bytes() != (tmp_path / "1/episodes.csv").read_bytes()
+
+
+@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"]])
+def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    for run_dir in (whole, cut):
+        config = small_config(run_dir, "trainer.episodes=16", *overrides)
+        train(config, create_run(config))
+    # Go back: as if the process had been killed after the second checkpoint, with rows written since.
+    checkpoints = rotation(cut).checkpoints()
+    assert len(checkpoints) >= 4
+    for later in checkpoints[2:]:
+        later.unlink()
+    (cut / "summary.json").unlink()
+    with (cut / "episodes.csv").open("a") as file:
+        file.write("17,9,arri")
+    train(small_config(cut, "trainer.episodes=16", *overrides), cut, resume=True)
+    assert_same_run(whole, cut)
+
+
+def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=6")
+    train(config, create_run(config))
+    summary = train(small_config(tmp_path / "run", "trainer.episodes=9"), tmp_path / "run", resume=True)
+    assert summary["episodes"] == 9
+    assert len((tmp_path / "run/episodes.csv").read_text().splitlines()) == 1 + 9
+
+
+def test_kill_nine_and_resume_from_the_command_line(tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, "trainer.episodes=60"]
+    subprocess.run([*command, f"run_dir={whole}"], check=True, capture_output=True)
+    process = subprocess.Popen([*command, f"run_dir={killed}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while len(rotation(killed).checkpoints() if killed.exists() else ()) < 3 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (killed / "summary.json").exists(), "the run ended before it could be killed"
+    subprocess.run([sys.executable, "-m", "uavrl.cli.train", f"resume={killed}"], check=True, capture_output=True)
+    assert_same_run(whole, killed)
+    assert json.loads((killed / "summary.json").read_text()) == json.loads((whole / "summary.json").read_text())
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, "trainer.episodes=5000", f"run_dir={tmp_path / 'run'}"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while len(rotation(tmp_path / "run").checkpoints() if (tmp_path / "run").exists() else ()) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert f"uavrl-train resume={tmp_path / 'run'}" in out
+    assert "Traceback" not in err
