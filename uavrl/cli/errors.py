@@ -18,6 +18,9 @@ def one_sentence() -> Iterator[None]:
     except UavrlError as error:
         print(f"uavrl: {error}", file=sys.stderr)
         raise SystemExit(1) from None
+    except OSError as error:
+        print(f"uavrl: {error}. Check the folder and the space left on its disk.", file=sys.stderr)
+        raise SystemExit(1) from None
     except KeyboardInterrupt:
         print("uavrl: stopped.", file=sys.stderr)
         raise SystemExit(130) from None

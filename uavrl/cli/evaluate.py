@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -79,7 +80,11 @@ def _output(settings: EvaluateConfig) -> Path:
     output = Path(settings.output or (Path(settings.run or ".") / "evaluation.json"))
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        output.with_name(output.name + ".partial").touch()
+        if output.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        partial = output.with_name(output.name + ".partial")
+        partial.touch()
+        partial.unlink()
     except OSError as error:
         raise UavrlError(f"{output} cannot be written ({error.strerror}): choose another with output=FILE.") from error
     return output
@@ -88,7 +93,7 @@ def _output(settings: EvaluateConfig) -> Path:
 def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[TrainConfig, Any, dict[str, Any]]:
     from torchrl.checkpoint import Checkpoint
 
-    from uavrl.training.checkpoint import latest_checkpoint, load_checkpoint, read_config
+    from uavrl.training.checkpoint import check_checkpoint, latest_checkpoint, read_config, restore
     from uavrl.training.factory import make_actor
 
     config = read_config(run_dir)
@@ -96,8 +101,9 @@ def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[TrainConf
     if not path.is_file():
         raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
     train_config: TrainConfig = to_dataclass(config)
+    metadata = check_checkpoint(path, config)
     actor = make_actor(train_config.algo.hidden, train_config.perception, device)
-    metadata = load_checkpoint(Checkpoint(policy=actor), path, config, ["policy"])
+    restore(Checkpoint(policy=actor), path, ["policy"])
     source = {
         "run": str(run_dir),
         "checkpoint": path.name,

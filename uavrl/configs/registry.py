@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from uavrl.configs.schema import GROUPS, EvaluateConfig, TrainConfig
+from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig, require, require_one_of
 from uavrl.errors import UavrlError
 
 
@@ -33,14 +35,46 @@ def register_schemas() -> None:
 
 
 def to_dataclass(config: DictConfig) -> Any:
-    """Resolves a composed configuration and turns it into its dataclass, checking every value.
+    """Resolves a configuration and turns it into its dataclass, checking every value.
+
+    Args:
+        config: composed by Hydra, or the ``config.yaml`` of a run, which gets the types of :class:`TrainConfig`.
 
     Raises:
         UavrlError: naming the key whose value is missing or out of range.
     """
     try:
+        if OmegaConf.get_type(config) is dict:
+            config = _with_types(config)
+        for key, value in _leaves(OmegaConf.to_container(config, resolve=True)):
+            require(not isinstance(value, float) or math.isfinite(value), key, "a finite number", value)
         return OmegaConf.to_object(config)
     except UavrlError:
         raise
     except (OmegaConfBaseException, ValueError, TypeError) as error:
-        raise UavrlError(f"The configuration does not hold together: {str(error).splitlines()[0]}") from error
+        key = getattr(error, "full_key", None)
+        raise UavrlError(
+            f"The configuration does not hold together{f' at {key}' if key else ''}: {str(error).splitlines()[0]}"
+        ) from error
+
+
+def _with_types(config: DictConfig) -> DictConfig:
+    """Merges a run's configuration, which yaml left without types, into the dataclasses that its names choose."""
+    typed = OmegaConf.structured(TrainConfig)
+    for group in CHOSEN_GROUPS:
+        name = str(OmegaConf.select(config, f"{group}.name"))
+        require_one_of(name, f"{group}.name", list(GROUPS[group]))
+        typed[group] = OmegaConf.structured(GROUPS[group][name])
+    return cast(DictConfig, OmegaConf.merge(typed, config))
+
+
+def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """All values below a plain container with their dotted keys; the items of a list share the list's key."""
+    if isinstance(node, dict):
+        for name, child in node.items():
+            yield from _leaves(child, f"{key}.{name}" if key else str(name))
+    elif isinstance(node, list):
+        for child in node:
+            yield from _leaves(child, key)
+    else:
+        yield key, node

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -42,6 +43,10 @@ class EnvConfig:
         require(self.num_uavs >= 1, "env.num_uavs", "at least 1", self.num_uavs)
         require(self.max_steps >= 1, "env.max_steps", "at least 1", self.max_steps)
         require_one_of(self.goal_angle, "env.goal_angle", ("elevation", "course"))
+        for key in ("collision_radius", "collision_height", "lidar_diameter", "lidar_height", "torque_to_thrust"):
+            require(getattr(self.airframe, key) > 0, f"env.airframe.{key}", "above 0", getattr(self.airframe, key))
+        tilt = self.airframe.tilt_limit
+        require(0 < tilt < math.pi / 2, "env.airframe.tilt_limit", "an angle in (0, π/2) rad", tilt)
 
 
 @dataclass
@@ -229,8 +234,13 @@ class TrainConfig:
     resume: str | None = None
 
     def __post_init__(self) -> None:
-        """Checks ranges."""
+        """Checks ranges, and that each group's name is its own: reports and resumed runs go by it."""
         require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
+        for group in CHOSEN_GROUPS:
+            chosen = getattr(self, group)
+            names = [name for name, schema in GROUPS[group].items() if schema is type(chosen)]
+            require(bool(names), group, f"one of {', '.join(GROUPS[group])}", chosen)
+            require(chosen.name == names[0], f"{group}.name", f"{names[0]!r} (choose by {group}=NAME)", chosen.name)
 
 
 @dataclass
@@ -253,8 +263,12 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        require(self.episodes >= 1, "episodes", "at least 1", self.episodes)
-        require(self.num_uavs >= 1, "num_uavs", "at least 1", self.num_uavs)
+        for key in ("episodes", "num_uavs", "threads"):
+            require(getattr(self, key) >= 1, key, "at least 1", getattr(self, key))
+        seeds = self.valleys
+        require(
+            seeds is None or (len(seeds) > 0 and min(seeds) >= 0), "valleys", "null or a list of seeds from 0", seeds
+        )
         require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
 
 
@@ -268,3 +282,6 @@ GROUPS: dict[str, dict[str, type]] = {
     "trainer": {"default": TrainerConfig},
     "logger": {"csv": LoggerConfig, "tensorboard": LoggerConfig, "wandb": LoggerConfig},
 }
+
+# The groups whose choices have dataclasses of their own.
+CHOSEN_GROUPS = ("reward", "algo", "buffer")

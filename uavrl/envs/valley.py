@@ -38,7 +38,7 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Examples:
         >>> import gymnasium
-        >>> env = gymnasium.make("uavrl/Valley-v0")
+        >>> env = gymnasium.make("uavrl:uavrl/Valley-v0")  # imports uavrl first
         >>> state, info = env.reset(seed=0)
         >>> state.shape
         (105,)

@@ -10,6 +10,7 @@ from uavrl.envs.mesh import Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
+from uavrl.errors import UavrlError
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 MESH_FACES = 10_000  # about, per mesh: PyBullet takes at most 32,768 indices on macOS
@@ -129,7 +130,7 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
         origin: ``[2]``, the valley's middle in the world in metres.
 
     Raises:
-        ValueError: If no start and goal can be found in it.
+        UavrlError: If no start and goal can be found in it.
 
     Examples:
         >>> len(build_valley(WorldConfig(obstacles=9), 0, np.zeros(2)).obstacles)
@@ -141,7 +142,7 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
     clearances = (config.uav_radius, config.min_clearance, config.min_goal_distance)
     flight = flight_map(ground, solid, config.flight_level, *clearances)
     if not len(flight.candidates):
-        raise ValueError(
+        raise UavrlError(
             f"A valley needs a start and a goal {config.min_goal_distance} m apart, {config.min_clearance} m clear of "
             f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
             "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
@@ -195,7 +196,7 @@ class World:
             avoid: ``[K, 3]`` in metres: planes from which the start keeps ``plane_keep_out``.
 
         Raises:
-            ValueError: If the planes leave no place to start.
+            UavrlError: If the planes leave no place to start.
         """
         index = int(rng.integers(len(self.valleys))) if valley is None else valley
         place, config = self.valleys[index], self.config
@@ -204,7 +205,7 @@ class World:
             apart = np.linalg.norm(starts[:, None] + place.origin - np.asarray(avoid)[:, :2], axis=-1).min(1)
             starts = starts[apart >= config.plane_keep_out + JITTER]
             if not len(starts):
-                raise ValueError(
+                raise UavrlError(
                     f"A start needs {config.plane_keep_out} m to {len(avoid)} planes, but no free place of the valley "
                     f"of seed {place.seed} has that; lower plane_keep_out or planes."
                 )

@@ -107,10 +107,8 @@ def read_config(run_dir: Path) -> DictConfig:
     return config
 
 
-def load_checkpoint(
-    checkpoint: Checkpoint, path: Path, config: DictConfig, components: list[str] | None = None
-) -> dict[str, Any]:
-    """Restores components after checking that the archive is whole and belongs to ``config``.
+def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
+    """Checks that the archive is whole and belongs to ``config``, before anything is built or written.
 
     Returns:
         The checkpoint's metadata.
@@ -131,11 +129,21 @@ def load_checkpoint(
             f"The checkpoint {path} was written under another configuration than the one given: "
             f"resume it with the {CONFIG} of its own run folder."
         )
+    return metadata
+
+
+def restore(checkpoint: Checkpoint, path: Path, components: list[str]) -> None:
+    """Restores components from an archive that :func:`check_checkpoint` found good.
+
+    Raises:
+        UavrlError: when a component does not fit.
+    """
     try:
         checkpoint.load(path, components=components, map_location="cpu")
     except Exception as error:
+        if isinstance(error.__cause__, UavrlError):
+            raise error.__cause__ from None
         raise _damaged(path, str(error)) from error
-    return metadata
 
 
 def _damaged(path: Path, reason: str) -> UavrlError:

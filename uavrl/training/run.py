@@ -22,13 +22,14 @@ from uavrl.errors import UavrlError
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
+    check_checkpoint,
     fingerprint,
     latest_checkpoint,
-    load_checkpoint,
     read_config,
+    restore,
     rotation,
 )
-from uavrl.training.episodes import EpisodeLog
+from uavrl.training.episodes import EpisodeLog, read_episodes
 from uavrl.training.factory import make_actor, make_buffer, make_collector, make_device, make_env, make_loss
 from uavrl.training.loggers import make_logger
 from uavrl.training.progress import Progress
@@ -75,11 +76,16 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     settings: TrainConfig = to_dataclass(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
-    checkpoint = latest_checkpoint(run_dir) if resume else None
-    trainer = _build(settings, config, run_dir)
+    checkpoint = _checked_checkpoint(run_dir, config) if resume else None
+    try:
+        trainer = _build(settings, config, run_dir)
+    except BaseException:
+        if not resume:
+            (run_dir / CONFIG).unlink(missing_ok=True)  # nothing to resume: the folder is free for another try
+        raise
     try:
         if checkpoint is not None:
-            _restore(trainer, checkpoint, config)
+            _restore(trainer, checkpoint)
             log.info(
                 "Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames
             )
@@ -138,10 +144,18 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     )
 
 
-def _restore(trainer: NavigationTrainer, path: Path, config: DictConfig) -> None:
+def _checked_checkpoint(run_dir: Path, config: DictConfig) -> Path:
+    """The newest checkpoint; a refusal leaves the run folder as it was."""
+    path = latest_checkpoint(run_dir)
+    check_checkpoint(path, config)
+    read_episodes(run_dir / EPISODES)
+    return path
+
+
+def _restore(trainer: NavigationTrainer, path: Path) -> None:
     checkpoint = trainer._sync_checkpoint_components()
-    components = [name for name in checkpoint.components if name != "logger"]
-    load_checkpoint(checkpoint, path, config, components)
+    restore(checkpoint, path, [name for name in checkpoint.components if name not in ("logger", "episode_log")])
+    restore(checkpoint, path, ["episode_log"])  # last, because it cuts episodes.csv back
 
 
 def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:

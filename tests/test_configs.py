@@ -1,0 +1,352 @@
+"""Yaml, dataclass and constructor say the same; what is out of range is refused by name."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, register_schemas, to_dataclass
+from uavrl.configs.schema import (
+    GROUPS,
+    DDPGConfig,
+    EnvConfig,
+    LoggerConfig,
+    NavigationRewardConfig,
+    PerceptionConfig,
+    PrioritizedBufferConfig,
+    TD3Config,
+    TraditionalRewardConfig,
+)
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.navigation import NavigationEnv
+from uavrl.errors import UavrlError
+from uavrl.losses import DDPGLoss, TD3Loss
+from uavrl.models import Actor, Critic
+from uavrl.training.stepper import ActorCriticStepper
+from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
+
+CHOICES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
+YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
+
+
+def composed(name: str = "config", *overrides: str) -> Any:
+    register_schemas()
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return compose(name, list(overrides))
+
+
+def settings(name: str = "config", *overrides: str) -> Any:
+    return to_dataclass(composed(name, *overrides))
+
+
+def plain(value: Any) -> Any:
+    """Tuples as lists, however deep: yaml knows no tuples."""
+    if isinstance(value, dict):
+        return {key: plain(child) for key, child in value.items()}
+    return [plain(child) for child in value] if isinstance(value, list | tuple) else value
+
+
+def keys(node: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    for key, value in node.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from keys(value, f"{prefix}{key}.")
+
+
+def all_fields(schema: Any, prefix: str = "") -> Iterator[str]:
+    for field in fields(schema):
+        yield f"{prefix}{field.name}"
+        if is_dataclass(getattr(schema, field.name)):
+            yield from all_fields(getattr(schema, field.name), f"{prefix}{field.name}.")
+
+
+def signature(*functions: Any) -> dict[str, Any]:
+    """Defaults of all keyword arguments of some constructors."""
+    return {
+        name: parameter.default
+        for function in functions
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.default is not inspect.Parameter.empty
+    }
+
+
+# ---------------------------------------------------------------------- composing
+
+
+def test_every_yaml_of_a_group_has_a_schema_and_every_schema_a_yaml() -> None:
+    assert sorted((group, name) for group, names in GROUPS.items() for name in names) == CHOICES
+
+
+@pytest.mark.parametrize(("group", "name"), CHOICES)
+def test_every_choice_composes_for_training(group: str, name: str) -> None:
+    config = settings("config", f"{group}={name}")
+    assert isinstance(config, TrainConfig)
+    assert type(getattr(config, group)) is GROUPS[group][name]
+    assert getattr(getattr(config, group), "name", name) == name
+
+
+@pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice[0] in ("env", "perception")])
+def test_every_choice_composes_for_evaluation(group: str, name: str) -> None:
+    config = settings("evaluate", f"{group}={name}")
+    assert isinstance(config, EvaluateConfig)
+    assert getattr(config, group).name == name
+
+
+@pytest.mark.parametrize("algo", ["td3", "ddpg"])
+@pytest.mark.parametrize("reward", ["navigation", "traditional"])
+@pytest.mark.parametrize("buffer", ["uniform", "prioritized"])
+def test_a_saved_configuration_gets_its_types_back(algo: str, reward: str, buffer: str, tmp_path: Path) -> None:
+    config = composed("config", f"algo={algo}", f"reward={reward}", f"buffer={buffer}", "run_dir=here", "env=dynamic")
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
+    assert to_dataclass(OmegaConf.load(tmp_path / "config.yaml")) == to_dataclass(config)
+
+
+def test_a_saved_configuration_of_an_unknown_algorithm_is_refused() -> None:
+    saved = OmegaConf.create(OmegaConf.to_yaml(composed("config", "run_dir=here"), resolve=True))
+    saved.algo.name = "ppo"
+    with pytest.raises(UavrlError, match=r"algo\.name must be one of td3, ddpg, got 'ppo'"):
+        to_dataclass(saved)
+
+
+# ---------------------------------------------------------------------- yaml, dataclass, signature
+
+
+@pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice != ("env", "dynamic")])
+def test_yaml_holds_every_field_and_the_default_of_the_dataclass(group: str, name: str) -> None:
+    written = yaml.safe_load((conf_dir() / group / f"{name}.yaml").read_text())
+    del written["defaults"]
+    default = GROUPS[group][name]()
+    assert set(keys(written)) == set(all_fields(default))
+    resolved = plain(asdict(getattr(settings("config", f"{group}={name}"), group)))
+    expected = plain(asdict(default))
+    if "name" in expected:
+        expected["name"] = name
+    assert resolved == expected
+
+
+def test_the_dynamic_environment_differs_in_its_planes_only() -> None:
+    dynamic, static = asdict(settings("config", "env=dynamic").env), asdict(settings("config").env)
+    assert dynamic.pop("name") == "dynamic" and static.pop("name") == "static"
+    assert dynamic["world"].pop("planes") == 3 and static["world"].pop("planes") == 0
+    assert dynamic == static
+
+
+@pytest.mark.parametrize(("name", "schema"), [("config", TrainConfig), ("evaluate", EvaluateConfig)])
+def test_top_level_yaml_holds_every_field_and_default(name: str, schema: type) -> None:
+    written = yaml.safe_load((conf_dir() / f"{name}.yaml").read_text())
+    groups = [next(iter(item)) for item in written["defaults"] if isinstance(item, dict)]
+    groups = [group for group in groups if not group.startswith("override")]
+    values = {key: value for key, value in written.items() if key not in ("defaults", "hydra")}
+    assert set(values) | set(groups) == {field.name for field in fields(schema)}
+    defaults = {field.name: field.default for field in fields(schema) if field.name in values}
+    if name == "config":
+        assert values.pop("run_dir").startswith(f"{defaults.pop('run_dir')}/")
+    assert values == defaults
+
+
+@pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_every_key_has_a_comment(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    hydra = next((i for i, line in enumerate(lines) if line.startswith("hydra:")), len(lines))
+    bare = [
+        line
+        for line in lines[:hydra]
+        if re.match(r"\s*\w+:", line)
+        and "#" not in line
+        and not line.startswith("defaults:")
+        and not line.startswith(("name:", "world:"))
+    ]
+    assert not bare
+
+
+CONSTRUCTORS = [
+    (NavigationRewardConfig(), [NavigationReward.__init__]),
+    (TraditionalRewardConfig(), [TraditionalReward.__init__]),
+    (TD3Config(), [TD3Loss.__init__, ActorCriticStepper.__init__, Actor.__init__, Critic.__init__]),
+    (PerceptionConfig(), [TruncatedIcosahedron.__init__, NavigationObservation.__init__]),
+    (EnvConfig(), [NavigationEnv.__init__]),
+]
+COVERED = {  # keys of the dataclass that a constructor takes under the same name
+    "navigation": {"weights", "flight_level", "collided_reward", "altitude_term"},
+    "traditional": {"arrived_reward", "collided_reward"},
+    "td3": {"gamma", "policy_noise", "noise_clip", "actor_lr", "critic_lr", "policy_delay", "tau", "hidden"},
+    "truncated_icosahedron": {"radius", "statistic", "angles"},
+    "static": {"num_uavs", "max_steps", "goal_angle"},
+}
+
+
+@pytest.mark.parametrize(("config", "functions"), CONSTRUCTORS, ids=lambda value: getattr(value, "name", ""))
+def test_constructors_default_to_the_configuration(config: Any, functions: list[Any]) -> None:
+    defaults = signature(*functions)
+    values = {field.name: getattr(config, field.name) for field in fields(config)}
+    shared = {key for key in values if key in defaults and not is_dataclass(values[key])}
+    shared = {key for key in shared if key != "name"}
+    assert shared == COVERED[config.name]
+    assert {key: defaults[key] for key in shared} == {key: values[key] for key in shared}
+
+
+def test_ddpg_defaults_agree_where_they_are_not_td3s() -> None:
+    assert signature(DDPGLoss.__init__)["gamma"] == DDPGConfig().gamma
+    shared = {f.name for f in fields(DDPGConfig)} - {"name", "policy_delay"}
+    assert {key: getattr(DDPGConfig(), key) for key in shared} == {key: getattr(TD3Config(), key) for key in shared}
+
+
+@pytest.mark.parametrize("part", ["world", "airframe", "aerodynamics"])
+def test_the_environment_builds_its_parts_by_the_same_defaults(part: str) -> None:
+    assert signature(NavigationEnv.__init__)[part] is None  # which the constructor turns into the class's defaults
+    default = type(getattr(EnvConfig(), part))()
+    assert plain(asdict(getattr(settings("config").env, part))) == plain(asdict(default))
+
+
+def test_only_the_lidars_range_is_cut_by_the_configuration() -> None:
+    assert PerceptionConfig().lidar == LidarConfig(max_range=PerceptionConfig().radius)
+    assert settings("config").perception.lidar == LidarConfig(max_range=4.0)
+
+
+def test_the_lidars_range_follows_the_radius() -> None:
+    assert settings("config", "perception.radius=5.5").perception.lidar.max_range == 5.5
+
+
+def test_beta_of_prioritised_replay_is_the_papers() -> None:
+    assert (PrioritizedBufferConfig().alpha, PrioritizedBufferConfig().beta) == (
+        0.6,
+        0.4,
+    )  # Schaul et al. 2015, table 3
+
+
+def test_logging_asks_for_no_account() -> None:
+    assert LoggerConfig().name == "csv" and LoggerConfig().offline
+
+
+# ---------------------------------------------------------------------- out of range
+
+OUT_OF_RANGE = [
+    ("seed", "-1"),
+    ("env.num_uavs", "0"),
+    ("env.max_steps", "0"),
+    ("env.goal_angle", "yaw"),
+    ("env.world.seeds", "[]"),
+    ("env.world.seeds", "[-1]"),
+    ("env.world.size", "[40.0,0.0]"),
+    ("env.world.obstacles", "-1"),
+    ("env.world.obstacle_scale", "0"),
+    ("env.world.flight_level", "-1"),
+    ("env.world.ceiling", "-8"),
+    ("env.world.goal_radius", "0"),
+    ("env.world.goal_height", "-1"),
+    ("env.world.goal_base", "5"),
+    ("env.world.min_goal_distance", "-1"),
+    ("env.world.min_clearance", "-1"),
+    ("env.world.uav_radius", "0"),
+    ("env.world.planes", "-3"),
+    ("env.world.plane_speed", "[4.0,2.5]"),
+    ("env.world.plane_wingspan", "0"),
+    ("env.world.plane_keep_out", "-1"),
+    ("env.airframe.mass", "0"),
+    ("env.airframe.inertia", "[0.0,1.0,1.0]"),
+    ("env.airframe.arm", "-1"),
+    ("env.airframe.torque_to_thrust", "0"),
+    ("env.airframe.max_total_thrust", "10"),
+    ("env.airframe.tilt_limit", "2"),
+    ("env.airframe.collision_radius", "0"),
+    ("env.airframe.collision_height", "-1"),
+    ("env.airframe.lidar_diameter", "0"),
+    ("env.airframe.lidar_height", "0"),
+    ("env.aerodynamics.gust_time_constant", "0"),
+    ("perception.frames", "0"),
+    ("perception.statistic", "mean"),
+    ("perception.angles", "rad"),
+    ("perception.lidar.max_range", "0"),
+    ("perception.lidar.min_range", "5"),
+    ("perception.lidar.range_noise", "-0.1"),
+    ("perception.lidar.dropout", "1"),
+    ("reward.weights", "[1.0,2.0]"),
+    ("reward.flight_level", "0"),
+    ("reward.altitude_term", "square"),
+    ("reward.name", "traditional"),
+    ("algo.name", "ddpg"),
+    ("algo.gamma", "1"),
+    ("algo.tau", "0"),
+    ("algo.batch_size", "0"),
+    ("algo.actor_lr", "0"),
+    ("algo.critic_lr", "-1"),
+    ("algo.policy_delay", "0"),
+    ("algo.policy_noise", "-1"),
+    ("algo.noise_clip", "-1"),
+    ("algo.exploration_noise", "-0.1"),
+    ("algo.random_steps", "-1"),
+    ("algo.hidden", "[]"),
+    ("algo.hidden", "[400,0]"),
+    ("buffer.capacity", "0"),
+    ("buffer.name", "prioritized"),
+    ("collector.steps_per_batch", "0"),
+    ("trainer.episodes", "0"),
+    ("trainer.updates_per_step", "0"),
+    ("trainer.window", "0"),
+    ("trainer.checkpoint_interval", "0"),
+    ("trainer.keep_checkpoints", "0"),
+    ("trainer.threads", "0"),
+    ("logger.name", "mlflow"),
+    ("logger.interval", "0"),
+]
+NOT_FINITE = ["algo.gamma", "algo.actor_lr", "trainer.updates_per_step", "env.world.ceiling", "env.airframe.mass"]
+
+
+@pytest.mark.parametrize(("key", "value"), OUT_OF_RANGE, ids=lambda text: text)
+def test_values_out_of_range_are_refused_by_name(key: str, value: str) -> None:
+    with pytest.raises(UavrlError, match=rf"(?i)\b{key.rpartition('.')[2]}\b"):
+        settings("config", f"{key}={value}")
+
+
+def test_a_radius_out_of_range_is_refused_by_name() -> None:
+    with pytest.raises(UavrlError, match=r"perception\.radius must be a length above 0 m"):
+        settings("config", "perception.radius=0", "perception.lidar.max_range=4")
+
+
+@pytest.mark.parametrize(("key", "value"), [("alpha", "1.5"), ("beta", "-0.1")])
+def test_exponents_of_prioritised_replay_are_checked(key: str, value: str) -> None:
+    with pytest.raises(UavrlError, match=rf"buffer\.{key} must be in \[0, 1\]"):
+        settings("config", "buffer=prioritized", f"buffer.{key}={value}")
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("key", NOT_FINITE)
+def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> None:
+    with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be a finite number"):
+        settings("config", f"{key}={value}")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("episodes", "0"),
+        ("num_uavs", "0"),
+        ("threads", "0"),
+        ("seed", "-1"),
+        ("valleys", "[]"),
+        ("valleys", "[-1]"),
+        ("env.max_steps", "0"),
+    ],
+)
+def test_evaluation_refuses_values_out_of_range_by_name(key: str, value: str) -> None:
+    with pytest.raises(UavrlError, match=re.escape(key)):
+        settings("evaluate", f"{key}={value}")
+
+
+def test_a_group_left_out_is_refused_by_name() -> None:
+    with pytest.raises(UavrlError, match="reward must be one of navigation, traditional"):
+        TrainConfig()
+
+
+def test_a_missing_value_is_refused_by_name() -> None:
+    with pytest.raises(UavrlError, match=r"algo\.gamma"):
+        settings("config", "algo.gamma=???")
