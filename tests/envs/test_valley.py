@@ -19,7 +19,7 @@ from uavrl.envs.world import WorldConfig
 
 INFO = {"is_success", "collided", "position", "goal", "distance"}
 # Actions are the thesis's velocities in m/s and rad/s, not unit numbers; altitude has no bound in the state.
-ACCEPTED = ("We recommend you to use a symmetric and normalized Box action space", "-infinity", "infinity")
+ACCEPTED = ("symmetric and normalized", "minimum value is -infinity", "maximum value is infinity")
 
 
 @pytest.fixture

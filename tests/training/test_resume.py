@@ -59,7 +59,9 @@ def assert_same_run(one: Path, other: Path) -> None:
     assert len(last[0]) > 30
 
 
-@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["algo=ddpg"], ["env=dynamic", "perception.lidar.dropout=0.1"]])
+@pytest.mark.parametrize(
+    "overrides", [[], ["buffer=prioritized"], ["algo=ddpg"], ["env=dynamic", "perception.lidar.dropout=0.1"]]
+)
 def test_two_runs_are_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
     for name in ("one", "other"):
         config = small_config(tmp_path / name, "trainer.episodes=14", *overrides)

@@ -52,10 +52,9 @@ def to_dataclass(config: DictConfig) -> Any:
     except UavrlError:
         raise
     except (OmegaConfBaseException, ValueError, TypeError) as error:
-        key = getattr(error, "full_key", None)
-        raise UavrlError(
-            f"The configuration does not hold together{f' at {key}' if key else ''}: {str(error).splitlines()[0]}"
-        ) from error
+        place = getattr(error, "full_key", None)
+        where, reason = f" at {place}" if place else "", str(error).splitlines()[0]
+        raise UavrlError(f"The configuration does not hold together{where}: {reason}") from error
 
 
 def _with_types(config: DictConfig) -> DictConfig:

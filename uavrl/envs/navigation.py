@@ -34,7 +34,7 @@ def wrap_degrees(angle: np.ndarray) -> np.ndarray:
 
 
 def goal_heading_deg(position: np.ndarray, yaw: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """h (§3.2): the horizontal angle from the UAV's head to the goal, degrees in [0, 360), left positive.
+    """H (§3.2): the horizontal angle from the UAV's head to the goal, degrees in [0, 360), left positive.
 
     Examples:
         >>> goal_heading_deg(np.zeros((1, 3)), np.zeros(1), np.array([[0.0, 1.0, 5.0]])).tolist()
@@ -45,7 +45,7 @@ def goal_heading_deg(position: np.ndarray, yaw: np.ndarray, goal: np.ndarray) ->
 
 
 def goal_elevation_deg(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """g (§3.2): the elevation angle from the UAV's position to the goal, degrees in [0, 360).
+    """G (§3.2): the elevation angle from the UAV's position to the goal, degrees in [0, 360).
 
     Examples:
         >>> goal_elevation_deg(np.zeros((1, 3)), np.array([[3.0, 4.0, -5.0]])).tolist()

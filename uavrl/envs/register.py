@@ -9,8 +9,8 @@ def register_envs() -> None:
     """Registers ``uavrl/Valley-v0``: Gymnasium 1.0 loads no plugins, it imports what stands before the colon.
 
     Examples:
-        >>> import gymnasium
-        >>> gymnasium.spec("uavrl:uavrl/Valley-v0").entry_point
+        >>> import gymnasium, uavrl
+        >>> gymnasium.spec("uavrl/Valley-v0").entry_point
         'uavrl.envs.valley:ValleyEnv'
     """
     if "uavrl/Valley-v0" not in registry:

@@ -54,7 +54,7 @@ def fingerprint(config: DictConfig) -> str:
     for key in FREE_KEYS:
         parent, _, leaf = key.rpartition(".")
         node = OmegaConf.select(plain, parent) if parent else plain
-        if node is not None and leaf in node:
+        if isinstance(node, DictConfig) and leaf in node:
             del node[leaf]
     text = json.dumps(OmegaConf.to_container(plain), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -78,8 +78,8 @@ def latest_checkpoint(run_dir: Path) -> Path:
     found = sorted((run_dir / CHECKPOINTS).glob("checkpoint*")) if (run_dir / CHECKPOINTS).is_dir() else []
     if not found:
         raise UavrlError(
-            f"Expected a checkpoint in {run_dir / CHECKPOINTS} and found none: the run was stopped before its first one, "
-            f"or it is not a run folder; start a new run."
+            f"Expected a checkpoint in {run_dir / CHECKPOINTS} and found none: the run was stopped before its first "
+            f"one, or it is not a run folder; start a new run."
         )
     newest = rotation(run_dir).latest()
     if newest is None:

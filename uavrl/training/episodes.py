@@ -47,6 +47,11 @@ class Episode:
         return Episode(*values)
 
 
+def outcome(last: TensorDictBase) -> str:
+    """How an episode ended, from what came after its last step."""
+    return "arrived" if last["arrived"].item() else "collided" if last["collided"].item() else "timed_out"
+
+
 def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
     """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks.
 
@@ -77,18 +82,22 @@ def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Epi
         episode: its number, from 1.
         total_steps: steps of training with this episode.
     """
-    first, last = trajectory[0], trajectory[-1]["next"]
-    outcome = "arrived" if last["arrived"].item() else "collided" if last["collided"].item() else "timed_out"
+    first = trajectory[0]
+    (start_x, start_y, start_z), (goal_x, goal_y, goal_z) = first["position"].tolist(), first["goal"].tolist()
     return Episode(
-        episode,
-        total_steps,
-        outcome,
-        trajectory["next", "reward"].double().sum().item(),
-        len(trajectory),
-        *first["position"].tolist(),
-        *first["goal"].tolist(),
-        int(first["world_seed"].item()),
-        int(first["task"].item()),
+        episode=episode,
+        total_steps=total_steps,
+        outcome=outcome(trajectory[-1]["next"]),
+        episode_return=trajectory["next", "reward"].double().sum().item(),
+        steps=len(trajectory),
+        start_x=start_x,
+        start_y=start_y,
+        start_z=start_z,
+        goal_x=goal_x,
+        goal_y=goal_y,
+        goal_z=goal_z,
+        world_seed=int(first["world_seed"].item()),
+        task=int(first["task"].item()),
     )
 
 
@@ -147,7 +156,7 @@ class EpisodeLog:
     def rates(self) -> dict[str, float]:
         """Share of each outcome over the window; zeros before the first episode."""
         total = max(len(self._recent), 1)
-        return {outcome: sum(e.outcome == outcome for e in self._recent) / total for outcome in OUTCOMES}
+        return {name: sum(e.outcome == name for e in self._recent) / total for name in OUTCOMES}
 
     def mean_return(self) -> float:
         """Mean return over the window; 0 before the first episode."""

@@ -14,6 +14,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
+from uavrl.training.episodes import outcome
+
 Policy = Callable[[TensorDictBase], TensorDictBase]
 RATES = {"success": "arrived", "collision": "collided", "time_out": "timed_out"}
 
@@ -54,17 +56,16 @@ class _FlightRecorder:
         self._clearance = np.minimum(self._clearance, after["clearance"].numpy()[:, 0])
         self._steps += 1
         done = after["done"].numpy()[:, 0]
-        flights = [self._flight(i, next_position[i], after[i]) for i in np.flatnonzero(done)]
+        flights = [self._flight(i, next_position[i], after[i]) for i in np.flatnonzero(done).tolist()]
         self._steps[done] = 0
         self._flown[done] = 0.0
         return flights
 
     def _flight(self, i: int, end: np.ndarray, last: TensorDictBase) -> Flight:
-        outcome = "arrived" if last["arrived"].item() else "collided" if last["collided"].item() else "timed_out"
         return Flight(
             int(last["task"].item()),
             int(last["world_seed"].item()),
-            outcome,
+            outcome(last),
             int(self._steps[i]),
             float(np.linalg.norm(end - self._start[i])),
             float(self._flown[i]),
@@ -119,8 +120,8 @@ def summarize_flights(flights: Sequence[Flight]) -> dict[str, Any]:
     if not flights:
         raise ValueError("Expected at least one flight to summarise, got none.")
     result: dict[str, Any] = {"episodes": len(flights)}
-    for name, outcome in RATES.items():
-        count = sum(f.outcome == outcome for f in flights)
+    for name, ending in RATES.items():
+        count = sum(f.outcome == ending for f in flights)
         interval = binomtest(count, len(flights)).proportion_ci(0.95, method="wilson")
         result[name] = {"rate": count / len(flights), "low": float(interval.low), "high": float(interval.high)}
     arrived = [f for f in flights if f.outcome == "arrived"]

@@ -45,7 +45,8 @@ def make_device(name: str) -> torch.device:
         raise UavrlError(f"device must be auto, cpu, cuda or cuda:<index>, got {name!r}.")
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise UavrlError(
-            f"device={name} was asked for and this machine has {torch.cuda.device_count()} CUDA devices: use device=cpu."
+            f"device={name} was asked for and this machine has {torch.cuda.device_count()} CUDA devices: "
+            f"use device=cpu."
         )
     return device
 

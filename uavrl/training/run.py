@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import platform
 import random
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +48,8 @@ def create_run(config: DictConfig) -> Path:
     run_dir = Path(str(config.run_dir))
     if (run_dir / CONFIG).exists():
         raise UavrlError(
-            f"The run folder {run_dir} holds a run already: go on with it by resume={run_dir}, or choose another run_dir."
+            f"The run folder {run_dir} holds a run already: "
+            f"go on with it by resume={run_dir}, or choose another run_dir."
         )
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
@@ -174,7 +173,7 @@ def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path)
     }
     partial = run_dir / f"{SUMMARY}.partial"
     partial.write_text(json.dumps(summary, indent=2) + "\n")
-    os.replace(partial, run_dir / SUMMARY)
+    partial.replace(run_dir / SUMMARY)
     return summary
 
 

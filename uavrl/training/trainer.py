@@ -126,6 +126,7 @@ class NavigationTrainer(Trainer):
         self.episode_log = episode_log
         self.progress = progress
         self.run_seed = seed
+        self._last_save = 0
         self.episodes = episodes
         super().__init__(
             collector=collector,

@@ -1,0 +1,332 @@
+"""Bad input ends in one sentence and a non-zero exit code, without a traceback and without any loss."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import train as train_command
+
+TINY = [
+    "trainer.episodes=4",
+    "env.num_uavs=2",
+    "env.max_steps=20",
+    "algo.random_steps=40",
+    "algo.hidden=[8]",
+    "buffer.capacity=400",
+    "trainer.checkpoint_interval=40",
+    "trainer.progress=false",
+]
+SMALL_EVALUATION = ["episodes=2", "num_uavs=2", "progress=false"]
+
+
+def in_process(main: Callable[[], None], *arguments: str) -> int:
+    """Runs a command as the console script does, and returns its exit code."""
+    before = sys.argv
+    sys.argv = ["uavrl", *arguments]
+    try:
+        main()
+    except SystemExit as exit_:
+        return int(exit_.code or 0)
+    finally:
+        sys.argv = before
+    return 0
+
+
+def as_process(command: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", f"uavrl.cli.{command}", *arguments], capture_output=True, text=True, cwd=cwd, timeout=120
+    )
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run_dir = tmp_path_factory.mktemp("runs") / "run"
+    assert in_process(train_command.main, *TINY, f"run_dir={run_dir}") == 0
+    return run_dir
+
+
+@pytest.fixture
+def run_dir(finished: Path, tmp_path: Path) -> Path:
+    """A copy of a finished run with a row in episodes.csv that no checkpoint knows: a resume would cut it off."""
+    copy = Path(shutil.copytree(finished, tmp_path / "run"))
+    with (copy / "episodes.csv").open("a") as file:
+        file.write((copy / "episodes.csv").read_text().splitlines()[-1].replace("4,", "5,", 1) + "\n")
+    return copy
+
+
+def newest(run_dir: Path) -> Path:
+    return max((run_dir / "checkpoints").iterdir())
+
+
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command in this process and returns the sentence that it ends with."""
+
+    def run(main: Callable[[], None], *arguments: str) -> str:
+        code = in_process(main, *arguments)
+        out, err = capfd.readouterr()
+        assert code == 1
+        assert "Traceback" not in out + err
+        sentence = next(line for line in err.splitlines() if line.startswith("uavrl: "))
+        return sentence
+
+    return run
+
+
+def test_the_fixture_run_can_be_resumed_and_evaluated(
+    run_dir: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert in_process(train_command.main, f"resume={run_dir}", "trainer.episodes=5") == 0
+    assert len((run_dir / "episodes.csv").read_text().splitlines()) == 1 + 5
+    assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION) == 0
+    assert (run_dir / "evaluation.json").is_file()
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
+# ---------------------------------------------------------------------- as a user meets them: real processes
+
+
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [("algo.gama=0.9", "gama"), ("algo.gamma=much", "gamma"), ("algo=ppo", "ppo"), ("algo.gamma=1.5", "algo.gamma")],
+    ids=["unknown key", "wrong type", "unknown choice", "out of range"],
+)
+def test_training_names_the_bad_override(override: str, named: str, tmp_path: Path) -> None:
+    done = as_process("train", override, cwd=tmp_path)
+    assert done.returncode == 1
+    assert named in done.stderr and "Traceback" not in done.stderr + done.stdout
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_truncated_checkpoint_stops_the_real_command(run_dir: Path) -> None:
+    path = newest(run_dir)
+    path.write_bytes(path.read_bytes()[:-3000])
+    before = content(run_dir)
+    done = as_process("train", f"resume={run_dir}", "trainer.episodes=9")
+    assert done.returncode == 1
+    assert f"uavrl: The checkpoint {path} is damaged" in done.stderr
+    assert "Traceback" not in done.stderr + done.stdout
+    assert content(run_dir) == before
+
+
+def test_evaluation_without_run_or_policy_says_what_to_give(tmp_path: Path) -> None:
+    done = as_process("evaluate", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "uavrl: Give either run=RUN_FOLDER or policy=straight" in done.stderr
+    assert "Traceback" not in done.stderr + done.stdout
+    assert not list(tmp_path.iterdir())
+
+
+# ---------------------------------------------------------------------- starting a run
+
+
+def test_a_run_folder_that_cannot_be_made_is_named(tmp_path: Path, refused: Callable[..., str]) -> None:
+    (tmp_path / "file").write_text("kept")
+    sentence = refused(train_command.main, *TINY, f"run_dir={tmp_path / 'file' / 'run'}")
+    assert f"{tmp_path / 'file' / 'run'} cannot be written" in sentence and "run_dir=FOLDER" in sentence
+    assert content(tmp_path) == {"file": b"kept"}
+
+
+def test_a_run_folder_in_use_is_left_alone(run_dir: Path, refused: Callable[..., str]) -> None:
+    before = content(run_dir)
+    sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}")
+    assert "holds a run already" in sentence and f"resume={run_dir}" in sentence
+    assert content(run_dir) == before
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("device=cuda:99", "CUDA devices: use device=cpu"),
+        ("device=meta", "device must be auto, cpu, cuda or cuda:<index>, got 'meta'"),
+        ("env.world.min_clearance=9", "min_clearance"),
+    ],
+)
+def test_a_run_that_cannot_start_leaves_its_folder_free(
+    override: str, said: str, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    assert said in refused(train_command.main, *TINY, override, f"run_dir={tmp_path / 'run'}")
+    assert said in refused(train_command.main, *TINY, override, f"run_dir={tmp_path / 'run'}")
+
+
+# ---------------------------------------------------------------------- resuming
+
+
+def test_resuming_a_missing_folder_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    sentence = refused(train_command.main, f"resume={tmp_path / 'none'}")
+    assert f"Expected a run folder with {tmp_path / 'none' / 'config.yaml'} and found none" in sentence
+    assert not list(tmp_path.iterdir())
+
+
+def test_resuming_without_checkpoints_is_refused(run_dir: Path, refused: Callable[..., str]) -> None:
+    shutil.rmtree(run_dir / "checkpoints")
+    before = content(run_dir)
+    assert "Expected a checkpoint in" in refused(train_command.main, f"resume={run_dir}")
+    assert content(run_dir) == before
+
+
+def flip(path: Path, position: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[position] ^= 0xFF
+    path.write_bytes(bytes(data))
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def halve(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip_in_the_middle(path: Path) -> None:
+    flip(path, path.stat().st_size // 2)
+
+
+def flip_in_the_networks(path: Path) -> None:
+    flip(path, path.read_bytes().index(b"loss_module/state/tensor_00000012.memmap") + 3000)
+
+
+def flip_in_the_directory(path: Path) -> None:
+    flip(path, path.read_bytes().rindex(b"PK\x01\x02") + 1)
+
+
+@pytest.mark.parametrize(
+    "damage", [empty, halve, flip_in_the_middle, flip_in_the_networks, flip_in_the_directory], ids=lambda d: d.__name__
+)
+def test_a_damaged_checkpoint_is_named_and_nothing_is_touched(
+    damage: Callable[[Path], None], run_dir: Path, refused: Callable[..., str]
+) -> None:
+    damage(newest(run_dir))
+    before = content(run_dir)
+    said = f"The checkpoint {newest(run_dir)} is damaged"
+    assert said in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
+    assert said in refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
+    assert content(run_dir) == before
+
+
+def test_after_moving_a_damaged_checkpoint_away_the_run_goes_on_from_the_one_before(run_dir: Path) -> None:
+    newest(run_dir).unlink()
+    assert in_process(train_command.main, f"resume={run_dir}") == 0
+    rows = (run_dir / "episodes.csv").read_text().splitlines()
+    assert [int(row.split(",")[0]) for row in rows[1:]] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])
+def test_a_truncated_configuration_is_refused(share: float, run_dir: Path, refused: Callable[..., str]) -> None:
+    path = run_dir / "config.yaml"
+    path.write_text(path.read_text()[: int(share * path.stat().st_size)])
+    before = content(run_dir)
+    refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
+    refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
+    assert content(run_dir) == before
+
+
+def test_a_configuration_with_an_unknown_key_is_refused_by_name(run_dir: Path, refused: Callable[..., str]) -> None:
+    config = OmegaConf.load(run_dir / "config.yaml")
+    config.algo.gama = 0.9
+    OmegaConf.save(config, run_dir / "config.yaml")
+    assert "gama" in refused(train_command.main, f"resume={run_dir}")
+
+
+def test_a_checkpoint_of_another_configuration_is_refused(run_dir: Path, refused: Callable[..., str]) -> None:
+    config = OmegaConf.load(run_dir / "config.yaml")
+    config.algo.gamma = 0.9
+    OmegaConf.save(config, run_dir / "config.yaml")
+    before = content(run_dir)
+    for main, argument in ((train_command.main, f"resume={run_dir}"), (evaluate_command.main, f"run={run_dir}")):
+        assert "was written under another configuration" in refused(main, argument)
+    assert content(run_dir) == before
+
+
+@pytest.mark.parametrize("override", ["algo=ddpg", "algo.gamma=0.9", "env=dynamic", "seed=1"])
+def test_resuming_with_other_settings_is_refused_by_name(
+    override: str, run_dir: Path, refused: Callable[..., str]
+) -> None:
+    before = content(run_dir)
+    sentence = refused(train_command.main, f"resume={run_dir}", override)
+    assert f"{override.split('=')[0]} would change it" in sentence
+    assert content(run_dir) == before
+
+
+def test_resuming_with_a_value_out_of_range_is_refused_by_name(run_dir: Path, refused: Callable[..., str]) -> None:
+    before = content(run_dir)
+    assert "trainer.episodes must be" in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=0")
+    assert content(run_dir) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [(None, "found no such file"), ("a,b\n1,2\n", "to start with the columns"), ("short", "episodes in")],
+    ids=["missing", "foreign", "too short"],
+)
+def test_resuming_without_the_runs_episodes_is_refused(
+    text: str | None, said: str, run_dir: Path, refused: Callable[..., str]
+) -> None:
+    path = run_dir / "episodes.csv"
+    lines = path.read_text().splitlines(keepends=True)
+    path.unlink()
+    if text is not None:
+        path.write_text("".join(lines[:2]) if text == "short" else text)
+    before = content(run_dir)
+    assert said in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
+    assert content(run_dir) == before
+
+
+# ---------------------------------------------------------------------- evaluating
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run=r", "policy=straight"], "not both"),
+        (["policy=brilliant"], "policy must be straight, got 'brilliant'"),
+        (["run=none"], "Expected a run folder with none/config.yaml"),
+        (["policy=straight", "output=file/result.json"], "file/result.json cannot be written"),
+        (["policy=straight", "output=folder"], "folder cannot be written"),
+        (["policy=straight", "device=tpu"], "device must be auto, cpu"),
+        (["policy=straight", "env.world.min_clearance=9"], "min_clearance"),
+        (["policy=straight", "env=dynamic", "env.world.plane_keep_out=50"], "plane_keep_out or planes"),
+    ],
+)
+def test_evaluation_refuses(
+    arguments: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    refused: Callable[..., str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "folder").mkdir()
+    assert said in refused(evaluate_command.main, *arguments, *SMALL_EVALUATION)
+    assert content(tmp_path) == {"file": b"kept"}
+
+
+def test_a_missing_checkpoint_is_named(run_dir: Path, refused: Callable[..., str]) -> None:
+    before = content(run_dir)
+    sentence = refused(evaluate_command.main, f"run={run_dir}", "checkpoint=none.torchrl")
+    assert "Expected a checkpoint at none.torchrl and found none" in sentence
+    assert content(run_dir) == before
+
+
+def test_a_full_disk_is_one_sentence(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("uavrl.training.episodes.EpisodeLog.add", full)
+    assert "No space left on device" in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")

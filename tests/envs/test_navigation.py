@@ -1,0 +1,431 @@
+"""The batched navigation environment: TorchRL's contract, tasks, ends of episodes and what it emits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import ParallelEnv, SerialEnv, check_env_specs
+
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.navigation import (
+    NavigationEnv,
+    goal_course_deg,
+    goal_elevation_deg,
+    goal_heading_deg,
+    wrap_degrees,
+)
+from uavrl.envs.quadrotor import Aerodynamics
+from uavrl.envs.world import WorldConfig
+
+NEAR = LidarConfig(max_range=4.0)
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., NavigationEnv]]:
+    made: list[NavigationEnv] = []
+
+    def build(num_uavs: int = 2, **kwargs: Any) -> NavigationEnv:
+        made.append(NavigationEnv(num_uavs, lidar=kwargs.pop("lidar", NEAR), **kwargs))
+        return made[-1]
+
+    yield build
+    for env in made:
+        env.close(raise_if_closed=False)
+
+
+def two_uavs() -> NavigationEnv:
+    return NavigationEnv(2, lidar=NEAR)
+
+
+def act(state: TensorDictBase, *action: float) -> TensorDictBase:
+    return state.set("action", torch.tensor(action or (0.0,) * 4).expand(*state.batch_size, 4).clone())
+
+
+def rollout(env: NavigationEnv, steps: int, seed: int = 0) -> TensorDictBase:
+    """Steps with random actions of a generator of its own, through resets."""
+    generator = torch.Generator().manual_seed(seed)
+    state, seen = env.reset(), []
+    for _ in range(steps):
+        state["action"] = 4 * torch.rand(*env.batch_size, 4, generator=generator) - 2
+        stepped, state = env.step_and_maybe_reset(state)
+        seen.append(stepped.clone())
+    return torch.stack(seen, 1)
+
+
+def differing(one: TensorDictBase, other: TensorDictBase) -> list[Any]:
+    """The keys that are not bit-identical; NaN equals NaN."""
+    flat = [dict(td.items(True, True)) for td in (one, other)]
+    assert flat[0].keys() == flat[1].keys()
+    return [
+        k
+        for k in flat[0]
+        if not np.array_equal(*(f[k].numpy() for f in flat), equal_nan=flat[0][k].is_floating_point())
+    ]
+
+
+def place(env: NavigationEnv, uav: int, position: list[float] | np.ndarray, yaw: float = 0.0) -> None:
+    assert env._simulation is not None
+    env._simulation.reset(np.array([uav]), np.asarray(position, dtype=float)[None], np.array([yaw]))
+
+
+# ---------------------------------------------------------------------- TorchRL's contract
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [{}, {"measure_clearance": True, "goal_angle": "course"}, {"world": WorldConfig(planes=1)}],
+    ids=["static", "clearance and course", "planes"],
+)
+def test_specs_hold(make: Callable[..., NavigationEnv], kwargs: dict[str, Any]) -> None:
+    check_env_specs(make(**kwargs))
+
+
+def test_specs_hold_in_one_process() -> None:
+    env = SerialEnv(2, two_uavs)
+    check_env_specs(env)
+    assert env.batch_size == (2, 2)
+    env.close()
+
+
+def test_specs_hold_in_two_processes() -> None:
+    env = ParallelEnv(2, two_uavs, mp_start_method="fork")
+    check_env_specs(env)
+    env.close()
+
+
+def test_one_uav_is_a_batch_too(make: Callable[..., NavigationEnv]) -> None:
+    env = make(1)
+    assert env.batch_size == (1,)
+    assert env.rollout(2)["next", "point_cloud"].shape == (1, 2, 28928, 3)
+
+
+# ---------------------------------------------------------------------- resets and seeds
+
+
+def test_a_partial_reset_leaves_the_others_untouched(make: Callable[..., NavigationEnv]) -> None:
+    env, undisturbed = make(3), make(3)
+    for one in (env, undisturbed):
+        state = one.reset()
+        for _ in range(2):
+            state = one.step(act(state, 1.0, 0.0, 0.0, 1.0))["next"]
+    mask = torch.tensor([[False], [True], [False]])
+    reset = env.reset(state.clone().set("_reset", mask))
+    rest = torch.tensor([0, 2])
+    kept = state.exclude("action", "reward")[rest]
+    assert not differing(reset.select(*kept.keys())[rest], kept)
+    assert reset["task"].flatten().tolist() == [0, 3, 2]
+    after = env.step(act(reset, 0.5, 0.0, 0.2, 0.0))["next"]
+    expected = undisturbed.step(act(state, 0.5, 0.0, 0.2, 0.0))["next"]
+    assert not differing(after[rest], expected[rest])
+    assert env._steps.tolist() == [3, 1, 3]
+
+
+def test_after_an_end_only_the_ended_uavs_are_reset(make: Callable[..., NavigationEnv]) -> None:
+    env = make(2, max_steps=50)
+    state = env.reset()
+    place(env, 0, [0.0, 0.0, 30.0])
+    stepped, state = env.step_and_maybe_reset(act(state))
+    assert stepped["next", "done"].flatten().tolist() == [True, False]
+    assert state["task"].flatten().tolist() == [2, 1]
+    torch.testing.assert_close(state["position"][1], stepped["next", "position"][1], rtol=0, atol=0)
+    assert state["point_cloud"][1].isfinite().any() == stepped["next", "point_cloud"][1].isfinite().any()
+
+
+def test_every_reset_draws_new_tasks(make: Callable[..., NavigationEnv]) -> None:
+    env = make(2)
+    first, second = env.reset(), env.reset()
+    assert [td["task"].flatten().tolist() for td in (first, second)] == [[0, 1], [2, 3]]
+    places = torch.cat([torch.cat([td["position"], td["goal"]], -1) for td in (first, second)])
+    assert len(torch.unique(places, dim=0)) == 4
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {},
+        {
+            "world": WorldConfig(planes=3),
+            "lidar": LidarConfig(4.0, range_noise=0.01, dropout=0.1),
+            "aerodynamics": Aerodynamics(gust_intensity=1.0),
+        },
+    ],
+    ids=["static", "planes, noise and gusts"],
+)
+def test_a_seed_repeats_bit_identically_also_after_other_use(
+    make: Callable[..., NavigationEnv], kwargs: dict[str, Any]
+) -> None:
+    env = make(2, max_steps=4, seed=7, **kwargs)
+    first = rollout(env, 6)
+    rollout(env, 3, seed=1)
+    env.set_seed(7)
+    assert not differing(first, rollout(env, 6))
+    fresh = make(2, max_steps=4, seed=1, **kwargs)
+    assert differing(first, rollout(fresh, 6))
+    fresh.set_seed(7)
+    assert not differing(first, rollout(fresh, 6))
+
+
+def test_a_new_seed_takes_effect_at_a_full_reset_only(make: Callable[..., NavigationEnv]) -> None:
+    env = make(2)
+    env.reset()
+    env.set_seed(5)
+    with pytest.raises(RuntimeError, match="reset all UAVs first"):
+        env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+
+
+def test_task_k_is_the_same_for_every_policy(make: Callable[..., NavigationEnv]) -> None:
+    tasks: list[dict[int, list[float]]] = []
+    for action in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -2.0, 0.0)):  # one times out, the other hits the ground
+        env, met = make(2, max_steps=30), {}
+        state = env.reset()
+        while len(met) < 6:
+            for row in state:
+                met.setdefault(
+                    int(row["task"]),
+                    row["goal"].tolist() + (row["position"].tolist() if not met.get(int(row["task"])) else []),
+                )
+            state = env.step_and_maybe_reset(act(state, *action))[1]
+        tasks.append(met)
+    shared = tasks[0].keys() & tasks[1].keys()
+    assert len(shared) >= 6
+    assert all(tasks[0][k] == tasks[1][k] for k in shared)
+
+
+def test_the_number_of_uavs_does_not_change_the_tasks(make: Callable[..., NavigationEnv]) -> None:
+    single, triple = make(1), make(3)
+    goals = torch.cat([single.reset()["goal"] for _ in range(3)])
+    torch.testing.assert_close(goals, triple.reset()["goal"], rtol=0, atol=0)
+
+
+def test_several_valleys_are_drawn(make: Callable[..., NavigationEnv]) -> None:
+    env = make(3, world=WorldConfig(seeds=(4, 9), size=(30.0, 25.0), obstacles=5))
+    seen = torch.cat([env.reset()["world_seed"].flatten() for _ in range(5)])
+    assert set(seen.tolist()) == {4, 9}
+    again = make(3, world=WorldConfig(seeds=(4, 9), size=(30.0, 25.0), obstacles=5))
+    assert torch.equal(seen, torch.cat([again.reset()["world_seed"].flatten() for _ in range(5)]))
+
+
+# ---------------------------------------------------------------------- how episodes end
+
+
+def test_time_out_is_truncated_not_terminated(make: Callable[..., NavigationEnv]) -> None:
+    env = make(1, max_steps=3)
+    state, ends = env.reset(), []
+    for _ in range(3):
+        state = env.step(act(state))["next"]
+        ends.append([bool(state[key].item()) for key in ("terminated", "truncated", "done")])
+    assert ends == [[False, False, False]] * 2 + [[False, True, True]]
+
+
+@pytest.mark.parametrize("position", [[0.0, 0.0, 12.0], [21.0, 0.0, 7.0], [0.0, -16.0, 7.0]], ids=["ceiling", "x", "y"])
+def test_leaving_the_valley_ends_as_collided(make: Callable[..., NavigationEnv], position: list[float]) -> None:
+    env = make(1)
+    state = env.reset()
+    place(env, 0, position)
+    after = env.step(act(state))["next"]
+    assert after["collided"].item() and after["terminated"].item() and after["done"].item()
+    assert not after["arrived"].item() and not after["truncated"].item()
+
+
+def test_flying_into_the_ground_ends_as_collided(make: Callable[..., NavigationEnv]) -> None:
+    env = make(1)
+    state = env.reset()
+    for _ in range(40):
+        state = env.step(act(state, 0.0, 0.0, -2.0, 0.0))["next"]
+        if state["done"].item():
+            break
+    assert state["collided"].item() and state["terminated"].item()
+
+
+def test_reaching_the_goals_cylinder_ends_as_arrived(make: Callable[..., NavigationEnv]) -> None:
+    env = make(1)
+    state = env.reset()
+    goal = state["goal"][0].numpy()
+    place(env, 0, goal - [1.2, 0.0, 0.0])
+    outcomes = []
+    while not outcomes or (len(outcomes) < 15 and not outcomes[-1]):
+        state = env.step(act(state, 2.0, 0.0, 0.0, 0.0))["next"]
+        outcomes.append(bool(state["arrived"].item()))
+    assert outcomes[0] is False and outcomes[-1] is True
+    assert state["terminated"].item() and state["done"].item()
+    assert not state["collided"].item() and not state["truncated"].item()
+    assert np.hypot(*(state["position"][0].numpy() - goal)[:2]) <= 1.0
+
+
+def test_the_environments_own_reward_is_the_progress(make: Callable[..., NavigationEnv]) -> None:
+    env = make(2)
+    state = env.reset()
+    for _ in range(3):
+        after = env.step(act(state, 2.0, 0.0, 0.0, 0.0))["next"]
+        torch.testing.assert_close(after["reward"], state["distance"] - after["distance"], rtol=0, atol=1e-5)
+        state = after
+
+
+# ---------------------------------------------------------------------- what is emitted
+
+
+@pytest.mark.parametrize(
+    ("yaw", "goal", "expected"),
+    [
+        (0.0, [1.0, 0.0, 0.0], 0.0),
+        (0.0, [0.0, 1.0, 9.0], 90.0),
+        (0.0, [-1.0, 0.0, 0.0], 180.0),
+        (0.0, [0.0, -1.0, 0.0], 270.0),
+        (np.pi / 2, [0.0, 1.0, 0.0], 0.0),
+        (np.pi / 2, [1.0, 0.0, 0.0], 270.0),
+        (-np.pi, [-1.0, 0.0, 0.0], 0.0),
+        (np.pi / 4, [1.0, 0.0, 0.0], 315.0),
+    ],
+)
+def test_heading_is_counted_left_from_the_head(yaw: float, goal: list[float], expected: float) -> None:
+    heading = goal_heading_deg(np.zeros((1, 3)), np.array([yaw]), np.array([goal]))[0]
+    assert 0 <= heading < 360
+    assert abs((heading - expected + 180) % 360 - 180) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("position", "expected"),
+    [([0, 0, 0], 45.0), ([0, 0, 10], 315.0), ([0, 0, 5], 0.0), ([3, 4, 0], 90.0), ([3, 4, 9], 270.0)],
+)
+def test_elevation_is_counted_up_from_the_horizon(position: list[float], expected: float) -> None:
+    goal = np.array([[3.0, 4.0, 5.0]])
+    assert goal_elevation_deg(np.array([position], dtype=float), goal)[0] == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "expected"),
+    [([2, 0, 0], 0.0), ([0, 0, 1], 90.0), ([-1, 0, 0], 180.0), ([1, -1, 0], 45.0), ([0, 0, 0], 0.0)],
+)
+def test_course_is_the_angle_between_motion_and_goal(velocity: list[float], expected: float) -> None:
+    course = goal_course_deg(np.zeros((1, 3)), np.array([velocity], dtype=float), np.array([[5.0, 0.0, 0.0]]))
+    assert course[0] == pytest.approx(expected, abs=1e-4)
+
+
+def test_wrapped_angles_stay_below_360() -> None:
+    angles = wrap_degrees(np.array([-1e-12, 2 * np.pi, -2 * np.pi, np.pi]))
+    assert angles.dtype == np.float32
+    np.testing.assert_allclose(angles, [0.0, 0.0, 0.0, 180.0], atol=1e-4)
+    assert (angles < 360).all()
+
+
+def test_the_emitted_angles_are_those_of_the_flight(make: Callable[..., NavigationEnv]) -> None:
+    env = make(1)
+    state = env.reset()
+    goal = state["goal"][0].numpy().astype(float)
+    place(env, 0, goal - [0.0, 3.0, 0.0], yaw=0.0)  # the goal, at flight level, lies to the left
+    after = env.step(act(state))["next"]
+    assert after["heading_deg"].item() == pytest.approx(90.0, abs=1.0)
+    assert abs((after["elevation_deg"].item() + 180) % 360 - 180) < 1.0
+    assert after["altitude"].item() == after["position"][0, 2].item() == pytest.approx(3.5, abs=0.05)
+    assert after["distance"].item() == pytest.approx(3.0, abs=0.05)
+
+
+def test_course_replaces_elevation_when_chosen(make: Callable[..., NavigationEnv]) -> None:
+    env = make(1, goal_angle="course")
+    state = env.reset()
+    assert state["elevation_deg"].item() == 0.0  # at rest
+    place(env, 0, state["goal"][0].numpy() - [0.0, 3.0, 0.0], yaw=0.0)
+    for _ in range(5):
+        state = env.step(act(state, 2.0, 0.0, 0.0, 0.0))["next"]
+    to_goal, velocity = (state["goal"] - state["position"])[0], state["velocity"][0]
+    cosine = torch.nn.functional.cosine_similarity(to_goal, velocity, dim=0)
+    assert state["elevation_deg"].item() == pytest.approx(torch.rad2deg(cosine.acos()).item(), abs=0.1)
+    assert 90 < state["elevation_deg"].item() < 130
+
+
+def test_flights_start_at_rest_at_flight_level(make: Callable[..., NavigationEnv]) -> None:
+    state = make(3).reset()
+    torch.testing.assert_close(state["altitude"], torch.full((3, 1), 3.5))
+    assert not state["velocity"].any() and not state["arrived"].any() and not state["collided"].any()
+    assert (state["distance"] >= 10).all()
+    assert len(state["heading_deg"].unique()) == 3
+
+
+def test_planes_are_seen_by_the_lidar(make: Callable[..., NavigationEnv]) -> None:
+    worlds = [WorldConfig(seeds=(0,), obstacles=0, planes=planes) for planes in (0, 3)]
+    empty, busy = (make(1, world=world, lidar=LidarConfig(max_range=100.0)) for world in worlds)
+    state = busy.reset()
+    empty.reset()
+    plane = busy._traffic.positions[0]
+    spot = [*(plane[:2] * 0.8), 3.5]  # on the way from the middle to the first plane: nothing else stands there
+    clouds = []
+    for env in (empty, busy):
+        place(env, 0, spot)
+        clouds.append(env._scan(np.array([0]))[0])
+    changed = ~np.isclose(clouds[0], clouds[1], equal_nan=True).all(1)
+    assert changed.sum() > 10
+    seen = clouds[1][changed] + busy._simulation.lidar_position[0]  # level and with yaw 0: sensor axes are the world's
+    nearest = np.linalg.norm(seen[:, None, :2] - busy._traffic.positions[:, :2], axis=-1).min(1)
+    assert (nearest < 2.5).all()
+    before = busy._traffic.positions.copy()
+    busy.step(act(state))
+    moved = np.linalg.norm(busy._traffic.positions - before, axis=1)
+    assert ((moved > 0.2) & (moved < 0.45)).any()  # 2.5 to 4 m/s for 0.1 s; one may re-enter elsewhere
+
+
+def test_clearance_is_emitted_when_asked_for(make: Callable[..., NavigationEnv]) -> None:
+    env = make(1, measure_clearance=True)
+    state = env.reset()
+    assert 1.0 < state["clearance"].item() <= 5.0
+    for _ in range(40):
+        after = env.step(act(state, 0.0, 0.0, -2.0, 0.0))["next"]
+        if after["collided"].item():
+            break
+        assert after["clearance"].item() > 0
+        state = after
+    assert after["collided"].item() and after["clearance"].item() < 0.1
+    assert "clearance" not in make(1).reset()
+
+
+def test_uavs_do_not_see_each_other(make: Callable[..., NavigationEnv]) -> None:
+    env = make(2)
+    state = env.reset()
+    place(env, 0, state["position"][1].numpy())
+    alone, together = env._scan(np.array([1])), env._scan(np.array([0, 1]))
+    np.testing.assert_array_equal(alone[1], together[1])
+    assert np.isnan(alone[0]).all()
+    after = env.step(act(state))["next"]
+    assert not after["collided"].any()
+
+
+# ---------------------------------------------------------------------- misuse
+
+
+def test_nan_actions_are_refused(make: Callable[..., NavigationEnv]) -> None:
+    env = make(2)
+    state = act(env.reset())
+    state["action"][1, 2] = float("nan")
+    with pytest.raises(ValueError, match="NaN: check the policy's output"):
+        env.step(state)
+
+
+def test_actions_out_of_range_fly_like_the_nearest_in_range(make: Callable[..., NavigationEnv]) -> None:
+    after = []
+    for speed in (2.0, 50.0):
+        env = make(1)
+        after.append(env.step(act(env.reset(), speed, 0.0, 0.0, -speed))["next"])
+    assert not differing(*after)
+
+
+def test_a_step_before_the_first_reset_says_what_to_do(make: Callable[..., NavigationEnv]) -> None:
+    with pytest.raises(RuntimeError, match="Reset the environment before the first step"):
+        make(1).step(TensorDict({"action": torch.zeros(1, 4)}, [1]))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [({"num_uavs": 0}, "num_uavs"), ({"max_steps": 0}, "max_steps"), ({"goal_angle": "yaw"}, "goal_angle must be")],
+)
+def test_settings_out_of_range_are_refused(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        NavigationEnv(**kwargs)
+
+
+def test_a_valley_without_room_for_a_task_is_refused() -> None:
+    with pytest.raises(ValueError, match="lower obstacles"):
+        NavigationEnv(1, world=WorldConfig(min_clearance=9.0))
