@@ -1,0 +1,39 @@
+"""Draws the learning curves of runs and prints when they pass a success rate.
+
+python examples/learning_curves.py runs/a runs/b --output curves.png
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from uavrl.reporting.learning_curves import moving_rates, plot, steps_to
+from uavrl.training.episodes import read_episodes
+
+
+def main() -> None:
+    """Reads the runs named on the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="+", type=Path)
+    parser.add_argument("--output", type=Path, default=Path("learning_curves.png"))
+    parser.add_argument("--threshold", type=float, default=0.6)
+    parser.add_argument("--window", type=int, default=500)
+    parser.add_argument("--until", type=int, default=None, help="leave out episodes after this many steps")
+    args = parser.parse_args()
+    runs = {}
+    for run in args.runs:
+        episodes = read_episodes(run / "episodes.csv")
+        runs[run.name] = [e for e in episodes if args.until is None or e.total_steps <= args.until]
+    print(f"{'run':<28}{'episodes':>9}{'steps':>9}{'success':>9}{'collision':>11}{'time-out':>10}   steps to threshold")
+    for name, episodes in runs.items():
+        steps, rates = moving_rates(episodes, args.window)
+        last = "".join(f"{rates[o][-1]:>{w}.1%}" for o, w in (("arrived", 9), ("collided", 11), ("timed_out", 10)))
+        reached = steps_to(episodes, args.threshold, args.window)
+        print(f"{name:<28}{len(episodes):>9,}{steps[-1]:>9,}{last}   {'–' if reached is None else f'{reached:,}'}")
+    plot(runs, args.output, args.window)
+    print(f"Drawn to {args.output}")
+
+
+if __name__ == "__main__":
+    main()
