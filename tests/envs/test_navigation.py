@@ -429,3 +429,17 @@ def test_settings_out_of_range_are_refused(kwargs: dict[str, Any], message: str)
 def test_a_valley_without_room_for_a_task_is_refused() -> None:
     with pytest.raises(ValueError, match="lower obstacles"):
         NavigationEnv(1, world=WorldConfig(min_clearance=9.0))
+
+
+def test_a_distorted_scan_ends_where_the_undistorted_one_is_taken() -> None:
+    clouds = []
+    for distorted in (False, True):
+        env = NavigationEnv(1, lidar=LidarConfig(max_range=100.0, motion_distortion=distorted), seed=3)
+        state = env.reset()
+        for _ in range(12):
+            state["action"] = torch.tensor([[2.0, 0.0, 0.0, 1.0]])
+            state = env.step(state)["next"]
+        clouds.append(state["point_cloud"][0].norm(dim=-1).nan_to_num(0.0).reshape(1808, 16))
+    gap = (clouds[0] - clouds[1]).abs()
+    first, last = gap[:20].median(), gap[-20:].median()
+    assert last < 0.02 < first

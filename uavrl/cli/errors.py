@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ def one_sentence() -> Iterator[None]:
 
 
 def configure_logging() -> None:
-    """Sends the library's log to standard error, in short lines."""
+    """Sends the library's log to standard error, in short lines; call it before TorchRL is imported."""
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
+    os.environ.setdefault("RL_WARNINGS", "False")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr, force=True)
-    logging.getLogger("torchrl").setLevel(logging.WARNING)

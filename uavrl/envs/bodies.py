@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
 
+from uavrl.envs.bullet import pybullet
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Airframe
 

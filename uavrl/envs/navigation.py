@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
@@ -297,13 +298,14 @@ class NavigationEnv(EnvBase):
         simulation, lidar = self._simulation, self._lidar
         assert simulation is not None and lidar is not None
         planes = np.column_stack([self._traffic.positions, self._traffic.yaws]) if self.world.config.planes else None
+        position, rotation = simulation.lidar_position[index], simulation.rotation[index]
+        velocity = simulation.velocity[index]
+        spin = (rotation @ simulation.angular_velocity[index][:, :, None])[:, :, 0]
+        if lidar.config.motion_distortion:  # the scan is the spin that ends now
+            position = position - velocity / CONTROL_RATE
+            rotation = Rotation.from_rotvec(-spin / CONTROL_RATE).as_matrix() @ rotation
         points = lidar.scan(
-            simulation.lidar_position[index],
-            simulation.rotation[index],
-            planes,
-            velocities=simulation.velocity[index],
-            angular_velocities=simulation.angular_velocity[index],
-            rng=self._lidar_rng,
+            position, rotation, planes, velocities=velocity, angular_velocities=spin, rng=self._lidar_rng
         )
         if len(index) == self.num_uavs:
             return points

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import pybullet
 
 from uavrl.envs.bodies import PLANE, STATIC, add_fixed, add_vehicle, split_mesh
+from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import (
@@ -115,7 +115,8 @@ class Simulation:
 
     def _build(self, meshes: Sequence[Mesh], plane_mesh: Mesh | None, plane_count: int) -> None:
         """Connects and fills the world."""
-        self._client = pybullet.connect(pybullet.DIRECT)
+        with silenced():
+            self._client = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise RuntimeError("PyBullet gave no physics client: close simulations that are no longer needed.")
         pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=self._client)

@@ -166,4 +166,5 @@ def make_collector(config: TrainConfig, env: EnvBase, actor: TensorDictModule, d
         policy_device=device,
         env_device="cpu",
         storing_device="cpu",
+        auto_register_policy_transforms=False,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping
 
@@ -27,6 +28,7 @@ class Progress:
             disable=not enabled,
             unit="ep",
             dynamic_ncols=True,
+            mininterval=0.5 if sys.stderr.isatty() else 30.0,
             bar_format="{n_fmt}/{total_fmt} episodes |{bar:12}| {postfix} | {elapsed} gone, {remaining} left",
         )
         self._start = time.monotonic()
