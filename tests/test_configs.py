@@ -176,7 +176,7 @@ CONSTRUCTORS = [
     (EnvConfig(), [NavigationEnv.__init__]),
 ]
 COVERED = {  # keys of the dataclass that a constructor takes under the same name
-    "navigation": {"weights", "flight_level", "collided_reward", "altitude_term"},
+    "navigation": {"weights", "flight_level", "collided_reward", "arrived_reward", "altitude_term"},
     "traditional": {"arrived_reward", "collided_reward"},
     "td3": {"gamma", "policy_noise", "noise_clip", "actor_lr", "critic_lr", "policy_delay", "tau", "hidden"},
     "truncated_icosahedron": {"radius", "statistic", "angles"},

@@ -75,12 +75,24 @@ class TestNavigationReward(TransformContract):
     ) -> None:
         """Eq. 3.6 by hand with w = (8, 1, 0.5, 0.5), p = 3.5 and half a metre of progress."""
         reward = navigation_reward(
-            tensor(5.0), tensor(4.5), tensor(altitude), tensor(heading), tensor(elevation), tensor(collided)
+            tensor(5.0),
+            tensor(4.5),
+            tensor(altitude),
+            tensor(heading),
+            tensor(elevation),
+            tensor(False),
+            tensor(collided),
         )
         assert reward.item() == pytest.approx(expected)
 
+    def test_the_arrival_pays_only_where_it_is_asked_to(self) -> None:
+        args = tensor(5.0), tensor(4.5), tensor(3.5), tensor(0.0), tensor(0.0), tensor(True)
+        assert navigation_reward(*args, tensor(False)).item() == 6.0
+        assert navigation_reward(*args, tensor(False), arrived_reward=200.0).item() == 206.0
+        assert navigation_reward(*args, tensor(True), arrived_reward=200.0).item() == -50.0
+
     def test_the_literal_altitude_term_pays_twice_on_the_ground(self) -> None:
-        args = tensor(5.0), tensor(5.0), tensor(0.0), tensor(180.0), tensor(180.0), tensor(False)
+        args = tensor(5.0), tensor(5.0), tensor(0.0), tensor(180.0), tensor(180.0), tensor(False), tensor(False)
         assert navigation_reward(*args).item() == 0.0
         assert navigation_reward(*args, altitude_term="literal").item() == 2.0
 

@@ -85,6 +85,7 @@ class NavigationRewardConfig:
     weights: tuple[float, ...] = (8.0, 1.0, 0.5, 0.5)
     flight_level: float = 3.5
     collided_reward: float = -50.0
+    arrived_reward: float = 0.0
     altitude_term: str = "absolute"
 
     def __post_init__(self) -> None:

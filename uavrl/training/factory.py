@@ -58,6 +58,7 @@ def make_reward(config: RewardConfig) -> Transform:
             config.weights,
             config.flight_level,
             config.collided_reward,
+            config.arrived_reward,
             config.altitude_term,  # type: ignore[arg-type]
         )
     return TraditionalReward(config.arrived_reward, config.collided_reward)

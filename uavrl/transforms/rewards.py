@@ -61,14 +61,20 @@ def navigation_reward(
     altitude_t: Tensor,
     heading_deg_t: Tensor,
     elevation_deg_t: Tensor,
+    arrived_t: Tensor,
     collided_t: Tensor,
     *,
     weights: Sequence[float] = (8.0, 1.0, 0.5, 0.5),
     flight_level: float = 3.5,
     collided_reward: float = -50.0,
+    arrived_reward: float = 0.0,
     altitude_term: AltitudeTerm = "absolute",
 ) -> Tensor:
     """Chansuparp (2022), Eq. 3.6: progress, flight level and two angles to the goal.
+
+    A UAV that hovers in front of its goal, facing it, earns up to w_2 + w_3 + w_4 a step for ever, and nothing
+    once it has arrived: with discount γ, Eq. 3.6 alone pays loitering up to (w_2 + w_3 + w_4) / (1 - γ). An
+    ``arrived_reward`` of that size (200 with the thesis's numbers) takes the advantage away; the thesis has none.
 
     The thesis prints the altitude term without an absolute value, which pays the UAV twice for lying
     on the ground; ``altitude_term="literal"`` keeps that form for comparison.
@@ -79,15 +85,17 @@ def navigation_reward(
         altitude_t: height z, ``[*B]``, m.
         heading_deg_t: h, angle between the UAV's head and the goal, ``[*B]``, degrees in [0, 360).
         elevation_deg_t: g, angle between the UAV's position and the goal, ``[*B]``, degrees in [0, 360).
-        collided_t: bool ``[*B]``.
+        arrived_t: bool ``[*B]``.
+        collided_t: bool ``[*B]``; wins where both are true.
         weights: w_1 to w_4.
         flight_level: p_approAlt, m.
         collided_reward: r_collided (-50, or -10 with LifeGuard).
+        arrived_reward: added on arrival; 0 is Eq. 3.6.
         altitude_term: ``"absolute"`` or ``"literal"``.
 
     Examples:
         >>> t = torch.tensor
-        >>> navigation_reward(t(5.0), t(4.75), t(3.5), t(90.0), t(0.0), t(False)).item()
+        >>> navigation_reward(t(5.0), t(4.75), t(3.5), t(90.0), t(0.0), t(False), t(False)).item()
         3.75
     """
     w_distance, w_altitude, w_heading, w_elevation = weights
@@ -99,6 +107,7 @@ def navigation_reward(
         + w_altitude * (1 - deviation)
         + w_heading * (1 - fold_degrees(heading_deg_t) / 180)
         + w_elevation * (1 - fold_degrees(elevation_deg_t) / 180)
+        + arrived_reward * arrived_t
     )
     return torch.where(collided_t, collided_reward, reward)
 
@@ -193,11 +202,13 @@ class NavigationReward(_RewardTransform):
         weights: w_1 to w_4.
         flight_level: p_approAlt, m.
         collided_reward: r_collided (-50, or -10 with LifeGuard).
+        arrived_reward: added on arrival; 0 is the thesis's.
         altitude_term: ``"absolute"`` or the thesis's ``"literal"`` form.
         distance: key of the distance to the goal, m.
         altitude: key of the altitude, m.
         heading: key of h, degrees.
         elevation: key of g, degrees.
+        arrived: key of the bool that tells an arrival.
         collided: key of the bool that tells a collision.
         out_key: where the reward goes.
 
@@ -218,12 +229,14 @@ class NavigationReward(_RewardTransform):
         weights: Sequence[float] = (8.0, 1.0, 0.5, 0.5),
         flight_level: float = 3.5,
         collided_reward: float = -50.0,
+        arrived_reward: float = 0.0,
         altitude_term: AltitudeTerm = "absolute",
         *,
         distance: NestedKey = "distance",
         altitude: NestedKey = "altitude",
         heading: NestedKey = "heading_deg",
         elevation: NestedKey = "elevation_deg",
+        arrived: NestedKey = "arrived",
         collided: NestedKey = "collided",
         out_key: NestedKey = "reward",
     ) -> None:
@@ -231,10 +244,11 @@ class NavigationReward(_RewardTransform):
             raise ValueError(f"NavigationReward takes four weights w_1 to w_4, got {len(weights)}.")
         if altitude_term not in ("absolute", "literal"):
             raise ValueError(f"altitude_term must be 'absolute' or 'literal', got {altitude_term!r}.")
-        super().__init__(distance, [altitude, heading, elevation, collided], out_key)
+        super().__init__(distance, [altitude, heading, elevation, arrived, collided], out_key)
         self.weights = tuple(weights)
         self.flight_level = flight_level
         self.collided_reward = collided_reward
+        self.arrived_reward = arrived_reward
         self.altitude_term: AltitudeTerm = altitude_term
 
     def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
@@ -246,5 +260,6 @@ class NavigationReward(_RewardTransform):
             weights=self.weights,
             flight_level=self.flight_level,
             collided_reward=self.collided_reward,
+            arrived_reward=self.arrived_reward,
             altitude_term=self.altitude_term,
         )
