@@ -102,7 +102,7 @@ def test_every_choice_composes_for_evaluation(group: str, name: str) -> None:
 
 
 @pytest.mark.parametrize("algo", ["td3", "ddpg"])
-@pytest.mark.parametrize("reward", ["navigation", "traditional"])
+@pytest.mark.parametrize("reward", ["navigation", "navigation_prize", "traditional"])
 @pytest.mark.parametrize("buffer", ["uniform", "prioritized"])
 def test_a_saved_configuration_gets_its_types_back(algo: str, reward: str, buffer: str, tmp_path: Path) -> None:
     config = composed("config", f"algo={algo}", f"reward={reward}", f"buffer={buffer}", "run_dir=here", "env=dynamic")
@@ -120,7 +120,10 @@ def test_a_saved_configuration_of_an_unknown_algorithm_is_refused() -> None:
 # ---------------------------------------------------------------------- yaml, dataclass, signature
 
 
-@pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice != ("env", "dynamic")])
+DERIVED = [("env", "dynamic"), ("reward", "navigation_prize")]  # what they change is tested below
+
+
+@pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice not in DERIVED])
 def test_yaml_holds_every_field_and_the_default_of_the_dataclass(group: str, name: str) -> None:
     written = yaml.safe_load((conf_dir() / group / f"{name}.yaml").read_text())
     del written["defaults"]
@@ -131,6 +134,14 @@ def test_yaml_holds_every_field_and_the_default_of_the_dataclass(group: str, nam
     if "name" in expected:
         expected["name"] = name
     assert resolved == expected
+
+
+def test_the_prize_is_what_loitering_for_ever_would_earn() -> None:
+    prize, thesis = (asdict(settings("config", f"reward={name}").reward) for name in ("navigation_prize", "navigation"))
+    assert (prize.pop("name"), thesis.pop("name")) == ("navigation_prize", "navigation")
+    assert thesis.pop("arrived_reward") == 0.0
+    assert prize.pop("arrived_reward") == pytest.approx(sum(thesis["weights"][1:]) / (1 - TD3Config().gamma))
+    assert prize == thesis
 
 
 def test_the_dynamic_environment_differs_in_its_planes_only() -> None:
@@ -343,7 +354,7 @@ def test_evaluation_refuses_values_out_of_range_by_name(key: str, value: str) ->
 
 
 def test_a_group_left_out_is_refused_by_name() -> None:
-    with pytest.raises(UavrlError, match="reward must be one of navigation, traditional"):
+    with pytest.raises(UavrlError, match="reward must be one of navigation, navigation_prize, traditional"):
         TrainConfig()
 
 

@@ -443,3 +443,27 @@ def test_a_distorted_scan_ends_where_the_undistorted_one_is_taken() -> None:
     gap = (clouds[0] - clouds[1]).abs()
     first, last = gap[:20].median(), gap[-20:].median()
     assert last < 0.02 < first
+
+
+def test_goals_and_yaws_of_the_tasks_do_not_depend_on_the_planes_or_the_policy() -> None:
+    def tasks(speed: float) -> dict[int, list[float]]:
+        env = NavigationEnv(3, world=WorldConfig(planes=3), max_steps=4, seed=11)
+        found, state = {}, env.reset()
+        for _ in range(25):
+            found.update(zip(state["task"][:, 0].tolist(), state["goal"].tolist(), strict=True))
+            state["action"] = torch.tensor([[speed, 0.0, 0.0, 0.0]]).expand(3, 4)
+            _, state = env.step_and_maybe_reset(state)
+        return found
+
+    slow, fast = tasks(0.0), tasks(2.0)
+    shared = slow.keys() & fast.keys()
+    assert len(shared) >= 15
+    assert all(slow[k] == fast[k] for k in shared)
+
+
+def test_planes_stand_where_the_traffic_is_right_after_a_reset() -> None:
+    env = NavigationEnv(1, world=WorldConfig(planes=3), measure_clearance=True, seed=2)
+    env.reset()
+    position = env._traffic.positions[0]
+    env._simulation.reset(np.array([0]), position[None] + [0.0, 0.0, 0.6], np.zeros(1))
+    assert env._simulation.closest_distance()[0] < 0.6

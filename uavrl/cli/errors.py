@@ -10,6 +10,8 @@ from contextlib import contextmanager
 
 from uavrl.errors import UavrlError
 
+CTRL_C = 130  # exit code
+
 
 @contextmanager
 def one_sentence() -> Iterator[None]:
@@ -24,7 +26,7 @@ def one_sentence() -> Iterator[None]:
         raise SystemExit(1) from None
     except KeyboardInterrupt:
         print("uavrl: stopped.", file=sys.stderr)
-        raise SystemExit(130) from None
+        raise SystemExit(CTRL_C) from None
 
 
 def configure_logging() -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
@@ -27,28 +28,28 @@ def main(config: DictConfig) -> None:
     """Evaluates one policy."""
     configure_logging()
     with one_sentence():
-        chosen = any(o.lstrip("+").startswith("env") for o in HydraConfig.get().overrides.task)
-        _evaluate(to_dataclass(config), env_chosen=chosen)
+        _evaluate(config, [override.lstrip("+") for override in HydraConfig.get().overrides.task])
 
 
-def _evaluate(settings: EvaluateConfig, *, env_chosen: bool) -> None:
+def _evaluate(config: DictConfig, overrides: list[str]) -> None:
     import torch
 
     from uavrl.training.evaluation import fly, summarize_flights, table
     from uavrl.training.factory import make_device, make_env
 
+    settings: EvaluateConfig = to_dataclass(config)
     torch.set_num_threads(settings.threads)
     device = make_device(settings.device)
     if (settings.run is None) == (settings.policy is None):
         raise UavrlError("Give either run=RUN_FOLDER or policy=straight, and not both.")
     env_config, perception = settings.env, settings.perception
     if settings.run is not None:
-        train_config, policy, source = _load(Path(settings.run), settings.checkpoint, device)
-        perception = train_config.perception
-        env_config = env_config if env_chosen else train_config.env
+        run_config, policy, source = _load(Path(settings.run), settings.checkpoint, device)
+        changed: TrainConfig = to_dataclass(_with_overrides(run_config, config, overrides))
+        env_config, perception = changed.env, changed.perception
     else:
         policy, source = _baseline(str(settings.policy), env_config.world.flight_level), {"policy": settings.policy}
-    output = _output(settings)
+    output = _output(settings, overrides)
     if settings.valleys is not None:
         env_config = replace(env_config, world=replace(env_config.world, seeds=settings.valleys))
     env = make_env(
@@ -58,8 +59,10 @@ def _evaluate(settings: EvaluateConfig, *, env_chosen: bool) -> None:
         num_uavs=min(settings.num_uavs, settings.episodes),
         measure_clearance=True,
     )
-    flights = fly(env, policy, settings.episodes, progress=settings.progress)
-    env.close()
+    try:
+        flights = fly(env, policy, settings.episodes, progress=settings.progress)
+    finally:
+        env.close()
     result: dict[str, Any] = {
         **summarize_flights(flights),
         "seed": settings.seed,
@@ -75,9 +78,33 @@ def _evaluate(settings: EvaluateConfig, *, env_chosen: bool) -> None:
     print(f"Written to {output}")
 
 
-def _output(settings: EvaluateConfig) -> Path:
-    """Where the result goes; found writable before anything is flown."""
-    output = Path(settings.output or (Path(settings.run or ".") / "evaluation.json"))
+def _with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
+    """The run's configuration with what the command line says about environment and sensor.
+
+    ``env=NAME`` replaces the environment, ``env.key=value`` and ``perception.lidar.key=value`` change one value.
+    """
+    result = run_config.copy()
+    keys = [override.split("=", 1)[0] for override in overrides]
+    if "env" in keys:
+        result.env = composed.env
+    for key in keys:
+        if key.startswith(("env.", "perception.lidar.")):
+            OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
+        elif key.split(".")[0] == "perception":
+            raise UavrlError(
+                f"{key} belongs to the policy of the run and cannot change in its evaluation: leave it out."
+            )
+    return result
+
+
+def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
+    """Where the result goes, found writable before anything is flown; what was changed stands in its name."""
+    plain = ("run", "episodes", "output", "num_uavs", "device", "threads", "progress")
+    told = [
+        re.sub(r"[^\w.=-]+", "-", o).replace("=-", "=").strip("-") for o in overrides if o.split("=")[0] not in plain
+    ]
+    name = "_".join(["evaluation", *told]) + ".json"
+    output = Path(settings.output or (Path(settings.run or ".") / name))
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         if output.is_dir():
@@ -90,7 +117,7 @@ def _output(settings: EvaluateConfig) -> Path:
     return output
 
 
-def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[TrainConfig, Any, dict[str, Any]]:
+def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfig, Any, dict[str, Any]]:
     from torchrl.checkpoint import Checkpoint
 
     from uavrl.training.checkpoint import check_checkpoint, latest_checkpoint, read_config, restore
@@ -115,7 +142,7 @@ def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[TrainConf
         action = actor.module(tensordict["observation"].to(device))
         return tensordict.set("action", action.to(tensordict["observation"].device))
 
-    return train_config, policy, source
+    return config, policy, source
 
 
 def _baseline(name: str, flight_level: float) -> Any:

@@ -10,18 +10,28 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence
 from uavrl.configs import conf_dir, register_schemas
 
 register_schemas()
+_FAILED: list[str] = []
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")
-def main(config: DictConfig) -> None:
-    """Trains one run."""
+def _main(config: DictConfig) -> None:
+    """Trains one run; in a sweep a run that fails does not keep the others from flying."""
     configure_logging()
-    with one_sentence():
-        _train(config)
+    if HydraConfig.get().mode != RunMode.MULTIRUN:
+        with one_sentence():
+            _train(config)
+        return
+    try:
+        with one_sentence():
+            _train(config)
+    except SystemExit as end:
+        if end.code == CTRL_C:
+            raise
+        _FAILED.append(str(config.run_dir))
 
 
 def _train(config: DictConfig) -> None:
@@ -45,10 +55,18 @@ def _train(config: DictConfig) -> None:
     try:
         summary = train(config, run_dir, resume=resume)
     except KeyboardInterrupt:
-        print(f"\nStopped. Go on with: uavrl-train resume={run_dir}")
+        if any((run_dir / "checkpoints").glob("checkpoint*")):
+            print(f"\nStopped. Go on with: uavrl-train resume={run_dir}")
         raise
     print(json.dumps({k: summary[k] for k in ("episodes", "steps", "rates")}))
     print(f"Evaluate with: uavrl-evaluate run={run_dir}")
+
+
+def main() -> None:
+    """Entry point: trains, and exits with 1 where a run of a sweep failed."""
+    _main()
+    if _FAILED:
+        raise SystemExit(f"uavrl: {len(_FAILED)} runs of the sweep failed, see above.")
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ class TraditionalRewardConfig:
 
 @dataclass
 class NavigationRewardConfig:
-    """conf/reward/navigation.yaml."""
+    """conf/reward/navigation.yaml and navigation_prize.yaml."""
 
     name: str = "navigation"
     weights: tuple[float, ...] = (8.0, 1.0, 0.5, 0.5)
@@ -241,7 +241,8 @@ class TrainConfig:
             chosen = getattr(self, group)
             names = [name for name, schema in GROUPS[group].items() if schema is type(chosen)]
             require(bool(names), group, f"one of {', '.join(GROUPS[group])}", chosen)
-            require(chosen.name == names[0], f"{group}.name", f"{names[0]!r} (choose by {group}=NAME)", chosen.name)
+            expected = f"{' or '.join(map(repr, names))} (choose by {group}=NAME)"
+            require(chosen.name in names, f"{group}.name", expected, chosen.name)
 
 
 @dataclass
@@ -276,7 +277,11 @@ class EvaluateConfig:
 GROUPS: dict[str, dict[str, type]] = {
     "env": {"static": EnvConfig, "dynamic": EnvConfig},
     "perception": {"truncated_icosahedron": PerceptionConfig},
-    "reward": {"navigation": NavigationRewardConfig, "traditional": TraditionalRewardConfig},
+    "reward": {
+        "navigation": NavigationRewardConfig,
+        "navigation_prize": NavigationRewardConfig,
+        "traditional": TraditionalRewardConfig,
+    },
     "algo": {"td3": TD3Config, "ddpg": DDPGConfig},
     "buffer": {"uniform": UniformBufferConfig, "prioritized": PrioritizedBufferConfig},
     "collector": {"sync": CollectorConfig},

@@ -210,6 +210,8 @@ class NavigationEnv(EnvBase):
             self._lidar = Lidar(self.world.meshes, mesh, self._lidar_config)
         self._next_task = 0
         self._stale = False
+        if planes:
+            self._simulation.place_planes(self._plane_poses())
 
     # ------------------------------------------------------------------ reset and step
 
@@ -294,10 +296,13 @@ class NavigationEnv(EnvBase):
             data["clearance"] = simulation.closest_distance()[:, None]
         return data
 
+    def _plane_poses(self) -> np.ndarray:
+        return np.column_stack([self._traffic.positions, self._traffic.yaws])
+
     def _scan(self, index: np.ndarray) -> np.ndarray:
         simulation, lidar = self._simulation, self._lidar
         assert simulation is not None and lidar is not None
-        planes = np.column_stack([self._traffic.positions, self._traffic.yaws]) if self.world.config.planes else None
+        planes = self._plane_poses() if self.world.config.planes else None
         position, rotation = simulation.lidar_position[index], simulation.rotation[index]
         velocity = simulation.velocity[index]
         spin = (rotation @ simulation.angular_velocity[index][:, :, None])[:, :, 0]

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from gymnasium.envs.registration import register, registry
-
 
 def register_envs() -> None:
-    """Registers ``uavrl/Valley-v0``: Gymnasium 1.0 loads no plugins, it imports what stands before the colon.
+    """Registers ``uavrl/Valley-v0`` where Gymnasium is installed.
+
+    Gymnasium 1.0 loads no plugins: it imports what stands before the colon of ``uavrl:uavrl/Valley-v0``.
 
     Examples:
         >>> import gymnasium, uavrl
         >>> gymnasium.spec("uavrl/Valley-v0").entry_point
-        'uavrl.envs.valley:ValleyEnv'
+        'uavrl.envs.gym_env:ValleyEnv'
     """
+    try:
+        from gymnasium.envs.registration import register, registry
+    except ImportError:  # the losses, models and transforms do not need it
+        return
     if "uavrl/Valley-v0" not in registry:
-        register(id="uavrl/Valley-v0", entry_point="uavrl.envs.valley:ValleyEnv")
+        register(id="uavrl/Valley-v0", entry_point="uavrl.envs.gym_env:ValleyEnv")

@@ -19,6 +19,7 @@ from uavrl.envs.quadrotor import (
     mixing_matrix,
     rotation_from_quaternion,
 )
+from uavrl.errors import UavrlError
 
 COMMAND_LIMIT = 2.0  # m/s and rad/s: Chansuparp (2022), Table 4.1
 TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz; 1 where it does not divide
@@ -190,7 +191,7 @@ class Simulation:
         if commands.shape != (self.count, 4):
             raise ValueError(f"Commands must have the shape ({self.count}, 4), got {commands.shape}.")
         if np.isnan(commands).any():
-            raise ValueError("Commands must be numbers, got NaN: check the policy's output.")
+            raise UavrlError("Actions must be numbers, got NaN: check the policy, whose training may have diverged.")
         return np.clip(commands, -COMMAND_LIMIT, COMMAND_LIMIT)
 
     @staticmethod

@@ -193,28 +193,40 @@ class World:
         Args:
             rng: Source of the task.
             valley: Index of the valley; drawn if None.
-            avoid: ``[K, 3]`` in metres: planes from which the start keeps ``plane_keep_out``.
+            avoid: ``[K, 3]`` in metres: planes from which the start keeps ``plane_keep_out``. They move the start
+                where they are too near; goal, valley and yaw depend on ``rng`` alone.
 
         Raises:
             UavrlError: If the planes leave no place to start.
         """
         index = int(rng.integers(len(self.valleys))) if valley is None else valley
         place, config = self.valleys[index], self.config
-        starts = goals = place.flight.candidates
-        if avoid is not None and len(avoid):
-            apart = np.linalg.norm(starts[:, None] + place.origin - np.asarray(avoid)[:, :2], axis=-1).min(1)
-            starts = starts[apart >= config.plane_keep_out + JITTER]
-            if not len(starts):
-                raise UavrlError(
-                    f"A start needs {config.plane_keep_out} m to {len(avoid)} planes, but no free place of the valley "
-                    f"of seed {place.seed} has that; lower plane_keep_out or planes."
-                )
-        start = starts[rng.integers(len(starts))]
-        far = np.linalg.norm(goals - start, axis=1) >= config.min_goal_distance + 2 * JITTER
-        goal = goals[rng.choice(np.flatnonzero(far))]
+        places = place.flight.candidates
+        start = places[rng.integers(len(places))]
+        far = np.linalg.norm(places - start, axis=1) >= config.min_goal_distance + 2 * JITTER
+        goal = places[rng.choice(np.flatnonzero(far))]
         start, goal = np.stack([start, goal]) + rng.uniform(-CELL / 2, CELL / 2, (2, 2)) + place.origin
         yaw = float(rng.uniform(-np.pi, np.pi))
+        if avoid is not None and len(avoid):
+            start = self._start_apart(rng, place, start, goal, np.asarray(avoid)[:, :2])
         return Task(np.append(start, config.flight_level), yaw, np.append(goal, config.goal_z), index, place.seed)
+
+    def _start_apart(
+        self, rng: np.random.Generator, place: Valley, start: np.ndarray, goal: np.ndarray, planes: np.ndarray
+    ) -> np.ndarray:
+        """The start, or another one far enough from the goal where a plane is too near to it."""
+        keep_out = self.config.plane_keep_out
+        if (np.linalg.norm(planes - start, axis=1) >= keep_out).all():
+            return start
+        places = place.flight.candidates + place.origin
+        apart = np.linalg.norm(places[:, None] - planes, axis=-1).min(1) >= keep_out
+        far = np.linalg.norm(places - goal, axis=1) >= self.config.min_goal_distance
+        if not (apart & far).any():
+            raise UavrlError(
+                f"A start needs {keep_out} m to {len(planes)} planes, but no free place of the valley of seed "
+                f"{place.seed} has that; lower plane_keep_out or planes."
+            )
+        return places[rng.choice(np.flatnonzero(apart & far))]
 
     def ground_height(self, xy: np.ndarray) -> np.ndarray:
         """Returns the terrain's height ``[N]`` in metres at ``xy [N, 2]`` in the world, in the nearest valley."""

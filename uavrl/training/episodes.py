@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, fields
@@ -118,9 +119,12 @@ def read_episodes(path: Path) -> list[Episode]:
             f"Expected {path} to start with the columns {','.join(Episode.header())}: it holds something else."
         )
     try:
-        return [Episode.from_row(row) for row in rows[1:]]
+        episodes = [Episode.from_row(row) for row in rows[1:]]
     except ValueError as error:
         raise UavrlError(f"{path} is damaged: {error}.") from error
+    if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):
+        raise UavrlError(f"Expected the episodes 1 to {len(episodes)} in {path}, each once: the file is damaged.")
+    return episodes
 
 
 class EpisodeLog:
@@ -150,6 +154,8 @@ class EpisodeLog:
         """Writes one row."""
         with self.path.open("a", newline="") as file:
             csv.writer(file, lineterminator="\n").writerow(astuple(episode))
+            file.flush()
+            os.fsync(file.fileno())  # a checkpoint must never know more episodes than the file
         self.count += 1
         self._recent.append(episode)
 

@@ -6,11 +6,15 @@ import json
 import logging
 import platform
 import random
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
 import uavrl
@@ -46,7 +50,7 @@ def create_run(config: DictConfig) -> Path:
         UavrlError: when it cannot be written, or holds a run already.
     """
     run_dir = Path(str(config.run_dir))
-    if (run_dir / CONFIG).exists():
+    if any((run_dir / name).exists() for name in (CONFIG, EPISODES)) or any((run_dir / CHECKPOINTS).glob("*")):
         raise UavrlError(
             f"The run folder {run_dir} holds a run already: "
             f"go on with it by resume={run_dir}, or choose another run_dir."
@@ -61,6 +65,22 @@ def create_run(config: DictConfig) -> Path:
     return run_dir
 
 
+@contextmanager
+def locked(run_dir: Path) -> Iterator[None]:
+    """Keeps a second process out of a run folder.
+
+    Raises:
+        UavrlError: when another process trains in it.
+    """
+    lock = FileLock(run_dir / ".lock", blocking=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise UavrlError(f"Another process trains in {run_dir}: wait until it ends, or stop it.") from None
+    with lock:
+        yield
+
+
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
     """Trains until the configured number of episodes is flown.
 
@@ -72,6 +92,11 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     Returns:
         What ``summary.json`` holds.
     """
+    with locked(run_dir):
+        return _train(config, run_dir, resume=resume)
+
+
+def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
@@ -85,6 +110,7 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     try:
         if checkpoint is not None:
             _restore(trainer, checkpoint)
+            (run_dir / CONFIG).write_text(OmegaConf.to_yaml(config, resolve=True))
             log.info(
                 "Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames
             )
@@ -148,6 +174,8 @@ def _checked_checkpoint(run_dir: Path, config: DictConfig) -> Path:
     path = latest_checkpoint(run_dir)
     check_checkpoint(path, config)
     read_episodes(run_dir / EPISODES)
+    for leftover in (run_dir / CHECKPOINTS).glob(".checkpoint*"):  # of a process killed while it saved
+        shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
     return path
 
 
@@ -164,7 +192,8 @@ def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path)
         "reward": settings.reward.name,
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
-        "steps": trainer.collected_frames,
+        "steps": trainer.collected_frames,  # of whole episodes, which is what is learned from
+        "steps_flown": trainer.collector.state_dict()["frames"],  # with the episodes that checkpoints cut off
         "updates": trainer.optimization_stepper.updates,
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),

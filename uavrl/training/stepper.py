@@ -57,8 +57,9 @@ class ActorCriticStepper(OptimizationStepper):
         """
         value_loss, metadata = self.loss.value_loss(sub_batch)
         self._descend(self.critic_optimizer, value_loss)
-        td_error = metadata["td_error"].detach()
-        sub_batch.set("td_error", td_error.amax(0) if td_error.ndim > 1 else td_error)
+        squared_error = metadata["td_error"].detach()
+        squared_error = squared_error.amax(0) if squared_error.ndim > 1 else squared_error
+        sub_batch.set("td_error", squared_error.sqrt())  # Eq. 2.17: the priority is the absolute error
         self.updates += 1
         if self.updates % self.policy_delay == 0:
             actor_loss, _ = self.loss.actor_loss(sub_batch)

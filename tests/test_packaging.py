@@ -1,0 +1,100 @@
+"""The wheel works outside the checkout, and losses, transforms and models need no simulator."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_bad_input import TINY
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# -S: no .pth file runs, so that an editable installation of the checkout stays out of sight.
+TRAIN = """
+import sys
+unpacked, site_packages, *arguments = sys.argv[1:]
+sys.path[:0] = [unpacked]
+sys.path.append(site_packages)
+import uavrl
+from uavrl.configs import conf_dir
+from uavrl.cli.train import main
+assert uavrl.__file__.startswith(unpacked), uavrl.__file__
+assert str(conf_dir()).startswith(unpacked), conf_dir()
+sys.argv = ["uavrl-train", *arguments]
+main()
+"""
+
+# Finders that do not find the blocked packages: what an interpreter sees that does not have them.
+WITHOUT = """
+import importlib, sys
+
+class Without:
+    def __init__(self, finder):
+        self.finder = finder
+
+    def __getattr__(self, name):
+        return getattr(self.finder, name)
+
+    def find_spec(self, name, path=None, target=None):
+        return None if name.partition(".")[0] in {blocked!r} else self.finder.find_spec(name, path, target)
+
+sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
+import uavrl
+importlib.import_module({module!r})
+assert not set(sys.modules) & set({blocked!r})
+assert "uavrl.envs.navigation" not in sys.modules
+"""
+
+
+@pytest.mark.parametrize("module", ["uavrl.losses", "uavrl.transforms", "uavrl.models"])
+def test_what_learns_needs_no_simulator(module: str) -> None:
+    blocked = ["pybullet", "pybullet_data", "embreex", "hydra", "omegaconf", "wandb", "gymnasium", "gym", "scipy"]
+    code = WITHOUT.format(blocked=blocked, module=module)
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
+    try:
+        import hatchling  # noqa: F401
+    except ImportError:
+        pass
+    else:
+        command.append("--no-build-isolation")
+    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    (wheel,) = folder.glob("uavrl-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder / "unpacked")
+    return folder / "unpacked"
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_the_package_and_its_configuration_alone(unpacked: Path) -> None:
+    tops = {p.name for p in unpacked.iterdir()}
+    assert {t for t in tops if not t.endswith(".dist-info")} == {"uavrl"}
+    for folder, packed in ((ROOT / "conf", unpacked / "uavrl/conf"), (ROOT / "uavrl", unpacked / "uavrl")):
+        for suffix in ("*.yaml", "*.py", "py.typed"):
+            for file in folder.rglob(suffix):
+                assert (packed / file.relative_to(folder)).is_file(), file
+    (entry_points,) = unpacked.glob("*.dist-info/entry_points.txt")
+    assert "uavrl-train = uavrl.cli.train:main" in entry_points.read_text()
+    assert list(unpacked.glob("*.dist-info/licenses/LICENSE"))
+
+
+@pytest.mark.slow
+def test_the_wheel_trains_outside_the_checkout(unpacked: Path, tmp_path: Path) -> None:
+    arguments = [*TINY, "trainer.episodes=2", f"run_dir={tmp_path / 'run'}"]
+    site_packages = sysconfig.get_path("purelib")
+    command = [sys.executable, "-I", "-S", "-c", TRAIN, str(unpacked), site_packages, *arguments]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert result.returncode == 0, result.stderr
+    assert json.loads((tmp_path / "run/summary.json").read_text())["episodes"] == 2

@@ -1,0 +1,268 @@
+"""What stands in the replay buffer, when the networks are updated, and what a barrier does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from tests.training.test_resume import small_config
+from uavrl.configs import to_dataclass
+from uavrl.envs.world import World
+from uavrl.errors import UavrlError
+from uavrl.training.episodes import Episode, EpisodeLog, read_episodes, split_episodes
+from uavrl.training.run import _build, create_run, seed_everything
+from uavrl.training.trainer import NavigationTrainer, barrier_seed
+
+# The policy hardly moves, and no barrier but the first and the last drops open episodes.
+FROZEN = ["algo.actor_lr=1e-12", "algo.critic_lr=1e-12", "trainer.checkpoint_interval=100000", "buffer.capacity=2000"]
+
+
+@dataclass
+class Run:
+    """A finished tiny training: its trainer, its episodes and the updates made after each of them."""
+
+    trainer: NavigationTrainer
+    episodes: list[Episode]
+    updates: list[int]
+
+    @property
+    def stored(self) -> TensorDictBase:
+        buffer = self.trainer._modules["episode_replay"].buffer
+        return buffer.storage.get(slice(0, len(buffer)))
+
+    def stored_episodes(self) -> list[TensorDictBase]:
+        return list(self.stored.split([e.steps for e in self.episodes]))
+
+
+def built(run_dir: Path, *overrides: str) -> NavigationTrainer:
+    config = small_config(run_dir, *overrides)
+    settings = to_dataclass(config)
+    seed_everything(settings.seed)
+    return _build(settings, config, create_run(config))
+
+
+def flown(run_dir: Path, *overrides: str, lift: float | None = None) -> Run:
+    """Trains; with ``lift`` the policy's vertical velocity is that, in m/s, whatever it sees."""
+    trainer = built(run_dir, *overrides)
+    if lift is not None:
+        with torch.no_grad():
+            trainer.checkpoint.components["policy"].module.net[-1].bias[2] = math.atanh(lift / 2)
+    updates: list[int] = []
+    trainer.register_op("post_steps_log", lambda _: updates.append(trainer.optimization_stepper.updates))
+    trainer.save_trainer(force_save=True)
+    trainer.train()
+    return Run(trainer, read_episodes(run_dir / "episodes.csv"), updates)
+
+
+def policy_of(run: Run, observation: torch.Tensor) -> torch.Tensor:
+    with torch.no_grad():
+        return run.trainer.checkpoint.components["policy"].module(observation)
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """64 random steps (the first two batches of 32), then noise of 0.1 · 2 m/s."""
+    return flown(tmp_path_factory.mktemp("noisy") / "run", *FROZEN, "trainer.episodes=30", "algo.random_steps=64")
+
+
+# ---------------------------------------------------------------------- updates
+
+
+def test_after_an_episode_of_t_steps_come_t_updates(tmp_path: Path) -> None:
+    run = flown(tmp_path / "run", "trainer.episodes=12")
+    assert len(run.updates) == len(run.episodes) == 12
+    expected, total = [], 0
+    for episode in run.episodes:
+        total += episode.steps if episode.total_steps >= 40 else 0
+        expected.append(total)
+    assert expected[0] == 0
+    assert expected[-1] > 50
+    assert run.updates == expected
+
+
+def test_no_update_comes_before_the_random_steps_are_flown(tmp_path: Path) -> None:
+    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.random_steps=500")
+    assert run.updates == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("per_step", [0.3125, 1.5])
+def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
+    run = flown(tmp_path / "run", "trainer.episodes=8", "algo.random_steps=0", f"trainer.updates_per_step={per_step}")
+    assert run.updates == [math.floor(per_step * e.total_steps) for e in run.episodes]
+
+
+# ---------------------------------------------------------------------- what is stored
+
+
+def test_the_buffer_holds_exactly_the_logged_steps(noisy: Run) -> None:
+    assert len(noisy.stored) == noisy.trainer.collected_frames == noisy.episodes[-1].total_steps
+    for steps, episode in zip(noisy.stored_episodes(), noisy.episodes, strict=True):
+        assert steps["next", "done"][:, 0].tolist() == [False] * (episode.steps - 1) + [True]
+        assert steps["next", "reward"].double().sum().item() == pytest.approx(episode.episode_return)
+
+
+def test_a_time_out_is_done_and_not_terminated(tmp_path: Path) -> None:
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.random_steps=0", lift=0.0)
+    timed_out = [s[-1] for s, e in zip(run.stored_episodes(), run.episodes, strict=True) if e.outcome == "timed_out"]
+    assert timed_out
+    for last in timed_out:
+        assert last["next", "done"].item()
+        assert not last["next", "terminated"].item()
+        assert not last["next", "arrived"].item()
+
+
+def test_a_collision_is_done_and_terminated(tmp_path: Path) -> None:
+    run = flown(
+        tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "env.max_steps=60", lift=-1.99
+    )
+    assert [e.outcome for e in run.episodes] == ["collided", "collided"]
+    for steps in run.stored_episodes():
+        assert steps["next", "terminated"][:, 0].tolist() == [False] * (len(steps) - 1) + [True]
+        assert steps["next", "done"][-1].item()
+        assert steps["next", "reward"][-1].item() < -40
+
+
+def test_the_next_observation_is_the_following_one(noisy: Run) -> None:
+    for steps in noisy.stored_episodes():
+        assert torch.equal(steps["next", "observation"][:-1], steps["observation"][1:])
+
+
+def test_frames_move_up_by_one_and_begin_empty(noisy: Run) -> None:
+    for steps in noisy.stored_episodes():
+        before, after = steps["observation"].unflatten(-1, (3, 35)), steps["next", "observation"].unflatten(-1, (3, 35))
+        assert torch.equal(after[:, :2], before[:, 1:])
+        assert (before[0, :2] == 0).all()
+        assert (before[0, 2] != 0).any()
+
+
+# ---------------------------------------------------------------------- exploration
+
+
+def test_actions_are_random_at_first_and_noisy_ones_of_the_policy_later(noisy: Run) -> None:
+    stored = noisy.stored
+    residual = stored["action"] - policy_of(noisy, stored["observation"])
+    # Noise does not reach 1 m/s (five σ), a uniform action stays below it in all four components at odds of 1 to 16.
+    random = (residual.abs() > 1.0).any(-1)
+    assert 48 <= random.sum() <= 64
+    assert not random[-150:].any()
+    assert stored["action"][random].std().item() == pytest.approx(4 / math.sqrt(12), rel=0.1)
+    assert stored["action"][random].abs().max() <= 2.0
+    noise = residual[-150:]
+    torch.testing.assert_close(noise.std(0), torch.full((4,), 0.2), rtol=0.25, atol=0)
+    torch.testing.assert_close(noise.mean(0), torch.zeros(4), rtol=0, atol=0.07)
+    assert len(noise.unique(dim=0)) == 150, "vehicles share their noise"
+    assert torch.corrcoef(noise.T).fill_diagonal_(0).abs().max() < 0.35
+
+
+def test_without_noise_the_actions_are_the_policys(tmp_path: Path) -> None:
+    run = flown(
+        tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "algo.exploration_noise=0"
+    )
+    expected = policy_of(run, run.stored["observation"])
+    torch.testing.assert_close(run.stored["action"], expected, atol=1e-5, rtol=0)
+
+
+def test_noisy_actions_stay_within_the_limits(tmp_path: Path) -> None:
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.random_steps=0", lift=1.99)
+    assert run.stored["action"].abs().max() == 2.0
+
+
+# ---------------------------------------------------------------------- barriers
+
+
+def test_a_barrier_restarts_the_environment_at_task_0_with_a_seed_of_its_own(tmp_path: Path) -> None:
+    config = small_config(tmp_path, "trainer.episodes=16")
+    run = flown(tmp_path / "run", "trainer.episodes=16")
+    world = World(to_dataclass(config).env.world)
+    segments: list[list[Episode]] = [[]]
+    saved = 0
+    for episode in run.episodes:
+        segments[-1].append(episode)
+        if episode.total_steps - saved >= 50:
+            saved = episode.total_steps
+            segments.append([])
+    segments = [s for s in segments if s]
+    assert len(segments) >= 3
+    seeds = [barrier_seed(0, segment[0].episode - 1) for segment in segments]
+    assert len(set(seeds)) == len(seeds)
+    for seed, segment in zip(seeds, segments, strict=True):
+        tasks = [e.task for e in segment]
+        assert 0 in tasks, "an open episode outlived the barrier"
+        assert len(set(tasks)) == len(tasks)
+        assert max(tasks) < len(segment) + 2  # two vehicles: at most one flight is open for each
+        for episode in segment:
+            task = world.sample_task(np.random.default_rng((seed, episode.task)), avoid=np.zeros((0, 3)))
+            assert (episode.start_x, episode.start_y, episode.start_z) == pytest.approx(tuple(task.start), abs=1e-4)
+            assert (episode.goal_x, episode.goal_y, episode.goal_z) == pytest.approx(tuple(task.goal), abs=1e-4)
+    assert max(e.steps for e in run.episodes) <= 12
+    for steps in run.stored_episodes()[-5:]:
+        assert (steps["observation"][0, :70] == 0).all()
+
+
+# ---------------------------------------------------------------------- a loss that is no number
+
+
+def test_a_loss_that_is_no_number_ends_the_run_and_leaves_the_checkpoints(tmp_path: Path) -> None:
+    trainer = built(tmp_path / "run", "trainer.episodes=10", "trainer.checkpoint_interval=100000")
+    trainer.save_trainer(force_save=True)
+    before = {p: p.read_bytes() for p in (tmp_path / "run/checkpoints").iterdir()}
+    assert before
+    with torch.no_grad():
+        for value in trainer.loss_module.critic_network_params.values(True, True):
+            value.fill_(math.nan)
+    try:
+        with pytest.raises(UavrlError, match=r"critic's loss became nan after \d+ updates"):
+            trainer.train()
+    finally:
+        trainer.shutdown()
+    assert {p: p.read_bytes() for p in (tmp_path / "run/checkpoints").iterdir()} == before
+
+
+# ---------------------------------------------------------------------- episodes.csv
+
+
+def row(number: int, outcome: str = "arrived") -> Episode:
+    return Episode(number, 10 * number, outcome, -1.5 * number, 10, 0.1, 0.2, 0.3, 4.0, 5.0, 6.0, 7, number)
+
+
+def test_the_log_cuts_its_file_back_to_the_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    log = EpisodeLog(path, window=2)
+    for number in (1, 2, 3):
+        log.add(row(number))
+    state, whole = log.state_dict(), path.read_bytes()
+    for number in (4, 5):
+        log.add(row(number, "collided"))
+    with path.open("a") as file:
+        file.write("6,60,arr")
+    other = EpisodeLog(path, window=2)
+    other.load_state_dict(state)
+    assert path.read_bytes() == whole
+    assert read_episodes(path) == [row(1), row(2), row(3)]
+    assert (other.count, other.rates()["arrived"], other.mean_return()) == (3, 1.0, -3.75)
+    other.add(row(4, "timed_out"))
+    assert other.rates() == {"arrived": 0.5, "collided": 0.0, "timed_out": 0.5}
+    assert [e.episode for e in read_episodes(path)] == [1, 2, 3, 4]
+
+
+def test_the_log_refuses_a_file_that_is_too_short(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    log = EpisodeLog(path)
+    log.add(row(1))
+    before = path.read_bytes()
+    with pytest.raises(UavrlError, match="at least 2 episodes .* found 1"):
+        EpisodeLog(path).load_state_dict({"count": 2})
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("done", [[False, True, False], [False], [False, False, True, False]])
+def test_half_an_episode_is_refused(done: list[bool]) -> None:
+    batch = TensorDict({"next": {"done": torch.tensor(done)[:, None]}}, [len(done)])
+    with pytest.raises(ValueError, match="whole episodes"):
+        list(split_episodes(batch))
