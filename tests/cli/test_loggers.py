@@ -67,9 +67,7 @@ def test_a_run_with_another_logger_learns_the_same(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize(("name", "flag"), [("tensorboard", "_has_tb"), ("wandb", "_has_wandb")])
-def test_a_missing_package_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, flag: str
-) -> None:
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, flag: str) -> None:
     # TorchRL looks for the package once, when it is imported.
     monkeypatch.setattr(importlib.import_module(f"torchrl.record.loggers.{name}"), flag, False)
     config = small_config(tmp_path / "run", f"logger={name}", "trainer.episodes=1")

@@ -72,7 +72,7 @@ class StubEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
         mask = torch.ones(self.batch_size, dtype=torch.bool)
-        if tensordict is not None and "_reset" in tensordict.keys():
+        if tensordict is not None and tensordict.get("_reset", None) is not None:
             mask = tensordict["_reset"].reshape(self.batch_size)
         for i in mask.nonzero()[:, 0].tolist():
             self.task[i], self.steps[i] = self.next_task, 0

@@ -118,9 +118,7 @@ def test_a_time_out_is_done_and_not_terminated(tmp_path: Path) -> None:
 
 
 def test_a_collision_is_done_and_terminated(tmp_path: Path) -> None:
-    run = flown(
-        tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "env.max_steps=60", lift=-1.99
-    )
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "env.max_steps=60", lift=-1.99)
     assert [e.outcome for e in run.episodes] == ["collided", "collided"]
     for steps in run.stored_episodes():
         assert steps["next", "terminated"][:, 0].tolist() == [False] * (len(steps) - 1) + [True]
@@ -161,9 +159,7 @@ def test_actions_are_random_at_first_and_noisy_ones_of_the_policy_later(noisy: R
 
 
 def test_without_noise_the_actions_are_the_policys(tmp_path: Path) -> None:
-    run = flown(
-        tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "algo.exploration_noise=0"
-    )
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "algo.exploration_noise=0")
     expected = policy_of(run, run.stored["observation"])
     torch.testing.assert_close(run.stored["action"], expected, atol=1e-5, rtol=0)
 
@@ -256,7 +252,7 @@ def test_the_log_refuses_a_file_that_is_too_short(tmp_path: Path) -> None:
     log = EpisodeLog(path)
     log.add(row(1))
     before = path.read_bytes()
-    with pytest.raises(UavrlError, match="at least 2 episodes .* found 1"):
+    with pytest.raises(UavrlError, match=r"at least 2 episodes .* found 1"):
         EpisodeLog(path).load_state_dict({"count": 2})
     assert path.read_bytes() == before
 

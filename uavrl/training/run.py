@@ -193,7 +193,7 @@ def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path)
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
         "steps": trainer.collected_frames,  # of whole episodes, which is what is learned from
-        "steps_flown": trainer.collector.state_dict()["frames"],  # with the episodes that checkpoints cut off
+        "steps_flown": trainer.steps_flown,  # with the episodes that checkpoints cut off
         "updates": trainer.optimization_stepper.updates,
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),

@@ -127,6 +127,7 @@ class NavigationTrainer(Trainer):
         self.progress = progress
         self.run_seed = seed
         self._last_save = 0
+        self.steps_flown = 0
         self.episodes = episodes
         super().__init__(
             collector=collector,
@@ -176,6 +177,7 @@ class NavigationTrainer(Trainer):
 
     def barrier(self) -> None:
         """Drops open episodes and rebuilds the environment."""
+        self.steps_flown = self.collector.state_dict()["frames"]
         self.collector.set_seed(barrier_seed(self.run_seed, self.episode_log.count), static_seed=True)
         self.collector.reset()
 
