@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -9,10 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
+from filelock import FileLock
 from omegaconf import OmegaConf
 
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
+from uavrl.models import Actor
 
 TINY = [
     "trainer.episodes=4",
@@ -330,3 +334,57 @@ def test_a_full_disk_is_one_sentence(
 
     monkeypatch.setattr("uavrl.training.episodes.EpisodeLog.add", full)
     assert "No space left on device" in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
+
+
+# ---------------------------------------------------------------------- found in review
+
+
+def test_two_processes_do_not_share_a_run_folder(run_dir: Path, refused: Callable[..., str]) -> None:
+    before = content(run_dir)
+    with FileLock(run_dir / ".lock"):
+        sentence = refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
+    assert "Another process trains in" in sentence
+    assert {**content(run_dir), ".lock": b""} == {**before, ".lock": b""}
+
+
+def test_a_folder_with_the_rest_of_another_run_is_refused(run_dir: Path, refused: Callable[..., str]) -> None:
+    (run_dir / "config.yaml").unlink()
+    before = content(run_dir)
+    assert "holds a run already" in refused(train_command.main, *TINY, f"run_dir={run_dir}")
+    assert content(run_dir) == before
+
+
+def not_a_number(actor: Actor, observation: torch.Tensor) -> torch.Tensor:
+    return torch.full((*observation.shape[:-1], 4), torch.nan)
+
+
+def test_nan_actions_end_a_training_in_one_sentence(
+    tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Actor, "forward", not_a_number)
+    sentence = refused(train_command.main, *TINY, f"run_dir={tmp_path / 'run'}", "algo.random_steps=0")
+    assert "got NaN" in sentence
+    assert newest(tmp_path / "run").is_file()
+
+
+def test_nan_actions_end_an_evaluation_in_one_sentence(
+    run_dir: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Actor, "forward", not_a_number)
+    assert "got NaN" in refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
+    assert not (run_dir / "evaluation.json").exists()
+
+
+def test_an_evaluation_changes_one_value_of_the_runs_environment_and_says_so_in_its_name(run_dir: Path) -> None:
+    arguments = [f"run={run_dir}", *SMALL_EVALUATION, "env.max_steps=3", "env.world.min_clearance=1.0"]
+    assert in_process(evaluate_command.main, *arguments) == 0
+    written = run_dir / "evaluation_env.max_steps=3_env.world.min_clearance=1.0.json"
+    result = json.loads(written.read_text())
+    assert max(flight["steps"] for flight in result["flights"]) == 3
+    assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, "valleys=[4,5]") == 0
+    assert json.loads((run_dir / "evaluation_valleys=4-5.json").read_text())["valleys"] == [4, 5]
+
+
+def test_what_the_policy_was_trained_with_cannot_change(run_dir: Path, refused: Callable[..., str]) -> None:
+    sentence = refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, "perception.frames=7")
+    assert "perception.frames belongs to the policy" in sentence

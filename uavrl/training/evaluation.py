@@ -85,6 +85,9 @@ def fly(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False) 
 
     Returns:
         One flight per task, in the order of the tasks.
+
+    Raises:
+        ValueError: when the environment has given out its first tasks already.
     """
     recorder = _FlightRecorder(env.batch_size[0])
     flights: dict[int, Flight] = {}
@@ -93,6 +96,8 @@ def fly(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False) 
         tqdm(total=episodes, disable=not progress, unit="ep") as bar,
     ):
         state = env.reset()
+        if state["task"].min() != 0:
+            raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before flying again.")
         while len(flights) < episodes:
             stepped, state = env.step_and_maybe_reset(policy(state))
             for flight in recorder.step(stepped, stepped["next"]):

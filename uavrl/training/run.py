@@ -77,8 +77,10 @@ def locked(run_dir: Path) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise UavrlError(f"Another process trains in {run_dir}: wait until it ends, or stop it.") from None
-    with lock:
+    try:
         yield
+    finally:
+        lock.release()
 
 
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
@@ -105,7 +107,8 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
         trainer = _build(settings, config, run_dir)
     except BaseException:
         if not resume:
-            (run_dir / CONFIG).unlink(missing_ok=True)  # nothing to resume: the folder is free for another try
+            for name in (CONFIG, EPISODES):  # nothing to resume: the folder is free for another try
+                (run_dir / name).unlink(missing_ok=True)
         raise
     try:
         if checkpoint is not None:
