@@ -19,7 +19,7 @@ train: $(READY)
 	$(BIN)/uavrl-train $(ARGS)
 
 test: $(READY) lint
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow $(ARGS)

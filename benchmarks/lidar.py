@@ -17,11 +17,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pybullet
 import torch
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from uavrl.envs.bodies import STATIC, add_fixed
+from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.vlp16 import NUM_RAYS, firing_directions
@@ -57,16 +58,10 @@ def bare_embree(meshes: list[Mesh], origins: np.ndarray, directions: np.ndarray,
 
 def pybullet_rays(meshes: list[Mesh], origins: np.ndarray, directions: np.ndarray) -> Callable[[], object]:
     """Returns `rayTestBatch` calls, uncut, on one thread, on ready-made lists."""
-    client = pybullet.connect(pybullet.DIRECT)
+    with silenced():
+        client = pybullet.connect(pybullet.DIRECT)
     for mesh in meshes:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH,
-            vertices=mesh.vertices.tolist(),
-            indices=mesh.faces.ravel().tolist(),
-            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=client,
-        )
-        pybullet.createMultiBody(0, shape, physicsClientId=client)
+        add_fixed(client, mesh, STATIC)
     starts, ends = origins.tolist(), (origins + UNCUT * directions).tolist()
     parts = [slice(i, i + PYBULLET_BATCH) for i in range(0, len(starts), PYBULLET_BATCH)]
 

@@ -11,14 +11,9 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import ParallelEnv, SerialEnv, check_env_specs
 
+from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.navigation import (
-    NavigationEnv,
-    goal_course_deg,
-    goal_elevation_deg,
-    goal_heading_deg,
-    wrap_degrees,
-)
+from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics
 from uavrl.envs.world import WorldConfig
 
