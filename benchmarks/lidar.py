@@ -61,7 +61,8 @@ def pybullet_rays(meshes: list[Mesh], origins: np.ndarray, directions: np.ndarra
     with silenced():
         client = pybullet.connect(pybullet.DIRECT)
     for mesh in meshes:
-        add_fixed(client, mesh, STATIC)
+        body = add_fixed(client, mesh, STATIC)
+        pybullet.setCollisionFilterGroupMask(body, -1, -1, -1, physicsClientId=client)  # rays meet it too
     starts, ends = origins.tolist(), (origins + UNCUT * directions).tolist()
     parts = [slice(i, i + PYBULLET_BATCH) for i in range(0, len(starts), PYBULLET_BATCH)]
 
@@ -72,6 +73,8 @@ def pybullet_rays(meshes: list[Mesh], origins: np.ndarray, directions: np.ndarra
             for hit in pybullet.rayTestBatch(starts[part], ends[part], numThreads=1, physicsClientId=client)
         ]
 
+    if not any(hit[0] >= 0 for hit in cast()):
+        raise SystemExit("PyBullet's rays meet nothing: its row would say nothing.")
     return cast
 
 
