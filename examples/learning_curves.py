@@ -9,7 +9,13 @@ import argparse
 from pathlib import Path
 
 from uavrl.reporting.learning_curves import moving_rates, plot, steps_to
-from uavrl.training.episodes import read_episodes
+from uavrl.training.episodes import Episode, read_episodes
+
+
+def mean_return(episodes: list[Episode], outcome: str) -> str:
+    """Mean return of the episodes that ended so."""
+    returns = [e.episode_return for e in episodes if e.outcome == outcome]
+    return f"{sum(returns) / len(returns):.0f}" if returns else "–"
 
 
 def main() -> None:
@@ -25,10 +31,14 @@ def main() -> None:
     for run in args.runs:
         episodes = read_episodes(run / "episodes.csv")
         runs[run.name] = [e for e in episodes if args.until is None or e.total_steps <= args.until]
-    print(f"{'run':<28}{'episodes':>9}{'steps':>9}{'success':>9}{'collision':>11}{'time-out':>10}   steps to threshold")
+    print(f"rates and mean returns over the last {args.window} episodes")
+    heads = f"{'success':>9}{'collision':>11}{'time-out':>10}{'return if arrived':>19}{'timed out':>11}"
+    print(f"{'run':<28}{'episodes':>9}{'steps':>9}{heads}   steps to {args.threshold:.0%}")
     for name, episodes in runs.items():
         steps, rates = moving_rates(episodes, args.window)
         last = "".join(f"{rates[o][-1]:>{w}.1%}" for o, w in (("arrived", 9), ("collided", 11), ("timed_out", 10)))
+        last += f"{mean_return(episodes[-args.window :], 'arrived'):>19}"
+        last += f"{mean_return(episodes[-args.window :], 'timed_out'):>11}"
         reached = steps_to(episodes, args.threshold, args.window)
         print(f"{name:<28}{len(episodes):>9,}{steps[-1]:>9,}{last}   {'–' if reached is None else f'{reached:,}'}")
     plot(runs, args.output, args.window)
