@@ -37,8 +37,10 @@ class TD3Loss(_TD3Loss):
         ValueError: for another number of critics than two.
 
     Examples:
+        >>> import torch
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from torchrl.data import Bounded
         >>> from uavrl.models import Actor, Critic
         >>> spec = Bounded(-2.0, 2.0, (4,))
         >>> critics = [Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
