@@ -388,3 +388,20 @@ def test_an_evaluation_changes_one_value_of_the_runs_environment_and_says_so_in_
 def test_what_the_policy_was_trained_with_cannot_change(run_dir: Path, refused: Callable[..., str]) -> None:
     sentence = refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, "perception.frames=7")
     assert "perception.frames belongs to the policy" in sentence
+
+
+def test_ctrl_c_in_the_middle_of_an_update_is_still_ctrl_c(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forward = Actor.forward
+
+    def interrupted_while_learning(actor: Actor, observation: torch.Tensor) -> torch.Tensor:
+        if torch.is_grad_enabled():
+            raise KeyboardInterrupt
+        return forward(actor, observation)
+
+    monkeypatch.setattr(Actor, "forward", interrupted_while_learning)
+    assert in_process(train_command.main, *TINY, f"run_dir={tmp_path / 'run'}") == 130
+    out, err = capfd.readouterr()
+    assert f"uavrl-train resume={tmp_path / 'run'}" in out
+    assert "uavrl: stopped." in err and "Traceback" not in err

@@ -13,6 +13,22 @@ from uavrl.errors import UavrlError
 CTRL_C = 130  # exit code
 
 
+def was_interrupted(error: BaseException | None) -> bool:
+    """Whether an error is Ctrl-C, or came out of its handling.
+
+    TensorDict's ``to_module`` answers an exception inside its ``with`` block by one of its own.
+
+    Examples:
+        >>> was_interrupted(KeyboardInterrupt()), was_interrupted(ValueError())
+        (True, False)
+    """
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__context__
+    return False
+
+
 @contextmanager
 def one_sentence() -> Iterator[None]:
     """Prints what the user can mend, without a traceback, and exits with 1; Ctrl-C exits with 130."""
@@ -24,7 +40,9 @@ def one_sentence() -> Iterator[None]:
     except OSError as error:
         print(f"uavrl: {error}. Check the folder and the space left on its disk.", file=sys.stderr)
         raise SystemExit(1) from None
-    except KeyboardInterrupt:
+    except BaseException as error:
+        if not was_interrupted(error):
+            raise
         print("uavrl: stopped.", file=sys.stderr)
         raise SystemExit(CTRL_C) from None
 

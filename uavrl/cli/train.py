@@ -10,7 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence
+from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence, was_interrupted
 from uavrl.configs import conf_dir, register_schemas
 
 register_schemas()
@@ -54,8 +54,8 @@ def _train(config: DictConfig) -> None:
         print(f"Run folder: {run_dir}")
     try:
         summary = train(config, run_dir, resume=resume)
-    except KeyboardInterrupt:
-        if any((run_dir / "checkpoints").glob("checkpoint*")):
+    except BaseException as error:
+        if was_interrupted(error) and any((run_dir / "checkpoints").glob("checkpoint*")):
             print(f"\nStopped. Go on with: uavrl-train resume={run_dir}")
         raise
     print(json.dumps({k: summary[k] for k in ("episodes", "steps", "rates")}))
