@@ -1,6 +1,7 @@
 """Loss modules. They need torch, tensordict and torchrl only."""
 
+from uavrl.losses.actor_critic import ActorCriticLoss, Enhancer
 from uavrl.losses.ddpg import DDPGLoss
 from uavrl.losses.td3 import TD3Loss
 
-__all__ = ["DDPGLoss", "TD3Loss"]
+__all__ = ["ActorCriticLoss", "DDPGLoss", "Enhancer", "TD3Loss"]

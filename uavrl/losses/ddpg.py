@@ -10,8 +10,10 @@ from torch import Tensor
 from torchrl.objectives import DDPGLoss as _DDPGLoss
 from torchrl.objectives import ValueEstimators
 
+from uavrl.losses.actor_critic import ActorCriticLoss
 
-class DDPGLoss(_DDPGLoss):
+
+class DDPGLoss(ActorCriticLoss, _DDPGLoss):
     """DDPG's critic and actor losses (Chansuparp (2022), Eq. 2.7–2.8), with target actor and target critic.
 
     Args:
@@ -80,13 +82,15 @@ class DDPGLoss(_DDPGLoss):
         """
         return self.loss_value(tensordict)
 
-    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 2.13: ``-Q(s, μ(s))``; the critic is constant.
+    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The state with the action μ(s)."""
+        acted = tensordict.select(*self.actor_network.in_keys, *self.value_network.in_keys, strict=False)
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            return self.actor_network(acted)
 
-        Args:
-            tensordict: ``[*B]`` with the state.
-
-        Returns:
-            The reduced loss and metadata.
-        """
-        return self.loss_actor(tensordict)
+    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
+        """``Q(s, a)``, of a constant critic."""
+        critic = self.target_value_network_params if target else self._cached_detached_value_params
+        with critic.to_module(self.value_network, preserve_module_state=False):
+            value = self.value_network(acted.select(*self.value_network.in_keys))
+        return value.get(self.tensor_keys.state_action_value).squeeze(-1)

@@ -12,10 +12,11 @@ from torchrl.data import Bounded
 from torchrl.objectives import TD3Loss as _TD3Loss
 from torchrl.objectives import ValueEstimators
 
+from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.models import Critic
 
 
-class TD3Loss(_TD3Loss):
+class TD3Loss(ActorCriticLoss, _TD3Loss):
     """TD3's critic and actor losses (Chansuparp (2022), Eq. 2.10–2.13).
 
     What differs from :class:`torchrl.objectives.TD3Loss`: the squared error is the default, target noise
@@ -106,20 +107,15 @@ class TD3Loss(_TD3Loss):
         """The parameters that the critic's optimiser moves."""
         return self.qvalue_network_params
 
-    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 2.13: ``-Q_1(s, μ(s))``; the critic is constant.
-
-        Args:
-            tensordict: ``[*B]`` with the state.
-
-        Returns:
-            The reduced loss and the detached values.
-        """
-        weights = self._maybe_get_priority_weight(tensordict)
-        data = tensordict.select(*self.actor_network.in_keys, *self.qvalue_network.in_keys, strict=False)
+    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The state with the action μ(s)."""
+        acted = tensordict.select(*self.actor_network.in_keys, *self.qvalue_network.in_keys, strict=False)
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
-            data = self.actor_network(data)
-        with self._cached_detach_qvalue_network_params[0].to_module(self.qvalue_network, preserve_module_state=False):
-            value = self.qvalue_network(data).get(self.tensor_keys.state_action_value).squeeze(-1)
-        loss = self._reduce_loss(-value, tensordict=tensordict, weights=weights)
-        return loss, {"state_action_value_actor": value.detach()}
+            return self.actor_network(acted)
+
+    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
+        """``Q_1(s, a)``, of constant critics."""
+        critics = self.target_qvalue_network_params if target else self._cached_detach_qvalue_network_params
+        with critics[0].to_module(self.qvalue_network, preserve_module_state=False):
+            value = self.qvalue_network(acted.select(*self.qvalue_network.in_keys))
+        return value.get(self.tensor_keys.state_action_value).squeeze(-1)

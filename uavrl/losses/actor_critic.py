@@ -1,0 +1,135 @@
+"""What actor–critic losses have in common, and how an enhancer attaches to one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+from tensordict import TensorDictBase, TensorDictParams
+from torch import Tensor
+from torchrl.objectives import LossModule
+
+# At run time a mixin: TorchRL's metaclass gives every subclass of LossModule a forward of its own,
+# which would hide that of the loss it is mixed into.
+_LossModule = LossModule if TYPE_CHECKING else ABC
+
+
+class ActorCriticLoss(_LossModule):
+    """The interface of a deterministic or reparameterised actor–critic loss.
+
+    A subclass says how it acts and what it wants of an action; the actor's loss follows. An
+    :class:`Enhancer` reads the same three methods, so that it attaches to any of them.
+    """
+
+    actor_network_params: TensorDictParams
+
+    @property
+    @abstractmethod
+    def critic_network_params(self) -> TensorDictParams:
+        """The parameters that the critic's optimiser moves."""
+
+    @abstractmethod
+    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The state, with the action that the current actor takes there, differentiable in the actor.
+
+        Args:
+            tensordict: ``[*B]`` with the actor's in-keys; it is not modified.
+        """
+
+    @abstractmethod
+    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
+        """The value ``[*B]`` of states and actions; the critics are constant, the action is not.
+
+        Args:
+            acted: ``[*B]`` with the state and an action.
+            target: ask the target critics.
+        """
+
+    def actor_objective(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """What the actor minimises for each sample, ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``)."""
+        value = self.action_value(acted)
+        return -value, {"state_action_value_actor": value.detach()}
+
+    if TYPE_CHECKING:  # TorchRL's losses bring it
+
+        def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+            """The critics' loss, and metadata with ``td_error``, ``pred_value``."""
+            raise NotImplementedError
+
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The actor's loss; critics and models are constant.
+
+        Args:
+            tensordict: ``[*B]`` with the state.
+
+        Returns:
+            The reduced loss and detached metadata.
+        """
+        weights = self._maybe_get_priority_weight(tensordict)
+        objective, metadata = self.actor_objective(self.act(tensordict))
+        return self._reduce_loss(objective, tensordict=tensordict, weights=weights), metadata
+
+
+class Enhancer(ActorCriticLoss, LossModule):
+    """Adds a term to the actor's objective of another loss, and trains the models that the term needs.
+
+    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change it asks of ``base``.
+
+    Args:
+        base: the loss to enhance, or another enhancer.
+    """
+
+    def __init__(self, base: ActorCriticLoss) -> None:
+        super().__init__()
+        self.base = base
+        self.reduction = base.reduction
+
+    # ------------------------------------------------------------------ what a subclass gives
+
+    @abstractmethod
+    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor | None, dict[str, Tensor]]:
+        """What is added to the objective of each sample ``[*B]``, or None while it has nothing to say."""
+
+    def observe(self, episodes: TensorDictBase) -> None:
+        """Takes in whole new episodes ``[T]``, end to end. Call it once for each episode flown."""
+        if isinstance(self.base, Enhancer):
+            self.base.observe(episodes)
+
+    def diagnostics(self) -> dict[str, float]:
+        """Numbers worth logging."""
+        return self.base.diagnostics() if isinstance(self.base, Enhancer) else {}
+
+    # ------------------------------------------------------------------ what is asked of the base
+
+    @property
+    def unenhanced(self) -> ActorCriticLoss:
+        """The loss at the bottom."""
+        return self.base.unenhanced if isinstance(self.base, Enhancer) else self.base
+
+    @property
+    def actor_network_params(self) -> TensorDictParams:
+        """The parameters that the actor's optimiser moves."""
+        return self.base.actor_network_params
+
+    @property
+    def critic_network_params(self) -> TensorDictParams:
+        """The parameters that the critic's optimiser moves."""
+        return self.base.critic_network_params
+
+    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The base's action."""
+        return self.base.act(tensordict)
+
+    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
+        """The base's value."""
+        return self.base.action_value(acted, target=target)
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The base's critic loss."""
+        return self.base.value_loss(tensordict)
+
+    def actor_objective(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The base's objective and the term."""
+        objective, metadata = self.base.actor_objective(acted)
+        term, own = self.actor_term(acted)
+        return objective if term is None else objective + term, metadata | own
