@@ -11,7 +11,10 @@ from torchrl.objectives import LossModule
 
 # At run time a mixin: TorchRL's metaclass gives every subclass of LossModule a forward of its own,
 # which would hide that of the loss it is mixed into.
-_LossModule = LossModule if TYPE_CHECKING else ABC
+if TYPE_CHECKING:
+    from torchrl.objectives import LossModule as _LossModule
+else:
+    _LossModule = ABC
 
 
 class ActorCriticLoss(_LossModule):
