@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import copy
+from typing import ClassVar
 
 import pytest
 import torch
+import torch._dynamo
+import torch._inductor.config
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs import Compose, EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv, check_env_specs
@@ -89,12 +92,26 @@ class _Make:
 
 
 class LossContract:
-    """Subclass, and give ``make_loss``; the loss reads the usual keys of a transition."""
+    """Subclass, and give ``make_loss``; the loss reads the usual keys of a transition.
+
+    ``methods`` names each ``*_loss(tensordict)`` with the group of parameters that its gradient reaches;
+    ``groups`` says which parameters these are. ``compiled`` are those that the quick test of ``torch.compile``
+    takes; the slow one takes all.
+    """
 
     observations, actions = 6, 2
+    methods: ClassVar[dict[str, str]] = {"value_loss": "critic", "actor_loss": "actor"}
+    compiled: ClassVar[tuple[str, ...]] = ("value_loss", "actor_loss")
 
     def make_loss(self, **kwargs: object) -> torch.nn.Module:
         raise NotImplementedError
+
+    def groups(self, loss: torch.nn.Module) -> dict[str, list[torch.Tensor]]:
+        found = {
+            "actor": list(loss.actor_network_params.values(True, True)),
+            "critic": list(loss.critic_network_params.values(True, True)),
+        }
+        return found | ({"model": list(loss.model_params)} if "model" in self.methods.values() else {})
 
     def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
         generator = torch.Generator().manual_seed(0)
@@ -117,32 +134,40 @@ class LossContract:
             [size],
         )
 
-    @pytest.mark.parametrize("method", ["value_loss", "actor_loss"])
+    def evaluate(self, loss: torch.nn.Module, method: str, data: TensorDictBase | None = None) -> torch.Tensor:
+        """What the method says, with the same noise at each call."""
+        torch.manual_seed(1)
+        return getattr(loss, method)(self.make_data() if data is None else data)[0]
+
+    def seeded_loss(self, **kwargs: object) -> torch.nn.Module:
+        torch.manual_seed(0)
+        return self.make_loss(**kwargs)
+
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        given = [mark.args[0] for mark in metafunc.definition.iter_markers("parametrize")]
+        if "method" in metafunc.fixturenames and "method" not in given:
+            quick = metafunc.function.__name__ == "test_under_torch_compile"
+            metafunc.parametrize("method", self.compiled if quick else list(self.methods))
+
     @pytest.mark.parametrize("reduction", ["none", "mean", "sum"])
     def test_reduction(self, method: str, reduction: str) -> None:
-        def value(reduction: str) -> torch.Tensor:
-            torch.manual_seed(0)
-            loss = self.make_loss(reduction=reduction)
-            torch.manual_seed(1)
-            return getattr(loss, method)(self.make_data())[0]
-
-        each = value("none")
+        each = self.evaluate(self.seeded_loss(reduction="none"), method)
         assert each.shape[-1] == 5
         expected = {"none": each, "mean": each.mean(), "sum": each.sum()}[reduction]
-        torch.testing.assert_close(value(reduction), expected)
+        torch.testing.assert_close(self.evaluate(self.seeded_loss(reduction=reduction), method), expected)
 
-    def test_gradients_reach_only_what_they_should(self) -> None:
-        for method, reached in (("value_loss", "critic"), ("actor_loss", "actor")):
-            loss = self.make_loss()
-            getattr(loss, method)(self.make_data())[0].backward()
-            params = {"actor": loss.actor_network_params, "critic": loss.critic_network_params}
-            for name, group in params.items():
-                norms = [p.grad is not None and bool(p.grad.abs().sum() > 0) for p in group.values(True, True)]
-                assert any(norms) == (name == reached), (method, name)
-            for name, value in loss.named_buffers():
-                assert value.grad is None, name
+    def test_gradients_reach_only_what_they_should(self, method: str) -> None:
+        loss = self.make_loss()
+        self.evaluate(loss, method).backward()
+        groups = self.groups(loss)
+        reached = {id(p) for p in groups[self.methods[method]]}
+        assert any(p.grad is not None and p.grad.abs().sum() > 0 for p in groups[self.methods[method]])
+        for name, value in [*loss.named_parameters(), *loss.named_buffers()]:
+            assert value.grad is None or id(value) in reached or not value.grad.any(), name
+        for name, group in groups.items():
+            touched = [p.grad is not None and bool(p.grad.abs().sum() > 0) for p in group]
+            assert any(touched) == (name == self.methods[method]), name
 
-    @pytest.mark.parametrize("method", ["value_loss", "actor_loss"])
     def test_inputs_are_not_modified(self, method: str) -> None:
         data = self.make_data()
         before = data.clone()
@@ -151,39 +176,80 @@ class LossContract:
         assert set(data.keys(True)) == set(before.keys(True))
         assert (data == before).all()
 
-    def test_state_dict_round_trip(self) -> None:
-        torch.manual_seed(0)
-        one = self.make_loss()
-        other = self.make_loss()
+    def test_the_actors_metadata_is_detached(self) -> None:
+        metadata = self.make_loss().actor_loss(self.make_data())[1]
+        assert metadata
+        assert not any(value.requires_grad for value in metadata.values())
+
+    def test_priority_weights(self, method: str) -> None:
+        """A weight of 0 takes a sample out of the loss."""
+        loss = self.seeded_loss()
+        data = self.make_data().set("priority_weight", torch.tensor([1.0, 1.0, 0.0, 1.0, 1.0]))
+        each = self.evaluate(self.seeded_loss(reduction="none"), method)
+        torch.testing.assert_close(self.evaluate(loss, method, data), each[..., [0, 1, 3, 4]].mean())
+
+    def test_state_dict_round_trip(self, method: str) -> None:
+        one, other = self.make_loss(), self.make_loss()
         other.load_state_dict(one.state_dict())
-        values: list[torch.Tensor] = []
-        for loss in (one, other):
-            torch.manual_seed(1)
-            values.append(loss.value_loss(self.make_data())[0])
-        assert torch.equal(values[0], values[1])
+        assert torch.equal(self.evaluate(one, method), self.evaluate(other, method))
+
+    def test_forward_gives_each_loss(self) -> None:
+        loss = self.make_loss()
+        losses = loss(self.make_data())
+        expected = sorted(key for key in loss.out_keys if key.startswith("loss_"))
+        found = [key for key in losses.keys(True) if str(key).startswith("loss_")]
+        assert sorted(found) == expected
+        assert len(expected) >= 2
 
     def test_keyword_arguments(self) -> None:
         loss = self.make_loss()
-        loss(**{"_".join(k) if isinstance(k, tuple) else k: v for k, v in self.make_data().items(True, True)})
+        data = self.make_data()
+        torch.manual_seed(1)
+        values = loss(**{"_".join(k) if isinstance(k, tuple) else k: v for k, v in data.items(True, True)})
+        torch.manual_seed(1)
+        expected = loss(data)
+        for key, value in zip(loss.out_keys, values, strict=True):
+            torch.testing.assert_close(value, expected[key])
 
-    def test_keys_can_be_renamed(self) -> None:
-        values: list[torch.Tensor] = []
-        for rename in (False, True):
-            torch.manual_seed(0)
-            loss = self.make_loss()
-            data = self.make_data()
-            if rename:
-                loss.set_keys(reward="gain")
-                data["next", "gain"] = data["next"].pop("reward")
-            torch.manual_seed(1)
-            values.append(loss.value_loss(data)[0])
-        assert torch.equal(values[0], values[1])
+    def test_keys_can_be_renamed(self, method: str) -> None:
+        data = self.make_data()
+        data["next", "gain"] = data["next"].pop("reward")
+        loss = self.seeded_loss()
+        loss.set_keys(reward="gain")
+        assert torch.equal(self.evaluate(loss, method, data), self.evaluate(self.seeded_loss(), method))
 
-    def test_float64(self) -> None:
+    def test_an_unknown_key_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="no_such_key"):
+            self.make_loss().set_keys(no_such_key="observation")
+
+    def test_float64(self, method: str) -> None:
         loss = self.make_loss().double()
-        assert loss.value_loss(self.make_data(torch.float64))[0].dtype == torch.float64
+        assert self.evaluate(loss, method, self.make_data(torch.float64)).dtype == torch.float64
+
+    def test_survives_a_deep_copy(self, method: str) -> None:
+        loss = self.make_loss()
+        assert torch.equal(self.evaluate(loss, method), self.evaluate(copy.deepcopy(loss), method))
+
+    def test_under_torch_compile(self, method: str) -> None:
+        self.check_compiled(method, "eager")
+
+    @pytest.mark.slow
+    def test_under_torch_compile_with_inductor(self, method: str) -> None:
+        self.check_compiled(method, "inductor")
+
+    def check_compiled(self, method: str, backend: str) -> None:
+        """With the noise of uncompiled code, which inductor draws too if told so."""
+        loss = self.make_loss()
+        expected = self.evaluate(loss, method)
+        torch._dynamo.reset()
+        with torch._inductor.config.patch(fallback_random=True):
+            compiled = torch.compile(getattr(loss, method), backend=backend)
+            torch.manual_seed(1)
+            torch.testing.assert_close(compiled(self.make_data())[0], expected)
 
     @pytest.mark.gpu
-    def test_cuda(self) -> None:
+    def test_cuda(self, method: str) -> None:
         loss = self.make_loss().to("cuda")
-        assert loss.value_loss(self.make_data().to("cuda"))[0].is_cuda
+        value = self.evaluate(loss, method, self.make_data().to("cuda"))
+        assert value.is_cuda
+        assert value.isfinite()

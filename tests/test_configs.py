@@ -306,6 +306,7 @@ OUT_OF_RANGE = [
     ("trainer.checkpoint_interval", "0"),
     ("trainer.keep_checkpoints", "0"),
     ("trainer.threads", "0"),
+    ("trainer.execution", "fast"),
     ("logger.name", "mlflow"),
     ("logger.interval", "0"),
 ]

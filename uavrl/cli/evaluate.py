@@ -121,7 +121,7 @@ def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfi
     from torchrl.checkpoint import Checkpoint
 
     from uavrl.training.checkpoint import check_checkpoint, latest_checkpoint, read_config, restore
-    from uavrl.training.factory import make_actor
+    from uavrl.training.learner import make_actor
 
     config = read_config(run_dir)
     path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
@@ -129,7 +129,7 @@ def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfi
         raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
     train_config: TrainConfig = to_dataclass(config)
     metadata = check_checkpoint(path, config)
-    actor = make_actor(train_config.algo.hidden, train_config.perception, device)
+    actor = make_actor(train_config.algo, train_config.perception, device)
     restore(Checkpoint(policy=actor), path, ["policy"])
     source = {
         "run": str(run_dir),
@@ -139,8 +139,8 @@ def _load(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfi
     }
 
     def policy(tensordict: Any) -> Any:
-        action = actor.module(tensordict["observation"].to(device))
-        return tensordict.set("action", action.to(tensordict["observation"].device))
+        acted = actor(tensordict.select("observation").to(device))
+        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
 
     return config, policy, source
 

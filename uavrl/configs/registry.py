@@ -26,12 +26,18 @@ def conf_dir() -> Path:
 
 def register_schemas() -> None:
     """Puts every dataclass into Hydra's ConfigStore; yaml files name theirs as ``<group>/<name>_schema``."""
+    OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
     store = ConfigStore.instance()
     store.store(name="train_schema", node=TrainConfig)
     store.store(name="evaluate_schema", node=EvaluateConfig)
     for group, schemas in GROUPS.items():
         for name, schema in schemas.items():
             store.store(group=group, name=f"{name}_schema", node=schema)
+
+
+def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:
+    """``${with_lifeguard:A,B}`` is A where the algorithm has a LifeGuard, else B."""
+    return without if OmegaConf.select(_root_, "algo.lifeguard") is None else value
 
 
 def to_dataclass(config: DictConfig) -> Any:

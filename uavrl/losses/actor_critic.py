@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from tensordict import TensorDictBase, TensorDictParams
+from tensordict.nn import dispatch
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.objectives import LossModule
+
+from uavrl.losses.functional import deterministic_policy_objective
 
 # At run time a mixin: TorchRL's metaclass gives every subclass of LossModule a forward of its own,
 # which would hide that of the loss it is mixed into.
@@ -25,6 +31,23 @@ class ActorCriticLoss(_LossModule):
     """
 
     actor_network_params: TensorDictParams
+
+    actor_reads_target = False
+    """Whether the actor ascends the target critics in place of the online ones."""
+
+    @property
+    def unenhanced(self) -> ActorCriticLoss:
+        """The loss below all enhancers: here, itself."""
+        return self
+
+    @property
+    def mode(self) -> tuple[Hashable, ...]:
+        """Names the branches that the losses would take now: a recorded or compiled graph holds for one mode."""
+        return ()
+
+    def _accepted_keys(self) -> set[str]:
+        """The names that :meth:`set_keys` takes."""
+        return set(self._AcceptedKeys.__dataclass_fields__)
 
     @property
     @abstractmethod
@@ -50,8 +73,8 @@ class ActorCriticLoss(_LossModule):
 
     def actor_objective(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """What the actor minimises for each sample, ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``)."""
-        value = self.action_value(acted)
-        return -value, {"state_action_value_actor": value.detach()}
+        value = self.action_value(acted, target=self.actor_reads_target)
+        return deterministic_policy_objective(value), {"state_action_value_actor": value.detach()}
 
     if TYPE_CHECKING:  # TorchRL's losses bring it
 
@@ -82,10 +105,25 @@ class Enhancer(ActorCriticLoss, LossModule):
         base: the loss to enhance, or another enhancer.
     """
 
+    @dataclass
+    class _AcceptedKeys:
+        """The keys that :meth:`set_keys` renames, besides those of the base."""
+
+        priority_weight: NestedKey = "priority_weight"
+
+    default_keys = _AcceptedKeys
+
     def __init__(self, base: ActorCriticLoss) -> None:
         super().__init__()
         self.base = base
         self.reduction = base.reduction
+        self.use_prioritized_weights = base.use_prioritized_weights
+        self.loss_mask_key = base.loss_mask_key
+        self.out_keys = list(base.out_keys)
+        for keys in (base.unenhanced.tensor_keys, base.tensor_keys):
+            for name in self._AcceptedKeys.__dataclass_fields__:
+                if hasattr(keys, name):
+                    setattr(self.tensor_keys, name, getattr(keys, name))
 
     # ------------------------------------------------------------------ what a subclass gives
 
@@ -102,12 +140,64 @@ class Enhancer(ActorCriticLoss, LossModule):
         """Numbers worth logging."""
         return self.base.diagnostics() if isinstance(self.base, Enhancer) else {}
 
+    def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """The losses ``loss_*`` of the models that the term needs, for :meth:`forward`."""
+        return {}
+
+    # ------------------------------------------------------------------ what TorchRL asks of a loss
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What :meth:`forward` reads."""
+        return self.base.in_keys
+
+    def _accepted_keys(self) -> set[str]:
+        return super()._accepted_keys() | self.base._accepted_keys()
+
+    def set_keys(self, **kwargs: NestedKey | None) -> None:
+        """Renames keys here and in the base, wherever they are known; None restores a default.
+
+        Raises:
+            ValueError: for a key that none of the losses knows.
+        """
+        accepted = self._accepted_keys()
+        if unknown := set(kwargs) - accepted:
+            raise ValueError(f"Expected keys out of {sorted(accepted)}, got {sorted(unknown)}.")
+        inner, own = self.base._accepted_keys(), super()._accepted_keys()
+        self.base.set_keys(**{name: key for name, key in kwargs.items() if name in inner})
+        super().set_keys(**{name: key for name, key in kwargs.items() if name in own})
+
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
+        """The base has told its own."""
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The base's losses, the enhanced ``loss_actor``, and the losses of the models.
+
+        Args:
+            tensordict: ``[*B]`` transitions; the base writes its priority into them.
+        """
+        losses = self.base(tensordict)
+        losses.update(self.model_losses(tensordict))  # first: the actor's term may depend on how good they are
+        loss_actor, metadata = self.actor_loss(tensordict)
+        return losses.update({"loss_actor": loss_actor, **metadata})
+
     # ------------------------------------------------------------------ what is asked of the base
 
     @property
+    def mode(self) -> tuple[Hashable, ...]:
+        """The base's branches; a term that branches adds its own."""
+        return self.base.mode
+
+    @property
+    def enhancers(self) -> list[Enhancer]:
+        """This enhancer and those below it, the outermost first."""
+        return [self, *(self.base.enhancers if isinstance(self.base, Enhancer) else [])]
+
+    @property
     def unenhanced(self) -> ActorCriticLoss:
-        """The loss at the bottom."""
-        return self.base.unenhanced if isinstance(self.base, Enhancer) else self.base
+        """The loss below all enhancers."""
+        return self.base.unenhanced
 
     @property
     def actor_network_params(self) -> TensorDictParams:

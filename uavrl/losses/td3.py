@@ -13,6 +13,7 @@ from torchrl.objectives import TD3Loss as _TD3Loss
 from torchrl.objectives import ValueEstimators
 
 from uavrl.losses.actor_critic import ActorCriticLoss
+from uavrl.losses.critics import stacked_values
 from uavrl.models import Critic
 
 
@@ -96,10 +97,9 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
             self._vmap_qvalue_network00 = self._stacked_critics
 
     def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:
-        """What ``vmap`` over the critics gives, without its cost: ``[2, B]`` states and actions to values."""
+        """Values ``[2, *B, 1]`` of states and actions ``[2, *B]``."""
         inputs = (tensordict.get(key) for key in self.qvalue_network.in_keys)
-        parameters = dict(params.get("module").flatten_keys(".").items())
-        value = self.qvalue_network.module.forward_stacked(parameters, *inputs)
+        value = stacked_values(self.qvalue_network, params, *inputs)
         return tensordict.empty().set(self.tensor_keys.state_action_value, value)
 
     @property

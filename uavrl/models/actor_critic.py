@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -49,6 +50,38 @@ class Actor(nn.Module):
         return self.limit * self.net(observation).tanh()
 
 
+class GaussianActor(nn.Module):
+    """The stochastic policy of SAC before it is squashed: an MLP that gives mean and deviation of a normal.
+
+    Args:
+        observations: width of the state.
+        actions: width of the action.
+        hidden: widths of the hidden layers.
+        log_scale: the logarithm of the deviation is clamped to these bounds.
+
+    Examples:
+        >>> loc, scale = GaussianActor(105, 4)(torch.zeros(7, 105))
+        >>> loc.shape, scale.shape
+        (torch.Size([7, 4]), torch.Size([7, 4]))
+    """
+
+    def __init__(
+        self,
+        observations: int,
+        actions: int,
+        hidden: Sequence[int] = (400, 300),
+        log_scale: tuple[float, float] = (-5.0, 2.0),
+    ) -> None:
+        super().__init__()
+        self.net = mlp(observations, hidden, 2 * actions)
+        self.log_scale = log_scale
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """``[*B, observations]`` to mean and deviation, each ``[*B, actions]``."""
+        loc, log_scale = self.net(observation).chunk(2, -1)
+        return loc, log_scale.clamp(*self.log_scale).exp()
+
+
 class Critic(nn.Module):
     """The action value Q(s, a): an MLP over state and action.
 
@@ -85,7 +118,26 @@ class Critic(nn.Module):
         for i, layer in enumerate(self.net):
             if isinstance(layer, nn.Linear):
                 weight, bias = parameters[f"net.{i}.weight"], parameters[f"net.{i}.bias"]
-                hidden = torch.baddbmm(bias.unsqueeze(-2), hidden, weight.transpose(-1, -2))
+                hidden = _StackedLinear.apply(hidden, weight, bias)
             else:
                 hidden = layer(hidden)
         return hidden
+
+
+class _StackedLinear(torch.autograd.Function):
+    """``x W^T + b`` for K layers at once; unlike ``baddbmm`` alone, its weights' gradients are contiguous."""
+
+    @staticmethod
+    def forward(ctx: Any, inputs: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        """``[K, B, in]``, ``[K, out, in]`` and ``[K, out]`` to ``[K, B, out]``."""
+        ctx.save_for_backward(inputs, weight)
+        return torch.baddbmm(bias.unsqueeze(-2), inputs, weight.transpose(-1, -2))
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None, Tensor | None]:
+        """The three gradients that are asked for."""
+        inputs, weight = ctx.saved_tensors
+        of_inputs = torch.bmm(gradient, weight) if ctx.needs_input_grad[0] else None
+        of_weight = torch.bmm(gradient.transpose(-1, -2), inputs) if ctx.needs_input_grad[1] else None
+        of_bias = gradient.sum(-2) if ctx.needs_input_grad[2] else None
+        return of_inputs, of_weight, of_bias

@@ -1,36 +1,30 @@
-"""Builds environment, networks, loss, buffer and collector from a configuration."""
+"""Builds environment, buffer and collector from a configuration."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import cast
 
 import torch
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
 from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
 from uavrl.configs.schema import (
-    DDPGConfig,
     EnvConfig,
     NavigationRewardConfig,
     PerceptionConfig,
     PrioritizedBufferConfig,
-    TD3Config,
     TraditionalRewardConfig,
     TrainConfig,
     UniformBufferConfig,
 )
 from uavrl.envs.navigation import ACTION_LIMIT, GoalAngle, NavigationEnv
 from uavrl.errors import UavrlError
-from uavrl.losses import DDPGLoss, TD3Loss
-from uavrl.models import Actor, Critic
 from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
 
 RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
-Loss = TD3Loss | DDPGLoss
 
 
 def make_device(name: str) -> torch.device:
@@ -100,35 +94,6 @@ def make_env(
     return TransformedEnv(base, Compose(*make_transforms(perception, reward, env.world.flight_level)))
 
 
-def make_actor(
-    hidden: Sequence[int], perception: PerceptionConfig, device: torch.device | str = "cpu"
-) -> TensorDictModule:
-    """The deterministic policy: reads ``observation``, writes ``action``."""
-    width = perception.frames * (32 + 3)
-    actor = Actor(width, 4, hidden, limit=ACTION_LIMIT).to(device)
-    return TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
-
-
-def make_loss(algo: DDPGConfig, actor: TensorDictModule, env: EnvBase, device: torch.device) -> Loss:
-    """The loss module of the algorithm, with critics of its own."""
-    width = env.observation_spec["observation"].shape[-1]
-
-    def critic() -> TensorDictModule:
-        net = Critic(width, 4, algo.hidden).to(device)
-        return TensorDictModule(net, in_keys=["observation", "action"], out_keys=["state_action_value"])
-
-    if isinstance(algo, TD3Config):
-        return TD3Loss(
-            actor,
-            [critic(), critic()],
-            action_spec=env.action_spec_unbatched.to(device),
-            gamma=algo.gamma,
-            policy_noise=algo.policy_noise,
-            noise_clip=algo.noise_clip,
-        )
-    return DDPGLoss(actor, critic(), gamma=algo.gamma)
-
-
 def make_buffer(config: UniformBufferConfig, batch_size: int, device: torch.device) -> TensorDictReplayBuffer:
     """The replay buffer, uniform or prioritised (Eq. 2.17–2.18)."""
     sampler = (
@@ -146,7 +111,7 @@ def make_buffer(config: UniformBufferConfig, batch_size: int, device: torch.devi
     )
 
 
-def make_collector(config: TrainConfig, env: EnvBase, actor: TensorDictModule, device: torch.device) -> Collector:
+def make_collector(config: TrainConfig, env: EnvBase, actor: TensorDictModuleBase, device: torch.device) -> Collector:
     """Collects whole episodes, one a batch, with exploration noise after the random steps."""
     sigma = config.algo.exploration_noise * ACTION_LIMIT
     noise = AdditiveGaussianModule(

@@ -21,6 +21,7 @@ import uavrl
 from uavrl.configs import to_dataclass
 from uavrl.configs.schema import TrainConfig
 from uavrl.errors import UavrlError
+from uavrl.losses import ActorCriticLoss
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
@@ -32,7 +33,8 @@ from uavrl.training.checkpoint import (
     rotation,
 )
 from uavrl.training.episodes import EpisodeLog, read_episodes
-from uavrl.training.factory import make_actor, make_buffer, make_collector, make_device, make_env, make_loss
+from uavrl.training.factory import make_buffer, make_collector, make_device, make_env
+from uavrl.training.learner import make_actor, make_loss
 from uavrl.training.loggers import make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.stepper import ActorCriticStepper
@@ -101,6 +103,7 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
 def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
     torch.set_num_threads(settings.trainer.threads)
+    torch.set_flush_denormal(True)  # Adam's moments of idle units decay into denormals, which are slow
     seed_everything(settings.seed)
     checkpoint = _checked_checkpoint(run_dir, config) if resume else None
     try:
@@ -145,19 +148,13 @@ def seed_everything(seed: int) -> None:
 def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> NavigationTrainer:
     device = make_device(settings.device)
     env = make_env(settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
-    actor = make_actor(settings.algo.hidden, settings.perception, device)
-    loss = make_loss(settings.algo, actor, env, device)
+    actor = make_actor(settings.algo, settings.perception, device)
+    loss = make_loss(settings.algo, actor, settings.perception, device)
     buffer = make_buffer(settings.buffer, settings.algo.batch_size, device)
     return NavigationTrainer(
         collector=make_collector(settings, env, actor, device),
         loss=loss,
-        stepper=ActorCriticStepper(
-            loss,
-            actor_lr=settings.algo.actor_lr,
-            critic_lr=settings.algo.critic_lr,
-            policy_delay=settings.algo.policy_delay,
-            tau=settings.algo.tau,
-        ),
+        stepper=_make_stepper(settings, loss),
         replay=EpisodeReplay(buffer, settings.trainer.updates_per_step),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         progress=Progress(0, 1, enabled=False),
@@ -169,6 +166,20 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
         checkpoint_interval=settings.trainer.checkpoint_interval,
         logger=make_logger(settings.logger, run_dir),
         log_interval=settings.logger.interval,
+    )
+
+
+def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticStepper:
+    algo = settings.algo
+    return ActorCriticStepper(
+        loss,
+        actor_lr=algo.actor_lr,
+        critic_lr=algo.critic_lr,
+        model_lr=algo.fork.model_lr if algo.fork is not None else 3e-4,
+        temperature_lr=getattr(algo, "temperature_lr", 3e-4),
+        policy_delay=algo.policy_delay,
+        tau=algo.tau,
+        execution=settings.trainer.execution,  # type: ignore[arg-type]
     )
 
 

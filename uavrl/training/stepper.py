@@ -1,7 +1,8 @@
-"""One optimisation step of a deterministic actor–critic."""
+"""One optimisation step of an actor–critic."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
@@ -10,88 +11,171 @@ from torch import Tensor
 from torchrl.objectives import SoftUpdate
 from torchrl.trainers import OptimizationStepper, Trainer
 
-from uavrl.training.factory import Loss
+from uavrl.losses import ActorCriticLoss, Enhancer, Fork, LifeGuard, SACLoss
+from uavrl.training.gradients import Execution, Gradients, LossGradients, LossMethod
 
 
-def _adam(parameters: Any, lr: float) -> torch.optim.Adam:
-    leaves = [p for p in parameters.values(True, True) if isinstance(p, Tensor)]
-    return torch.optim.Adam(leaves, lr=lr, fused=True)
+class FusedSoftUpdate(SoftUpdate):
+    """TorchRL's soft update (Eq. 2.9: ``θ' ← τ θ + (1 - τ) θ'``) of all parameters in one call."""
+
+    def step(self) -> None:
+        """Moves the targets."""
+        if self._pairs is None:
+            self._pairs = [
+                (source.data, self._targets[(f"target_{key[0]}", *key[1:])].data)
+                for key, source in self._sources.items(True, True)
+            ]
+        sources, targets = zip(*self._pairs, strict=True)
+        torch._foreach_lerp_(list(targets), list(sources), 1 - self.eps)
+
+    _pairs: list[tuple[Tensor, Tensor]] | None = None
+
+
+class Descent:
+    """Adam on what a loss method says about some parameters.
+
+    Args:
+        gradients: the loss and its gradients.
+        lr: Adam's step.
+    """
+
+    def __init__(self, gradients: LossGradients, lr: float) -> None:
+        self.gradients = gradients
+        self.optimizer = torch.optim.Adam(gradients.parameters, lr=lr, fused=True)
+
+    def __call__(self, batch: TensorDictBase) -> Gradients:
+        """One step; returns what it was based on."""
+        result = self.gradients(batch)
+        for parameter, gradient in zip(self.gradients.parameters, result.gradients, strict=True):
+            parameter.grad = gradient
+        self.optimizer.step()
+        return result
 
 
 class ActorCriticStepper(OptimizationStepper):
-    """Critic every step; actor and target networks every ``policy_delay`` steps (Algorithm 3.1).
+    """Critic and models every step; actor and target networks every ``policy_delay`` steps (Algorithm 3.1).
 
     Args:
-        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``.
+        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; may be enhanced by FORK and LifeGuard.
         actor_lr: Adam's step for the actor.
         critic_lr: Adam's step for the critics.
+        model_lr: Adam's step for FORK's models.
+        temperature_lr: Adam's step for SAC's temperature.
         policy_delay: critic steps for each step of actor and targets.
         tau: share of the online networks in each target update (Eq. 2.9).
+        execution: how losses are run: ``"eager"``, ``"captured"`` or ``"compiled"``.
     """
 
     updates_replay_priority = True
 
     def __init__(
         self,
-        loss: Loss,
+        loss: ActorCriticLoss,
         *,
         actor_lr: float = 1e-4,
         critic_lr: float = 1e-3,
+        model_lr: float = 3e-4,
+        temperature_lr: float = 3e-4,
         policy_delay: int = 2,
         tau: float = 0.005,
+        execution: Execution = "captured",
     ) -> None:
         super().__init__()
         self.loss = loss
         self.policy_delay = policy_delay
-        self.actor_optimizer = _adam(loss.actor_network_params, actor_lr)
-        self.critic_optimizer = _adam(loss.critic_network_params, critic_lr)
-        self.targets = SoftUpdate(loss, tau=tau)
+        in_keys = [*loss.unenhanced.in_keys, loss.unenhanced.tensor_keys.priority_weight]
+
+        def descent(method: LossMethod, parameters: Iterable[Any], lr: float, mode: Callable = tuple) -> Descent:
+            leaves = [p for p in parameters if isinstance(p, Tensor)]
+            return Descent(LossGradients(method, leaves, in_keys, execution, mode), lr)
+
+        self.critic = descent(loss.value_loss, loss.critic_network_params.values(True, True), critic_lr)
+        actor_params = loss.actor_network_params.values(True, True)
+        self.actor = descent(loss.actor_loss, actor_params, actor_lr, lambda: loss.mode)
+        self.targets = FusedSoftUpdate(loss.unenhanced, tau=tau)
+        enhancers = loss.enhancers if isinstance(loss, Enhancer) else []
+        self.forks = [
+            (fork, descent(fork.model_loss, fork.model_params, model_lr))
+            for fork in enhancers
+            if isinstance(fork, Fork)
+        ]
+        self.lifeguards = [(guard, guard.make_optimizer()) for guard in enhancers if isinstance(guard, LifeGuard)]
+        temperature = getattr(loss.unenhanced, "alpha_params", [])
+        self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
         self.updates = 0
         self._actor_loss = torch.zeros(())
 
-    def step(self, trainer: Trainer, sub_batch: TensorDictBase) -> TensorDictBase:
+    def step(self, trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates the networks on one batch and writes the new priorities into it.
 
         Returns:
             The detached losses and the mean value of the batch.
         """
-        value_loss, metadata = self.loss.value_loss(sub_batch)
-        self._descend(self.critic_optimizer, value_loss)
-        squared_error = metadata["td_error"].detach()
+        value = self.critic(sub_batch)
+        squared_error = value.metadata["td_error"]
         squared_error = squared_error.amax(0) if squared_error.ndim > 1 else squared_error
         sub_batch.set("td_error", squared_error.sqrt())  # Eq. 2.17: the priority is the absolute error
+        for fork, models in self.forks:
+            fork.update_gate(**models(sub_batch).metadata)
         self.updates += 1
         if self.updates % self.policy_delay == 0:
-            actor_loss, _ = self.loss.actor_loss(sub_batch)
-            self._descend(self.actor_optimizer, actor_loss)
+            actor = self.actor(sub_batch)
+            self._actor_loss = actor.loss
+            if self.temperature is not None:
+                self._step_temperature(actor.metadata["log_prob"])
             self.targets.step()
-            self._actor_loss = actor_loss.detach()
         return TensorDict(
             {
-                "loss_value": value_loss.detach(),
+                "loss_value": value.loss,
                 "loss_actor": self._actor_loss,
-                "value": metadata["pred_value"].detach().mean(),
+                "value": value.metadata["pred_value"].mean(),
             }
         )
 
-    @staticmethod
-    def _descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        optimizer.step()
+    def _step_temperature(self, log_prob: Tensor) -> None:
+        assert self.temperature is not None and isinstance(self.loss.unenhanced, SACLoss)
+        self.temperature.zero_grad(set_to_none=True)
+        self.loss.unenhanced.alpha_loss(log_prob).backward()
+        self.temperature.step()
+
+    def observe(self, episodes: TensorDictBase, sample: Callable[[int], TensorDictBase]) -> None:
+        """Shows whole new episodes ``[T]`` to the enhancers, and trains LifeGuard for as many steps.
+
+        Args:
+            episodes: end to end, with every key that the environment emits.
+            sample: gives n random stored transitions.
+        """
+        if not isinstance(self.loss, Enhancer):
+            return
+        self.loss.observe(episodes)
+        for lifeguard, optimizer in self.lifeguards:
+            lifeguard.fit(sample, len(episodes), optimizer)
+
+    def diagnostics(self) -> dict[str, float]:
+        """What the enhancers have to say of themselves."""
+        return self.loss.diagnostics() if isinstance(self.loss, Enhancer) else {}
+
+    def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        optimizers: dict[str, torch.optim.Optimizer | None] = {
+            "actor_optimizer": self.actor.optimizer,
+            "critic_optimizer": self.critic.optimizer,
+            **{f"fork_optimizer_{i}": models.optimizer for i, (_, models) in enumerate(self.forks)},
+            **{f"lifeguard_optimizer_{i}": optimizer for i, (_, optimizer) in enumerate(self.lifeguards)},
+            "temperature_optimizer": self.temperature,
+        }
+        return {name: optimizer for name, optimizer in optimizers.items() if optimizer is not None}
 
     def state_dict(self) -> dict[str, Any]:
         """Optimisers and the update counter; the networks are the loss module's."""
         return {
-            "actor_optimizer": self.actor_optimizer.state_dict(),
-            "critic_optimizer": self.critic_optimizer.state_dict(),
+            **{name: optimizer.state_dict() for name, optimizer in self._optimizers().items()},
             "updates": self.updates,
             "actor_loss": self._actor_loss,
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
-        self.actor_optimizer.load_state_dict(state_dict["actor_optimizer"])
-        self.critic_optimizer.load_state_dict(state_dict["critic_optimizer"])
+        for name, optimizer in self._optimizers().items():
+            optimizer.load_state_dict(state_dict[name])
         self.updates = state_dict["updates"]
         self._actor_loss = state_dict["actor_loss"].clone()

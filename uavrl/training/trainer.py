@@ -15,9 +15,9 @@ from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer, TrainerHookBase
 
 from uavrl.errors import UavrlError
+from uavrl.losses import ActorCriticLoss
 from uavrl.training.checkpoint import BufferState
 from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
-from uavrl.training.factory import Loss
 from uavrl.training.progress import Progress
 from uavrl.training.stepper import ActorCriticStepper
 
@@ -30,6 +30,7 @@ STORED_KEYS = (
     ("next", "done"),
     ("next", "terminated"),
     ("next", "arrived"),
+    ("next", "collided"),
 )
 
 
@@ -39,25 +40,52 @@ def barrier_seed(seed: int, episodes: int) -> int:
 
 
 class EpisodeReplay(TrainerHookBase):
-    """Stores whole episodes and samples batches: after an episode of T steps come T updates."""
+    """Stores whole episodes and samples batches: after an episode of T steps come T updates.
+
+    Where every transition is as likely as the next, ``BATCHES_AT_ONCE`` batches are drawn in one call.
+
+    Args:
+        buffer: where transitions are stored.
+        updates_per_step: updates for each environment step.
+    """
+
+    BATCHES_AT_ONCE = 32
 
     def __init__(self, buffer: ReplayBuffer, updates_per_step: float = 1.0) -> None:
         self.buffer = buffer
         self.updates_per_step = updates_per_step
         self._trainer: Trainer | None = None
         self._owed = 0.0
+        self._drawn: list[TensorDictBase] = []
+        self._to_draw = 0
 
     def extend(self, batch: TensorDictBase) -> None:
         """Writes the episodes and sets how many updates follow."""
         assert self._trainer is not None
         self.buffer.extend(batch.select(*STORED_KEYS))
         self._owed += len(batch) * self.updates_per_step
-        self._trainer.optim_steps_per_batch = int(self._owed)
+        self._trainer.optim_steps_per_batch = self._to_draw = int(self._owed)
         self._owed -= int(self._owed)
 
     def sample(self, batch: TensorDictBase) -> TensorDictBase:
         """One batch of transitions."""
-        return self.buffer.sample()
+        if self.prioritized:  # each update changes what the next one should draw
+            return self.buffer.sample()
+        if not self._drawn:
+            count = min(self.BATCHES_AT_ONCE, self._to_draw)
+            size = self.buffer.batch_size
+            self._drawn = list(self.buffer.sample(count * size).split(size))[::-1]
+        self._to_draw -= 1
+        return self._drawn.pop()
+
+    @property
+    def prioritized(self) -> bool:
+        """Whether the buffer's sampler follows priorities."""
+        return hasattr(self.buffer.sampler, "alpha")
+
+    def draw(self, count: int) -> TensorDictBase:
+        """``count`` transitions, each as likely as the next whatever the sampler."""
+        return self.buffer[torch.randint(len(self.buffer), (count,))]
 
     def update_priority(self, batch: TensorDictBase) -> None:
         """Hands the new priorities to a prioritised sampler."""
@@ -77,7 +105,7 @@ class EpisodeReplay(TrainerHookBase):
         trainer.register_module(name, self)
         trainer.register_op("batch_process", self.extend)
         trainer.register_op("process_optim_batch", self.sample)
-        if hasattr(self.buffer.sampler, "alpha"):
+        if self.prioritized:
             trainer.register_op("post_optim_log", self.update_priority)
 
 
@@ -109,7 +137,7 @@ class NavigationTrainer(Trainer):
         self,
         *,
         collector: Collector,
-        loss: Loss,
+        loss: ActorCriticLoss,
         stepper: ActorCriticStepper,
         replay: EpisodeReplay,
         episode_log: EpisodeLog,
@@ -152,6 +180,7 @@ class NavigationTrainer(Trainer):
             checkpoint_metadata=lambda _: {**metadata, "episodes": episode_log.count},
         )
         replay.register(self)
+        self.register_op("batch_process", lambda batch: stepper.observe(batch, replay.draw))
         self.register_op("pre_steps_log", self._record)
         self.register_op("post_optim_complete_log", self._check_losses)
 
@@ -165,7 +194,12 @@ class NavigationTrainer(Trainer):
         self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
         if self.episode_log.count >= self.episodes:
             self.request_stop(f"{self.episodes} episodes are flown")
-        return {**{f"rate_{k}": v for k, v in rates.items()}, "return": mean_return, "episodes": self.episode_log.count}
+        return {
+            **{f"rate_{k}": v for k, v in rates.items()},
+            "return": mean_return,
+            "episodes": self.episode_log.count,
+            **self.optimization_stepper.diagnostics(),
+        }
 
     @staticmethod
     def _check_losses(updates: int, losses: TensorDictBase | None) -> None:

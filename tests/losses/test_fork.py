@@ -1,0 +1,498 @@
+from __future__ import annotations
+
+import copy
+import math
+from typing import ClassVar
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torch.fx.experimental.proxy_tensor import make_fx
+from torchrl.data import Bounded
+
+from tests.contracts import LossContract
+from tests.losses.test_lifeguard import episodes, lifeguard, sampler, trained
+from tests.losses.test_sac import critics, stochastic_actor
+from uavrl.losses import ActorCriticLoss, DDPGLoss, Enhancer, Fork, SACLoss, TD3Loss
+from uavrl.models import Actor, RewardNet, SystemNet
+
+SPEC = Bounded(-2.0, 2.0, (2,))
+
+
+def actor() -> TensorDictModule:
+    return TensorDictModule(Actor(6, 2, (8,)), ["observation"], ["action"])
+
+
+def td3(**kwargs: object) -> TD3Loss:
+    return TD3Loss(actor(), critics(), action_spec=SPEC, **kwargs)
+
+
+def ddpg(**kwargs: object) -> DDPGLoss:
+    return DDPGLoss(actor(), critics()[0], **kwargs)
+
+
+def sac(**kwargs: object) -> SACLoss:
+    return SACLoss(stochastic_actor(), critics(), action_spec=SPEC, **kwargs)
+
+
+def fork(base: ActorCriticLoss, **kwargs: object) -> Fork:
+    models = {"system_network": SystemNet(6, 2, (8,)), "reward_network": RewardNet(6, 2, (8,)), "max_reward": 100.0}
+    return Fork(base, observations=6, **(models | kwargs))
+
+
+def bipedal(base: ActorCriticLoss, **kwargs: object) -> Fork:
+    return Fork(base, system_network=SystemNet(6, 2, (8,)), observations=6, variant="bipedal", **kwargs)
+
+
+class Push(Enhancer):
+    """An enhancer without models: a cost on large actions."""
+
+    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        return acted["action"].square().sum(-1), {"push": acted["action"].detach()}
+
+
+class ForkContract(LossContract):
+    methods: ClassVar[dict[str, str]] = {
+        "value_loss": "critic",
+        "actor_loss": "actor",
+        "system_loss": "model",
+        "reward_loss": "model",
+        "model_loss": "model",
+    }
+    compiled: ClassVar[tuple[str, ...]] = ("system_loss",)
+
+    def make_loss(self, **kwargs: object) -> torch.nn.Module:
+        loss = self.enhance(**kwargs)
+        for one in loss.enhancers:
+            if isinstance(one, Fork):
+                one.update_gate(0.0)
+        return loss
+
+    def enhance(self, **kwargs: object) -> Enhancer:
+        raise NotImplementedError
+
+    def test_the_term_is_traced_without_breaks(self) -> None:
+        """The recorded operations say what the code says, as long as the mode is the same."""
+        loss = self.make_loss()
+        data = self.make_data().select("observation")
+
+        def run(observation: Tensor) -> Tensor:
+            return loss.actor_loss(TensorDict({"observation": observation}, [5]))[0]
+
+        torch.manual_seed(1)
+        expected = run(data["observation"])
+        recorded = make_fx(run)(data["observation"])
+        torch.manual_seed(1)
+        assert torch.equal(recorded(data["observation"]), expected)
+        loss.weight.fill_(0.0)  # buffers are changed in place
+        torch.manual_seed(1)
+        changed = recorded(data["observation"])
+        torch.manual_seed(1)
+        assert torch.equal(changed, run(data["observation"]))
+        assert not torch.equal(changed, expected)
+
+
+class TestForkOnTD3(ForkContract):
+    compiled: ClassVar[tuple[str, ...]] = ("actor_loss", "model_loss")
+
+    def enhance(self, **kwargs: object) -> Fork:
+        return fork(td3(**kwargs))
+
+
+class TestForkOnDDPG(ForkContract):
+    def enhance(self, **kwargs: object) -> Fork:
+        return fork(ddpg(**kwargs))
+
+
+class TestForkOnSAC(ForkContract):
+    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
+
+    def enhance(self, **kwargs: object) -> Fork:
+        return fork(sac(**kwargs))
+
+
+class TestForkOnAnotherEnhancer(ForkContract):
+    def enhance(self, **kwargs: object) -> Fork:
+        return fork(Push(td3(**kwargs)))
+
+
+class TestBipedalFork(ForkContract):
+    methods: ClassVar[dict[str, str]] = {
+        "value_loss": "critic",
+        "actor_loss": "actor",
+        "system_loss": "model",
+        "model_loss": "model",
+    }
+
+    def enhance(self, **kwargs: object) -> Fork:
+        return bipedal(td3(**kwargs))
+
+
+class _WithLifeGuard(ForkContract):
+    def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
+        data = super().make_data(dtype, size)
+        data["next", "collided"] = data["next", "terminated"].clone()
+        return data
+
+
+class TestForkOnLifeGuard(_WithLifeGuard):
+    def enhance(self, **kwargs: object) -> Fork:
+        return fork(trained(lifeguard(td3(**kwargs))))
+
+
+class TestLifeGuardOnFork(_WithLifeGuard):
+    methods: ClassVar[dict[str, str]] = {"value_loss": "critic", "actor_loss": "actor"}
+    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
+
+    def enhance(self, **kwargs: object) -> Enhancer:
+        loss = lifeguard(fork(sac(**kwargs)))
+        data = episodes(10)
+        data["next"].update({"observation": data["observation"], "reward": torch.ones(len(data), 1)})
+        optimizer = loss.make_optimizer()
+        for _ in range(8):
+            loss.observe(data)
+            loss.fit(sampler(data), 20, optimizer)
+        assert loss.active
+        return loss
+
+
+# ---------------------------------------------------------------------- by hand
+
+
+class Scale(nn.Module):
+    """A number times the sum of its inputs' first columns."""
+
+    def __init__(self, *factors: float) -> None:
+        super().__init__()
+        self.factors = nn.Parameter(torch.tensor(factors))
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        return sum(factor * value for factor, value in zip(self.factors, inputs, strict=True))
+
+
+def small(variant: str = "fork", **kwargs: object) -> Fork:
+    """μ(s) = 2 s, Q1(s, a) = s + 3 a, f(s, a) = s + a, g(s, s', a) = s - s' + 10 a; the targets have Q1 = 5 a."""
+    policy = TensorDictModule(Scale(2.0), ["observation"], ["action"])
+    values = [
+        TensorDictModule(Scale(*factors), ["observation", "action"], ["state_action_value"])
+        for factors in ((1.0, 3.0), (7.0, 7.0))
+    ]
+    base = TD3Loss(policy, values, action_spec=Bounded(-9.0, 9.0, (1,)))
+    base.target_qvalue_network_params["module", "factors"].data[0] = torch.tensor([0.0, 5.0])
+    options = {"system_network": Scale(1.0, 1.0), "observations": 1, "gamma": 0.5, "base_weight": 0.5}
+    if variant == "fork":
+        options |= {"reward_network": Scale(1.0, -1.0, 10.0), "max_reward": 10.0}
+    return Fork(base, variant=variant, **(options | kwargs))
+
+
+def states(*values: float) -> TensorDict:
+    return TensorDict({"observation": torch.tensor(values)[:, None]}, [len(values)])
+
+
+def episode(rewards: list[float], observations: Tensor | None = None, width: int = 1) -> TensorDict:
+    length = len(rewards)
+    done = torch.arange(length)[:, None] == length - 1
+    state = torch.zeros(length + 1, width) if observations is None else observations
+    following = {"observation": state[1:], "reward": torch.tensor(rewards)[:, None], "done": done}
+    return TensorDict({"observation": state[:-1], "next": following}, [length])
+
+
+def test_actor_loss_by_hand() -> None:
+    """s = 1: μ = 2, s1 = 3, μ1 = 6, s2 = 9, μ2 = 18.
+
+    g = 1 - 3 + 20 = 18, g1 = 3 - 9 + 60 = 54, Q(s2) = 9 + 54 = 63 and Q(s) = 7:
+    -7 - 0.5 (18 + 0.5 · 54 + 0.25 · 63) = -37.375.
+    """
+    loss = small()
+    loss.update_gate(0.0)
+    value, metadata = loss.actor_loss(states(1.0))
+    assert value.item() == pytest.approx(-37.375)
+    assert metadata["fork_term"].item() == pytest.approx(-30.375)
+    assert metadata["state_action_value_actor"].item() == 7.0
+
+
+def test_detached_gradient_by_hand() -> None:
+    """With θ = 2 the actor's factor and s1 = 3, s2 = 9 constant, of g, g1 and Q2 remain 10 θ s, 10 θ s1, 3 θ s2.
+
+    -3 - 0.5 (10 + 0.5 · 30 + 0.25 · 27) = -18.875.
+    """
+    loss = small()
+    loss.update_gate(0.0)
+    loss.actor_loss(states(1.0))[0].backward()
+    assert loss.actor_network_params["module", "factors"].grad.item() == pytest.approx(-18.875)
+
+
+def test_gradient_through_the_model_by_hand() -> None:
+    """s = 1, s1 = 1 + θ, s2 = (1 + θ)²; at θ = 2:
+
+    g = 1 - s1 + 10 θ has the slope 9; g1 = s1 - s2 + 10 θ s1 has 1 - 6 + 10 · 3 + 20 = 45;
+    Q2 = (1 + 3 θ) s2 has 3 · 9 + 7 · 6 = 69: -3 - 0.5 (9 + 22.5 + 17.25) = -27.375.
+    """
+    loss = small(backprop_through_model=True)
+    loss.update_gate(0.0)
+    loss.actor_loss(states(1.0))[0].backward()
+    assert loss.actor_network_params["module", "factors"].grad.item() == pytest.approx(-27.375)
+    assert loss.system_network_params["module", "factors"].grad is None
+
+
+def test_bipedal_actor_loss_by_hand() -> None:
+    """Target values 5 a throughout: -5 · 2 - 0.5 · 5 · 6 - 0.25 · 5 · 18 = -47.5."""
+    loss = small("bipedal")
+    loss.update_gate(0.0)
+    assert loss.actor_loss(states(1.0))[0].item() == pytest.approx(-47.5)
+
+
+def test_bipedal_actor_ascends_the_target_critic_with_the_gate_closed_too() -> None:
+    assert small("bipedal").actor_loss(states(1.0))[0].item() == pytest.approx(-10.0)
+
+
+@pytest.mark.parametrize("make", [td3, ddpg, sac])
+def test_closed_gate_leaves_the_bases_loss(make: object) -> None:
+    base = make()
+    loss = fork(base)
+    data = TestForkOnTD3().make_data()
+    values: list[Tensor] = []
+    for one in (base, loss):
+        torch.manual_seed(1)
+        values.append(one.actor_loss(data)[0])
+    assert torch.equal(*values)
+
+
+def test_predictions_are_clamped_to_the_observed_range() -> None:
+    """States seen between -1 and 4: s2 = 9 becomes 4, μ2 = 8, Q2 = 28, g1 = 3 - 4 + 60 = 59."""
+    loss = small()
+    loss.observe(episode([0.0, 0.0], torch.tensor([[-1.0], [4.0], [0.0]])))
+    loss.update_gate(0.0)
+    assert loss.actor_loss(states(1.0))[0].item() == pytest.approx(-7 - 0.5 * (18 + 0.5 * 59 + 0.25 * 28))
+
+
+def test_range_grows_and_can_be_switched_off() -> None:
+    loss, free = small(), small(clamp=False)
+    for one in (loss, free):
+        one.observe(episode([0.0], torch.tensor([[-1.0], [2.0]])))
+        one.observe(episode([0.0], torch.tensor([[1.0], [3.0]])))
+    assert (loss.observed_low.item(), loss.observed_high.item()) == (-1.0, 3.0)
+    assert (free.observed_low.item(), free.observed_high.item()) == (-math.inf, math.inf)
+
+
+def test_system_loss_by_hand() -> None:
+    """f = s + a = 5 is clamped to 4: |4 - 1| - 0.5 = 2.5, without gradient; f = 1 against 0.5: 0.125."""
+    loss = small()
+    loss.observe(episode([0.0], torch.tensor([[-1.0], [4.0]])))
+    data = states(2.0, 1.0)
+    data["action"] = torch.tensor([[3.0], [0.0]])
+    data["next", "observation"] = torch.tensor([[1.0], [0.5]])
+    value, metadata = loss.system_loss(data)
+    assert value.item() == pytest.approx((2.5 + 0.125) / 2)
+    assert metadata["system_loss"].item() == pytest.approx(value.item())
+    value.backward()
+    torch.testing.assert_close(loss.system_network_params["module", "factors"].grad, torch.tensor([0.25, 0.0]))
+
+
+def test_reward_loss_by_hand() -> None:
+    """g = 2 - 1 + 30 = 31 against 30."""
+    loss = small()
+    data = states(2.0)
+    data["action"] = torch.tensor([[3.0]])
+    data["next", "observation"] = torch.tensor([[1.0]])
+    data["next", "reward"] = torch.tensor([[29.0]])
+    assert loss.reward_loss(data)[0].item() == pytest.approx(4.0)
+    both, metadata = loss.model_loss(data)
+    assert both.item() == pytest.approx(4.0 + 3.5)  # f = 5 against 1
+    assert {name: value.item() for name, value in metadata.items()} == {"system_loss": 3.5, "reward_loss": 4.0}
+
+
+def test_bipedal_system_loss_leaves_out_last_steps() -> None:
+    loss = small("bipedal")
+    data = states(2.0, 2.0)
+    data["action"] = torch.ones(2, 1)
+    data["next"] = TensorDict({"observation": torch.zeros(2, 1), "done": torch.tensor([[False], [True]])}, [2])
+    assert loss.system_loss(data)[0].item() == pytest.approx(4.5)  # (3² + 0) / 2
+    with pytest.raises(ValueError, match="bipedal variant has none"):
+        loss.reward_loss(data)
+
+
+# ---------------------------------------------------------------------- weight and gate
+
+
+def test_weight_follows_the_mean_of_the_last_returns() -> None:
+    loss = small(return_window=2)
+    weight = loss.weight
+    seen: list[float] = [weight.item()]
+    for total in (4.0, -4.0, 8.0, 12.0, 30.0):
+        loss.observe(episode([total / 2, total / 2]))
+        seen.append(loss.weight.item())
+    assert loss.weight is weight
+    assert seen == pytest.approx([0.5, 0.3, 0.5, 0.4, 0.0, 0.0])  # means 4, 0, 2, 10, 21 of 10
+
+
+def test_several_episodes_at_once_are_as_good_as_one_after_the_other() -> None:
+    flights = [episode([1.0, 2.0]), episode([3.0]), episode([0.5, 0.0, 1.0])]
+    together, alone = small(), small()
+    together.observe(torch.cat(flights))
+    for flight in flights:
+        alone.observe(flight)
+    assert together.returns.stored.tolist() == alone.returns.stored.tolist() == [3.0, 3.0, 1.5]
+    assert together.weight == alone.weight
+
+
+def test_gate_opens_below_the_threshold_only() -> None:
+    loss = small(threshold=0.1)
+    assert not loss.gate_open
+    modes: list[object] = []
+    for system_loss in (0.05, torch.tensor(0.1), torch.tensor(0.099), float("nan")):
+        loss.update_gate(system_loss)
+        modes.append((loss.gate_open, loss.mode))
+    assert modes == [(True, (True,)), (False, (False,)), (True, (True,)), (False, (False,))]
+
+
+def test_forward_updates_the_gate_before_the_actor() -> None:
+    loss = fork(td3(), threshold=1e9)
+    data = TestForkOnTD3().make_data()
+    losses = loss(data)
+    assert loss.gate_open
+    torch.testing.assert_close(losses["loss_actor"], loss.actor_loss(data)[0])
+    torch.testing.assert_close(losses["loss_system"], loss.system_loss(data)[0])
+    torch.testing.assert_close(losses["loss_reward"], loss.reward_loss(data)[0])
+
+
+def test_diagnostics_count_since_the_last_call() -> None:
+    loss = small(threshold=0.1)
+    for system_loss in (0.05, 0.5, 0.05, 0.06):
+        loss.update_gate(system_loss, reward_loss=2.0)
+    assert loss.diagnostics() == {"fork_weight": 0.5, "fork_gate": 0.75, "system_loss": 0.06, "reward_loss": 2.0}
+    assert loss.diagnostics()["fork_gate"] == 1.0
+
+
+def test_state_dict_restores_gate_weight_returns_and_range() -> None:
+    loss, other = small(), small()
+    loss.observe(episode([1.0, 2.0], torch.tensor([[-1.0], [4.0], [0.0]])))
+    loss.update_gate(0.001, 0.5)
+    other.load_state_dict(copy.deepcopy(loss.state_dict()))
+    assert other.gate_open
+    assert other.mode == loss.mode
+    assert other.weight == loss.weight
+    assert other.returns.stored.tolist() == [3.0]
+    assert (other.observed_low.item(), other.observed_high.item()) == (-1.0, 4.0)
+    assert torch.equal(other.actor_loss(states(1.0))[0], loss.actor_loss(states(1.0))[0])
+    assert other.diagnostics() == loss.diagnostics()
+    for one in (loss, other):
+        one.observe(episode([5.0]))
+    assert other.weight == loss.weight
+
+
+def test_enhancers_nest_either_way() -> None:
+    data = TestForkOnTD3().make_data()
+    base = td3()
+    inner = fork(Push(base))
+    torch.manual_seed(0)
+    outer = Push(fork(base, system_network=SystemNet(6, 2, (8,))))
+    nested = outer.base
+    nested.system_network_params.update_(inner.system_network_params.data)
+    nested.reward_network_params.update_(inner.reward_network_params.data)
+    for one in (inner, nested):
+        one.update_gate(0.0)
+    torch.testing.assert_close(inner.actor_loss(data)[0], outer.actor_loss(data)[0])
+    assert inner.mode == outer.mode == (True,)
+    assert outer.enhancers == [outer, nested]
+    assert outer.unenhanced is base
+    outer.observe(episode([1.0], width=6))
+    assert nested.returns.stored.tolist() == [1.0]
+    assert outer.diagnostics().keys() == inner.diagnostics().keys()
+    assert {"loss_system", "loss_reward"} <= set(outer(data).keys())
+
+
+def test_another_state_key() -> None:
+    policy = TensorDictModule(Actor(6, 2, (8,)), [("sensors", "scan")], ["action"])
+    nets = critics()
+    values = [TensorDictModule(net.module, [("sensors", "scan"), "action"], ["state_action_value"]) for net in nets]
+    loss = fork(TD3Loss(policy, values, action_spec=SPEC))
+    data = TestForkOnTD3().make_data()
+    for part in (data, data["next"]):
+        part["sensors"] = TensorDict({"scan": part.pop("observation")}, [5])
+    loss.update_gate(0.0)
+    assert loss.actor_loss(data)[0].isfinite()
+    assert loss.model_loss(data)[0].isfinite()
+    data["next", "done"][-1] = True
+    loss.observe(data)
+    assert len(loss.returns) == 2
+
+
+def test_networks_may_be_tensordict_modules() -> None:
+    keys = ["observation", ("next", "observation"), "action"]
+    plain = small()
+    wrapped = small(
+        system_network=TensorDictModule(Scale(1.0, 1.0), ["observation", "action"], ["predicted"]),
+        reward_network=TensorDictModule(Scale(1.0, -1.0, 10.0), keys, ["predicted_reward"]),
+    )
+    for one in (plain, wrapped):
+        one.update_gate(0.0)
+    assert torch.equal(plain.actor_loss(states(1.0))[0], wrapped.actor_loss(states(1.0))[0])
+
+
+@pytest.mark.parametrize("make", [fork, bipedal])
+def test_models_learn_what_they_are_shown(make: object) -> None:
+    torch.manual_seed(0)
+    loss = make(td3())
+    data = TestForkOnTD3().make_data(size=20)
+    optimizer = torch.optim.Adam(loss.model_params, lr=1e-2)
+    before = loss.model_loss(data)[0].item()
+    for _ in range(100):
+        optimizer.zero_grad()
+        loss.model_loss(data)[0].backward()
+        optimizer.step()
+    assert loss.model_loss(data)[0].item() < 0.7 * before
+
+
+def test_system_net_starts_as_its_authors_have_it() -> None:
+    net = SystemNet(3, 2, (5,))
+    assert all((layer.bias == 0.001).all() for layer in net.net if isinstance(layer, nn.Linear))
+    bound = math.sqrt(6 / (5 + 5))
+    assert net.net[0].weight.abs().amax() <= bound
+    assert len(small().model_params) == 2
+
+
+# ---------------------------------------------------------------------- mistakes
+
+
+@pytest.mark.parametrize("where", ["observation", ("next", "reward")])
+def test_values_that_are_not_finite_are_refused(where: object) -> None:
+    loss = small()
+    flight = episode([1.0, 1.0])
+    flight[where][0] = float("nan")
+    with pytest.raises(ValueError, match=r"expected finite \w+, got \d values"):
+        loss.observe(flight)
+    assert len(loss.returns) == 0
+
+
+def test_half_an_episode_is_refused() -> None:
+    with pytest.raises(ValueError, match="whole episodes"):
+        small().observe(episode([1.0, 1.0])[:1])
+
+
+def test_states_of_another_width_are_refused() -> None:
+    with pytest.raises(ValueError, match="width 1, got 2"):
+        small().observe(episode([1.0], width=2))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"variant": "knife"}, "variant 'fork' or 'bipedal', got 'knife'"),
+        ({"reward_network": None}, "expected a reward_network, got none"),
+        ({"variant": "bipedal"}, "expected no reward_network, got one"),
+        ({"max_reward": None}, "expected max_reward"),
+    ],
+)
+def test_contradictory_options_are_refused(kwargs: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        fork(td3(), **kwargs)
+
+
+def test_an_actor_of_several_keys_is_refused() -> None:
+    policy = TensorDictModule(Scale(1.0, 1.0), ["observation", "goal"], ["action"])
+    values = [TensorDictModule(Scale(1.0, 1.0), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
+    with pytest.raises(ValueError, match="reads one key"):
+        fork(TD3Loss(policy, values, action_spec=SPEC))

@@ -1,0 +1,153 @@
+"""Each equation on literal numbers, worked out by hand."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.losses.test_actor_critic import TestTD3 as TD3Contract
+from uavrl.losses.functional import (
+    bipedal_fork_objective,
+    clamped_smooth_l1,
+    deterministic_policy_objective,
+    fork_objective,
+    fork_weight,
+    masked_mse,
+    squared_error,
+    target_action,
+    td_target,
+)
+
+
+def t(*values: object) -> Tensor:
+    return torch.tensor(values)
+
+
+def test_target_action_clips_the_noise_and_then_the_action() -> None:
+    action, noise = t(0.0, 0.0, 1.8, -1.8), t(0.3, 0.9, 0.4, -0.4)
+    result = target_action(action, noise, 0.5, t(-2.0), t(2.0))
+    torch.testing.assert_close(result, t(0.3, 0.5, 2.0, -2.0))
+
+
+def test_target_action_takes_bounds_for_each_dimension() -> None:
+    result = target_action(t([0.0, 0.0]), t([5.0, -5.0]), t(0.1, 3.0), t(-1.0, -2.0), t(1.0, 2.0))
+    torch.testing.assert_close(result, t([0.1, -2.0]))
+
+
+def test_td_target_takes_the_smaller_value_and_stops_at_terminal_states() -> None:
+    q_t = t([10.0, 4.0, 7.0], [8.0, 6.0, 7.0])
+    target = td_target(t(1.0, -1.0, 100.0), t(False, False, True), q_t, 0.9)
+    torch.testing.assert_close(target, t(8.2, 2.6, 100.0))  # 1 + 0.9 · 8, -1 + 0.9 · 4, 100
+
+
+def test_td_target_with_one_critic_is_that_of_ddpg() -> None:
+    torch.testing.assert_close(td_target(t(1.0), t(False), t([2.0]), 0.5), t(2.0))
+
+
+def test_td_target_is_a_constant_even_where_a_terminal_value_is_not_finite() -> None:
+    q_t = t([float("inf")]).requires_grad_()
+    target = td_target(t(3.0), t(True), q_t, 0.9)
+    assert target.tolist() == [3.0]
+    assert not target.requires_grad
+
+
+def test_squared_error_sums_over_the_critics() -> None:
+    q_tm1 = t([1.0, 2.0], [3.0, -1.0])
+    torch.testing.assert_close(squared_error(q_tm1, t(2.0, 2.0)), t(2.0, 9.0))  # 1 + 1, 0 + 9
+
+
+def test_deterministic_policy_objective() -> None:
+    assert deterministic_policy_objective(t(3.0, -2.0)).tolist() == [-3.0, 2.0]
+
+
+def test_fork_objective() -> None:
+    """-0.6 (1 + 0.5 · 2 + 0.25 · 4) = -1.8; -0.6 (0 + 0.5 · -2 + 0.25 · 8) = -0.6."""
+    result = fork_objective(t(1.0, 0.0), t(2.0, -2.0), t(4.0, 8.0), 0.6, 0.5)
+    torch.testing.assert_close(result, t(-1.8, -0.6))
+
+
+def test_bipedal_fork_objective() -> None:
+    """-0.8 · 2 - 0.4 · 5 = -3.6."""
+    torch.testing.assert_close(bipedal_fork_objective(t(2.0), t(5.0), 0.8), t(-3.6))
+
+
+@pytest.mark.parametrize(
+    ("returns", "expected"),
+    [
+        ([], 0.6),
+        ([-50.0, -10.0], 0.6),
+        ([0.0, 100.0], 0.45),  # 0.6 (1 - 50 / 200)
+        ([200.0], 0.0),
+        ([500.0, 900.0], 0.0),
+    ],
+)
+def test_fork_weight_falls_from_the_base_weight_to_zero(returns: list[float], expected: float) -> None:
+    assert fork_weight(torch.tensor(returns), max_reward=200.0).item() == pytest.approx(expected)
+
+
+def test_fork_weight_of_the_bipedal_variant() -> None:
+    assert fork_weight(t(75.0), 300.0, base_weight=1.0).item() == pytest.approx(0.75)
+
+
+def test_clamped_smooth_l1() -> None:
+    """Clamped to (1, 0.5): |1 - 0| - 0.5 = 0.5 and 0.5 · 0.5² = 0.125; a clamped prediction has no gradient."""
+    prediction = t([9.0, 0.5]).requires_grad_()
+    loss = clamped_smooth_l1(prediction, t([0.0, 0.0]), t(-1.0, -1.0), t(1.0, 1.0))
+    torch.testing.assert_close(loss, t(0.3125))
+    loss.sum().backward()
+    torch.testing.assert_close(prediction.grad, t([0.0, 0.25]))
+
+
+def test_masked_mse_leaves_out_last_steps() -> None:
+    prediction = t([1.0, 3.0], [float("nan"), 2.0])
+    torch.testing.assert_close(masked_mse(prediction, torch.zeros(2, 2), t(False, True)), t(5.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: target_action(torch.zeros(3, 2), torch.zeros(2), 0.5, t(-1.0), t(1.0)),
+        lambda: td_target(torch.zeros(5, 1), torch.zeros(5, dtype=torch.bool), torch.zeros(2, 5), 0.9),
+        lambda: squared_error(torch.zeros(2, 5), torch.zeros(5, 1)),
+        lambda: fork_objective(torch.zeros(5), torch.zeros(5, 1), torch.zeros(5), 0.6, 0.9),
+        lambda: bipedal_fork_objective(torch.zeros(5), torch.zeros(5, 1), 0.6),
+        lambda: clamped_smooth_l1(torch.zeros(5, 2), torch.zeros(5), t(0.0), t(1.0)),
+        lambda: masked_mse(torch.zeros(5, 2), torch.zeros(5, 2), torch.zeros(5, 1, dtype=torch.bool)),
+    ],
+)
+def test_shapes_that_would_broadcast_are_refused(call: object) -> None:
+    with pytest.raises(ValueError, match="one shape"):
+        call()
+
+
+def test_td3_loss_is_what_the_equations_say() -> None:
+    loss, data = TD3Contract().make_loss(), TD3Contract().make_data()
+    torch.manual_seed(0)
+    value = loss.value_loss(data)[0]
+    torch.manual_seed(0)
+    noise = torch.randn(5, 2) * loss.policy_noise
+    with torch.no_grad(), loss.target_actor_network_params.to_module(loss.actor_network):
+        action = loss.actor_network(data["next"].select("observation"))["action"]
+    action = target_action(action, noise, loss.noise_clip, loss.min_action, loss.max_action)
+    nets = [loss.qvalue_network_params[i] for i in (0, 1)]
+
+    def values(state: Tensor, action: Tensor) -> Tensor:
+        columns: list[Tensor] = []
+        for net in nets:
+            with net.to_module(loss.qvalue_network):
+                columns.append(loss.qvalue_network(state, action).squeeze(-1))
+        return torch.stack(columns)
+
+    following = data["next"]
+    q_t = values(following["observation"], action)
+    target = td_target(following["reward"].squeeze(-1), following["terminated"].squeeze(-1), q_t, 0.99)
+    q_tm1 = values(data["observation"], data["action"])
+    torch.testing.assert_close(value, squared_error(q_tm1, target).mean())
+
+
+def test_fork_weight_refuses_what_it_cannot_divide_by() -> None:
+    with pytest.raises(ValueError, match="positive max_reward"):
+        fork_weight(t(1.0), 0.0)
+    with pytest.raises(ValueError, match=r"returns \[E\]"):
+        fork_weight(torch.zeros(2, 2), 1.0)

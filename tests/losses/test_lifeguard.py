@@ -1,0 +1,458 @@
+from __future__ import annotations
+
+import copy
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch.fx.experimental.proxy_tensor import make_fx
+from torchrl.data import Bounded
+
+from tests.contracts import LossContract
+from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, TD3Loss
+from uavrl.models import Actor, Critic
+
+OBSERVATIONS, ACTIONS = 3, 2  # the last observation is the second half of a state of 6
+
+
+def td3(**kwargs: object) -> TD3Loss:
+    actor = TensorDictModule(Actor(6, 2, (8,)), ["observation"], ["action"])
+    critics = [TensorDictModule(Critic(6, 2, (8,)), ["observation", "action"], ["state_action_value"]) for _ in "12"]
+    return TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,)), **kwargs)
+
+
+def ddpg(**kwargs: object) -> DDPGLoss:
+    actor = TensorDictModule(Actor(6, 2, (8,)), ["observation"], ["action"])
+    critic = TensorDictModule(Critic(6, 2, (8,)), ["observation", "action"], ["state_action_value"])
+    return DDPGLoss(actor, critic, **kwargs)
+
+
+def lifeguard(base: ActorCriticLoss | None = None, **kwargs: object) -> LifeGuard:
+    settings: ClassVar[dict[str, object]] = {
+        "min_collisions": 4,
+        "min_evaluations": 2,
+        "batch_size": 20,
+        "evaluation_window": 4,
+    }
+    return LifeGuard(base or td3(), observations=OBSERVATIONS, actions=ACTIONS, **settings | kwargs)
+
+
+def episodes(count: int, steps: int = 5, *, collided: bool = True, arrived: bool = False) -> TensorDict:
+    """Whole episodes, end to end, whose last steps have a large last observation where they collide."""
+    size = count * steps
+    last = torch.arange(size) % steps == steps - 1
+    state, action = torch.rand(size, 6), 4 * torch.rand(size, 2) - 2
+    if collided:
+        state[:, 3:] += 2.0 * last[:, None]
+    flags = {"done": last, "collided": last & collided, "arrived": last & arrived}
+    return TensorDict(
+        {"observation": state, "action": action, "next": {name: flag[:, None] for name, flag in flags.items()}}, [size]
+    )
+
+
+def sampler(data: TensorDict) -> Callable[[int], TensorDict]:
+    return lambda n: data[torch.randint(len(data), (n,))]
+
+
+def trained(loss: LifeGuard, rounds: int = 8) -> LifeGuard:
+    """Fed with collisions that are easy to tell, until the actor listens."""
+    data = episodes(10)
+    optimizer = loss.make_optimizer()
+    for _ in range(rounds):
+        loss.observe(data)
+        loss.fit(sampler(data), 20, optimizer)
+    assert loss.active
+    return loss
+
+
+class _Contract(LossContract):
+    """The contract, of a LifeGuard that the actor listens to."""
+
+    base: Callable[..., ActorCriticLoss]
+    settings: ClassVar[dict[str, object]]
+
+    def make_loss(self, **kwargs: object) -> LifeGuard:
+        return trained(lifeguard(self.base(**kwargs), **self.settings))
+
+    def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
+        data = super().make_data(dtype, size)
+        data["next", "collided"] = data["next", "terminated"].clone()
+        return data
+
+    def test_forward(self) -> None:
+        loss, data = self.make_loss(), self.make_data()
+        losses = loss(data)
+        torch.testing.assert_close(losses["loss_actor"], loss.actor_loss(data)[0])
+        torch.testing.assert_close(losses["loss_lifeguard"], loss.lifeguard_loss(data)[0])
+        assert {key for key in losses.keys() if key.startswith("loss_")} == {  # noqa: SIM118
+            key for key in loss.out_keys if key.startswith("loss_")
+        }
+
+
+class _MLPContract(_Contract):
+    methods: ClassVar[dict[str, str]] = _Contract.methods | {"lifeguard_loss": "model"}
+    settings: ClassVar[dict[str, object]] = {"model": "mlp", "model_lr": 1e-2}
+
+    def make_loss(self, **kwargs: object) -> LifeGuard:
+        loss = super().make_loss(**kwargs)
+        loss.zero_grad()
+        return loss
+
+
+class TestLinearOnTD3(_Contract):
+    base = staticmethod(td3)
+    settings: ClassVar[dict[str, object]] = {}
+
+    def test_no_optimiser_moves_its_weights(self) -> None:
+        loss = self.make_loss()
+        assert not loss.model_params
+        assert not loss.lifeguard_loss(self.make_data())[0].requires_grad
+
+
+class TestMLPOnTD3(_MLPContract):
+    base = staticmethod(td3)
+
+
+class TestLabelOnTD3(_Contract):
+    base = staticmethod(td3)
+    settings: ClassVar[dict[str, object]] = {"penalty": "label"}
+
+
+class TestMLPOnDDPG(_MLPContract):
+    base = staticmethod(ddpg)
+
+
+def actor_gradient(loss: ActorCriticLoss, data: TensorDict) -> list[torch.Tensor]:
+    params = [p for p in loss.actor_network_params.values(True, True) if p.requires_grad]
+    return list(torch.autograd.grad(loss.actor_loss(data)[0], params))
+
+
+class TestActorTerm:
+    @pytest.mark.parametrize("model", ["linear", "mlp"])
+    def test_labels_leave_the_gradient_of_td3_and_probabilities_do_not(self, model: str) -> None:
+        torch.manual_seed(0)
+        base = td3()
+        loss = trained(lifeguard(base, model=model, penalty="label", model_lr=1e-2))
+        data = episodes(4)
+        plain, label = actor_gradient(base, data), actor_gradient(loss, data)
+        assert all(torch.equal(one, other) for one, other in zip(plain, label, strict=True))
+        assert loss.actor_loss(data)[0] > base.actor_loss(data)[0]  # the loss itself is not the same
+        loss.penalty = "probability"
+        assert not all(torch.equal(one, other) for one, other in zip(plain, actor_gradient(loss, data), strict=True))
+
+    @pytest.mark.parametrize(("model", "one_direction"), [("linear", True), ("mlp", False)])
+    def test_a_linear_classifier_pushes_every_action_the_same_way(self, model: str, one_direction: bool) -> None:
+        torch.manual_seed(0)
+        loss = trained(lifeguard(model=model, model_lr=1e-2))
+        torch.manual_seed(1)
+        action = (4 * torch.rand(64, 2) - 2).requires_grad_()
+        acted = TensorDict({"observation": 3 * torch.rand(64, 6), "action": action}, [64])
+        term, _ = loss.actor_term(acted)
+        (gradient,) = torch.autograd.grad(term.double().sum(), action)
+        directions = torch.nn.functional.normalize(gradient[gradient.norm(dim=-1) > 1e-12].double(), dim=-1)
+        assert len(directions) > 10
+        cosine = directions @ directions[0]
+        assert bool((cosine > 1 - 1e-6).all()) == one_direction
+
+    def test_literal_value(self) -> None:
+        """Scaled features (0.5, 0, 0, 1, 0), w = (4, 0, 0, -2, 0), j = 0: the logit is 0 and c is a half."""
+        loss = lifeguard(penalty_weight=8.0)
+        loss.scaler.low.copy_(torch.tensor([0.0, 5.0, 0.0, -2.0, -2.0]))
+        loss.scaler.high.copy_(torch.tensor([2.0, 5.0, 1.0, 2.0, 2.0]))
+        loss.classifier.weight.copy_(torch.tensor([4.0, 0.0, 0.0, -2.0, 0.0]))
+        loss._active = True
+        state = torch.tensor([[9.0, 9.0, 9.0, 1.0, 5.0, 0.0]])
+        action = torch.tensor([[2.0, -2.0]], requires_grad=True)
+        term, _ = loss.actor_term(TensorDict({"observation": state, "action": action}, [1]))
+        assert term.tolist() == [4.0]
+        (gradient,) = torch.autograd.grad(term.sum(), action)  # 8 · ¼ · (-2) / 4
+        assert gradient.tolist() == [[-1.0, 0.0]]
+
+    def test_is_silent_until_trusted(self) -> None:
+        base = td3()
+        loss = lifeguard(base)
+        data = episodes(2)
+        assert loss.actor_term(data) == (None, {})
+        assert torch.equal(loss.actor_loss(data)[0], base.actor_loss(data)[0])
+        assert loss.mode == (False, "probability")
+        assert trained(loss).mode == (True, "probability")
+
+    @pytest.mark.parametrize("penalty", ["probability", "label"])
+    @pytest.mark.parametrize("model", ["linear", "mlp"])
+    def test_a_traced_graph_follows_weight_and_classifier(self, model: str, penalty: str) -> None:
+        loss = trained(lifeguard(model=model, penalty=penalty, model_lr=1e-2))
+
+        def term(state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+            return loss.actor_term(TensorDict({"observation": state, "action": action}, [len(state)]))[0]
+
+        inputs = 3 * torch.rand(7, 6), torch.rand(7, 2)
+        graph = make_fx(term)(*inputs)
+        torch.testing.assert_close(graph(*inputs), term(*inputs))
+        loss.observe(episodes(30, collided=False, arrived=True))
+        trained(loss, 1)
+        assert float(loss.weight) < 10
+        torch.testing.assert_close(graph(*inputs), term(*inputs))
+
+    def test_a_wrong_width_is_refused(self) -> None:
+        loss = LifeGuard(td3(), observations=3, actions=4)
+        with pytest.raises(ValueError, match="check observations= and actions="):
+            loss.observe(episodes(1))
+
+
+class TestObserve:
+    def test_stores_the_last_transition_of_each_collision_unscaled(self) -> None:
+        loss = lifeguard()
+        crashes, others = episodes(3), episodes(2, collided=False)
+        loss.observe(torch.cat([others, crashes, others]))
+        expected = torch.cat([crashes["observation"][4::5, 3:], crashes["action"][4::5]], -1)
+        assert torch.equal(loss.collisions.stored, expected)
+
+    def test_the_store_is_bounded(self) -> None:
+        loss = lifeguard(capacity=7)
+        loss.observe(episodes(5))
+        last = episodes(5)
+        loss.observe(last)
+        assert len(loss.collisions) == 7
+        stored = {tuple(row) for row in loss.collisions.stored.tolist()}
+        assert {
+            tuple(row) for row in torch.cat([last["observation"][:, 3:], last["action"]], -1)[4::5].tolist()
+        } < stored
+
+    def test_weight_falls_with_recent_success(self) -> None:
+        loss = lifeguard(success_window=4)
+        assert float(loss.weight) == 10.0
+        loss.observe(torch.cat([episodes(3), episodes(1, collided=False, arrived=True)]))
+        assert float(loss.weight) == 7.5
+        loss.observe(episodes(3, collided=False, arrived=True))
+        assert float(loss.weight) == 0.0
+
+    def test_without_a_success_flag(self) -> None:
+        loss = lifeguard(success_window=None)
+        loss.observe(episodes(2).exclude(("next", "arrived")))
+        assert float(loss.weight) == 10.0
+        with pytest.raises(KeyError, match="success_window=None"):
+            lifeguard().observe(episodes(2).exclude(("next", "arrived")))
+
+    def test_keys_can_be_renamed(self) -> None:
+        data = episodes(2)
+        loss = lifeguard()
+        loss.observe(data)
+        renamed = lifeguard()
+        renamed.set_keys(collided="crash", arrived="won")
+        for old, new in (("collided", "crash"), ("arrived", "won")):
+            data["next", new] = data["next"].pop(old)
+        renamed.observe(data)
+        assert torch.equal(loss.collisions.stored, renamed.collisions.stored)
+        assert ("next", "crash") in renamed.in_keys
+        with pytest.raises(ValueError, match="Expected keys out of"):
+            loss.set_keys(colided="crash")
+
+    @pytest.mark.parametrize("key", ["observation", "action"])
+    def test_nan_is_refused_and_leaves_no_trace(self, key: str) -> None:
+        data = episodes(2)
+        data[key][3, -1] = torch.nan
+        loss = lifeguard()
+        with pytest.raises(ValueError, match="Expected finite states and actions"):
+            loss.observe(data)
+        assert len(loss.collisions) == 0
+        assert loss.scaler.low.isinf().all()
+
+    def test_part_of_an_episode_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="Expected whole episodes"):
+            lifeguard().observe(episodes(2)[:-1])
+
+
+class TestFit:
+    @pytest.mark.parametrize("model", ["linear", "mlp"])
+    def test_without_collisions_nothing_happens(self, model: str) -> None:
+        loss = lifeguard(model=model)
+        data = episodes(20, collided=False)
+        before = copy.deepcopy(loss.classifier.state_dict())
+        loss.observe(data)
+        loss.fit(sampler(data), 5, loss.make_optimizer())
+        assert not loss.needs_training
+        assert all(torch.equal(value, before[name]) for name, value in loss.classifier.state_dict().items())
+        assert loss.diagnostics() == {
+            "lifeguard_active": 0.0,
+            "lifeguard_true_positive_rate": 0.0,
+            "lifeguard_false_positive_rate": 0.0,
+            "lifeguard_true_negative_rate": 0.0,
+            "lifeguard_false_negative_rate": 0.0,
+            "lifeguard_collisions": 0.0,
+            "lifeguard_weight": 10.0,
+            "lifeguard_penalty": 0.0,
+            "lifeguard_gradient": 0.0,
+        }
+
+    def test_training_starts_with_more_than_min_collisions(self) -> None:
+        loss = lifeguard(min_collisions=4)
+        data = episodes(4)
+        loss.observe(data)
+        loss.fit(sampler(data), 1)
+        assert int(loss.classifier.t) == 0
+        loss.observe(episodes(1))
+        loss.fit(sampler(data), 3)
+        assert int(loss.classifier.t) == 3 * 20
+
+    def test_batches_are_balanced_and_shuffled(self) -> None:
+        loss = lifeguard()
+        data = episodes(10)
+        loss.observe(data)
+        seen: list[torch.Tensor] = []
+
+        def partial_fit(x: torch.Tensor, y: torch.Tensor) -> None:
+            assert (x.amin() >= 0) & (x.amax() <= 1)
+            scaled = loss.scaler(loss.collisions.stored)
+            is_stored = (x[:, None] == scaled).all(-1).any(-1)
+            assert torch.equal(is_stored, y)
+            seen.append(y)
+
+        loss.classifier.partial_fit = partial_fit
+        loss.fit(sampler(data), 30)
+        labels = seen[0].unflatten(0, (30, 20))
+        assert (labels.sum(-1) == 10).all()
+        assert len({tuple(row) for row in labels.tolist()}) > 20
+
+    def test_evaluates_before_it_trains(self) -> None:
+        """An untrained classifier calls nothing a collision: no positive, true or false."""
+        loss = lifeguard()
+        data = episodes(10)
+        loss.observe(data)
+        loss.fit(sampler(data), 50)
+        assert loss.evaluations.stored.tolist() == [[0, 0, 10, 10]]
+        loss.evaluate(data[torch.arange(10)])
+        assert int(loss.evaluations.seen) == 2
+        with pytest.raises(ValueError, match="Expected 10 transitions"):
+            loss.evaluate(data)
+
+    def test_evaluation_without_collisions_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="found none"):
+            lifeguard().evaluate(episodes(2, collided=False))
+
+    @pytest.mark.parametrize(("evaluations", "active"), [(20, False), (21, True)])
+    def test_activation_needs_more_than_twenty_evaluations(self, evaluations: int, active: bool) -> None:
+        loss = lifeguard(min_evaluations=20)
+        data = episodes(20, collided=False)
+        loss.observe(episodes(1))
+        for _ in range(evaluations):
+            loss.evaluate(data[:10])
+        assert loss.active is active
+
+    def test_deactivates_when_it_cries_wolf(self) -> None:
+        loss = lifeguard(evaluation_window=3)
+        loss.observe(episodes(1))
+        others = episodes(2, collided=False)
+        for _ in range(3):
+            loss.evaluate(others)
+        assert loss.active
+        loss.classifier.intercept.fill_(1.0)
+        loss.evaluate(others)
+        assert not loss.active
+        assert loss.diagnostics()["lifeguard_false_positive_rate"] == pytest.approx(1 / 3)
+
+    def test_few_large_draws(self) -> None:
+        """150 steps of 50 others come in one draw; none is larger than the bound."""
+        loss = lifeguard(batch_size=100)
+        data = episodes(10)
+        loss.observe(data)
+        sizes: list[int] = []
+
+        def sample(n: int) -> TensorDict:
+            sizes.append(n)
+            return data[~data["next", "collided"].squeeze(-1)][torch.randint(40, (n,))]
+
+        loss.fit(sample, 100)
+        assert len(sizes) == 1
+        loss.fit(sample, 500)
+        assert max(sizes) <= 8192
+
+    def test_a_buffer_of_collisions_only_is_refused(self) -> None:
+        loss = lifeguard()
+        data = episodes(10)
+        loss.observe(data)
+        with pytest.raises(ValueError, match="did not collide"):
+            loss.fit(lambda n: data[4::5][torch.randint(10, (n,))], 5)
+
+    def test_an_mlp_without_an_optimiser_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="see make_optimizer"):
+            lifeguard(model="mlp").fit(sampler(episodes(1)), 5)
+
+    def test_a_module_of_ones_own(self) -> None:
+        class Own(torch.nn.Module):
+            def __init__(self) -> None:
+                super().__init__()
+                self.layer = torch.nn.Linear(5, 1)
+
+            def forward(self, x: torch.Tensor) -> torch.Tensor:
+                return self.layer(x)[..., 0]
+
+        trained(lifeguard(model=Own(), model_lr=1e-1), 20)
+
+    @pytest.mark.parametrize("model", ["linear", "mlp"])
+    def test_continues_from_its_state_as_if_never_stopped(self, model: str) -> None:
+        torch.manual_seed(0)
+        one = trained(lifeguard(model=model, model_lr=1e-2))
+        first = one.make_optimizer()
+        other = lifeguard(model=model, model_lr=1e-2)
+        other.load_state_dict(copy.deepcopy(one.state_dict()))
+        second = other.make_optimizer()
+        assert other.active
+        data = episodes(10)
+        for loss, optimizer in ((one, first), (other, second)):
+            torch.manual_seed(1)
+            loss.observe(data)
+            loss.fit(sampler(data), 20, optimizer)
+        states = one.state_dict(), other.state_dict()
+        assert all(torch.equal(value, states[1][name]) for name, value in states[0].items())
+        assert one.diagnostics() == other.diagnostics()
+        assert torch.equal(one.actor_loss(data)[0], other.actor_loss(data)[0])
+
+
+class TestDiagnostics:
+    def test_gradient_norm_against_autograd_through_the_actor_term(self) -> None:
+        loss = trained(lifeguard(model="mlp", model_lr=1e-2))
+        data = episodes(1)
+        loss.observe(data)
+        action = data["action"].clone().requires_grad_()
+        term, _ = loss.actor_term(data.set("action", action))
+        (gradient,) = torch.autograd.grad(term.sum(), action)
+        numbers = loss.diagnostics()
+        assert numbers["lifeguard_penalty"] == pytest.approx(float(term.detach().mean()))
+        assert numbers["lifeguard_gradient"] == pytest.approx(float(gradient.norm(dim=-1).mean()))
+        assert numbers["lifeguard_active"] == 1.0
+
+    def test_labels_have_no_gradient(self) -> None:
+        numbers = trained(lifeguard(penalty="label")).diagnostics()
+        assert numbers["lifeguard_penalty"] > 0
+        assert numbers["lifeguard_gradient"] == 0.0
+
+
+def test_one_lifeguard_on_another() -> None:
+    inner = trained(lifeguard(model="mlp", model_lr=1e-2))
+    outer = lifeguard(inner, penalty_weight=3.0)
+    data = episodes(10)
+    torch.testing.assert_close(outer.actor_loss(data)[0], inner.actor_loss(data)[0])
+    trained(outer)
+    assert outer.mode == (True, "probability", True, "probability")
+    assert len(inner.collisions) == 160  # the outer one passes on what it observes
+    assert outer.actor_loss(data)[0] > inner.actor_loss(data)[0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"model": "tree"}, "model must be"), ({"penalty": "hinge"}, "penalty must be"), ({"batch_size": 5}, "even")],
+)
+def test_unknown_settings_are_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        lifeguard(**settings)
+
+
+def test_the_example_runs() -> None:
+    script = Path(__file__).parents[2] / "examples" / "lifeguard_pendulum.py"
+    subprocess.run([sys.executable, script, "400"], check=True, capture_output=True, timeout=300)

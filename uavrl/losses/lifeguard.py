@@ -1,0 +1,404 @@
+"""LifeGuard (Chansuparp (2022), §3.5): a collision classifier that restrains the actor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor, nn
+from torch.func import functional_call
+
+from uavrl.losses.actor_critic import ActorCriticLoss, Enhancer
+from uavrl.losses.lifeguard_functional import (
+    annealed_weight,
+    confusion_counts,
+    confusion_rates,
+    is_trusted,
+    lifeguard_penalty,
+)
+from uavrl.losses.ring import Ring
+from uavrl.models.classifiers import LinearClassifier, MinMaxScaler, MLPClassifier
+from uavrl.models.linear_sgd import logistic_loss, regularized_error
+
+Sample = Callable[[int], TensorDictBase]
+_CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes each
+
+
+class LifeGuard(Enhancer):
+    """Adds ``p_cp c(o, μ(s))`` to the actor's objective: c predicts that the action collides (Eq. 3.7-3.11).
+
+    Call :meth:`observe` and then :meth:`fit` once for each episode flown. The classifier reads the last observation
+    in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last transition
+    before each collision and from as many other transitions. The actor hears of it after ``min_evaluations``
+    evaluations on data it was not yet trained on, while its true-negative rate is high enough.
+
+    Args:
+        base: the loss to enhance.
+        observations: width of the last observation: that many entries at the end of the state.
+        actions: width of the action.
+        model: ``"linear"`` (the thesis), ``"mlp"``, or a module that takes features ``[*B, observations + actions]``
+            to logits ``[*B]``. A linear one pushes every action the same way, whatever the observation.
+        penalty: ``"probability"``, differentiable in the action, or ``"label"`` (1 if c > 0.5), a constant, as the
+            author's published code has it: the actor's gradient is then exactly that of ``base``.
+        penalty_weight: p_cp.
+        success_window: episodes over which the success rate runs that lowers the weight,
+            ``p_cp (1 - success)``; None keeps it at p_cp and never reads ``arrived``.
+        capacity: collisions kept; the oldest give way.
+        batch_size: rows of a training batch, half of them collisions.
+        min_collisions: training starts with more than these.
+        min_evaluations: the actor listens after more than these.
+        evaluation_window: evaluations over which the true-negative rate runs.
+        min_true_negative_rate: the actor listens while the rate exceeds this.
+        model_lr: Adam's step for a model with parameters; see :meth:`make_optimizer`.
+        alpha: α of Eq. 3.8.
+
+    Raises:
+        ValueError: for an unknown model or penalty, or an odd batch size.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from uavrl.losses import DDPGLoss
+        >>> from uavrl.models import Actor, Critic
+        >>> critic = Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"])
+        >>> base = DDPGLoss(Mod(Actor(6, 4), ["observation"], ["action"]), critic)
+        >>> loss = LifeGuard(base, observations=3, actions=4, min_collisions=0)
+        >>> crash = TensorDict({"observation": torch.rand(2, 6), "action": torch.rand(2, 4), "next": {
+        ...     "done": torch.tensor([[False], [True]]), "collided": torch.tensor([[False], [True]]),
+        ...     "arrived": torch.zeros(2, 1, dtype=torch.bool)}}, [2])
+        >>> loss.observe(crash)
+        >>> loss.fit(lambda n: crash[torch.randint(2, (n,))], steps=2, optimizer=loss.make_optimizer())
+        >>> int(loss.diagnostics()["lifeguard_collisions"]), loss.active
+        (1, False)
+    """
+
+    @dataclass
+    class _AcceptedKeys(Enhancer._AcceptedKeys):
+        """The keys that :meth:`set_keys` renames, besides those of the base.
+
+        ``collided``, ``arrived`` and ``done`` are read under ``"next"``.
+        """
+
+        observation: NestedKey = "observation"
+        action: NestedKey = "action"
+        collided: NestedKey = "collided"
+        arrived: NestedKey = "arrived"
+        done: NestedKey = "done"
+
+    default_keys = _AcceptedKeys
+    weight: Tensor
+
+    def __init__(
+        self,
+        base: ActorCriticLoss,
+        *,
+        observations: int,
+        actions: int,
+        model: Literal["linear", "mlp"] | nn.Module = "linear",
+        penalty: Literal["probability", "label"] = "probability",
+        penalty_weight: float = 10.0,
+        success_window: int | None = 100,
+        capacity: int = 10_000,
+        batch_size: int = 100,
+        min_collisions: int = 50,
+        min_evaluations: int = 20,
+        evaluation_window: int = 100,
+        min_true_negative_rate: float = 0.96,
+        model_lr: float = 1e-3,
+        alpha: float = 1e-4,
+    ) -> None:
+        if penalty not in ("probability", "label"):
+            raise ValueError(f'penalty must be "probability" or "label", got {penalty!r}.')
+        if batch_size < 2 or batch_size % 2:
+            raise ValueError(f"batch_size must be even, half of it collisions, got {batch_size}.")
+        super().__init__(base)
+        self.observations, self.actions = observations, actions
+        self.penalty: str = penalty
+        self.penalty_weight = penalty_weight
+        self.batch_size = batch_size
+        self.min_collisions, self.min_evaluations = min_collisions, min_evaluations
+        self.min_true_negative_rate = min_true_negative_rate
+        self.model_lr, self.alpha = model_lr, alpha
+        features = observations + actions
+        self.classifier = _make_classifier(model, features, alpha)
+        self.scaler = MinMaxScaler(features)
+        self.collisions = Ring(capacity, (features,))
+        self.evaluations = Ring(evaluation_window, (4,), torch.int64)
+        self.successes = Ring(success_window) if success_window is not None else None
+        self.register_buffer("weight", torch.tensor(float(penalty_weight)))
+        self.out_keys = [*self.out_keys, "loss_lifeguard"]
+        self._active = False
+        self._last_episode: Tensor | None = None
+        self.register_load_state_dict_post_hook(_after_loading)
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def active(self) -> bool:
+        """Whether the actor listens."""
+        return self._active
+
+    @property
+    def needs_training(self) -> bool:
+        """Whether there are collisions enough to train on."""
+        return len(self.collisions) > self.min_collisions
+
+    @property
+    def mode(self) -> tuple[Hashable, ...]:
+        """What :meth:`actor_term` branches on: a graph traced in one mode serves until it changes."""
+        return (*super().mode, self._active, self.penalty)
+
+    @property
+    def model_params(self) -> list[nn.Parameter]:
+        """The classifier's parameters for an optimiser; none for the linear one, which trains itself."""
+        return list(self.classifier.parameters())
+
+    def make_optimizer(self) -> torch.optim.Optimizer | None:
+        """Adam for the classifier, or None where it needs none. Keep it, and save it in your checkpoints."""
+        return torch.optim.Adam(self.model_params, lr=self.model_lr, fused=True) if self.model_params else None
+
+    def _refresh(self) -> None:
+        """Computes the flag that the actor's loss branches on: reading it there would break a traced graph."""
+        counts, evaluations = self.evaluations.stored, int(self.evaluations.seen)
+        self._active = is_trusted(counts, evaluations, self.min_evaluations, self.min_true_negative_rate)
+
+    # ------------------------------------------------------------------ the actor
+
+    def _features(self, tensordict: TensorDictBase) -> Tensor:
+        """``[*B, observations + actions]``, unscaled."""
+        state, action = tensordict.get(self.tensor_keys.observation), tensordict.get(self.tensor_keys.action)
+        if state.shape[-1] < self.observations or action.shape[-1] != self.actions:
+            raise ValueError(
+                f"Expected a state of at least {self.observations} and an action of {self.actions} numbers, got "
+                f"{state.shape[-1]} and {action.shape[-1]}: check observations= and actions= of LifeGuard."
+            )
+        return torch.cat([state[..., -self.observations :], action], -1)
+
+    def _charge(self, features: Tensor) -> Tensor:
+        """``p_cp c`` for unscaled features ``[*B, F]``; classifier and scaler are constant."""
+        constants = {name: p.detach() for name, p in self.classifier.named_parameters()}
+        logit = functional_call(self.classifier, constants, (self.scaler(features),))
+        c = (logit > 0).to(logit.dtype) if self.penalty == "label" else logit.sigmoid()
+        return lifeguard_penalty(c, self.weight)
+
+    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor | None, dict[str, Tensor]]:
+        """Eq. 3.11: ``p_cp c(o, μ(s))``, or None while the classifier is not trusted.
+
+        Args:
+            acted: ``[*B]`` with the state and the actor's action.
+        """
+        if not self._active:
+            return None, {}
+        term = self._charge(self._features(acted))
+        return term, {"lifeguard_penalty": term.detach()}
+
+    # ------------------------------------------------------------------ the classifier
+
+    def _next(self, tensordict: TensorDictBase, name: str) -> Tensor:
+        """The flag ``("next", name)`` as bool ``[*B]``."""
+        key = getattr(self.tensor_keys, name)
+        flag = tensordict.get(("next", key), None)
+        if flag is None:
+            hint = " (or pass success_window=None)" if name == "arrived" else ""
+            raise KeyError(
+                f'Expected the entry ("next", {key!r}), found none: name yours by set_keys({name}=...){hint}.'
+            )
+        return flag.reshape(tensordict.batch_size).bool()
+
+    def _error(self, features: Tensor, collided: Tensor) -> Tensor:
+        """The summands of Eq. 3.8 for scaled features ``[B, F]``."""
+        loss = logistic_loss(self.classifier(features), collided)
+        return regularized_error(loss, _regularized(self.classifier), self.alpha)
+
+    def lifeguard_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The classifier's regularised training error (Eq. 3.8-3.9) on transitions; it reaches the classifier only.
+
+        Args:
+            tensordict: ``[*B]`` with the state, the action and ``("next", "collided")``.
+
+        Returns:
+            The reduced loss and detached metadata.
+
+        Raises:
+            KeyError: when ``("next", "collided")`` is missing.
+        """
+        collided = self._next(tensordict, "collided")
+        error = self._error(self.scaler(self._features(tensordict).detach()), collided)
+        weights = self._maybe_get_priority_weight(tensordict)
+        loss = self._reduce_loss(error, tensordict=tensordict, weights=weights)
+        return loss, {"lifeguard_collided": collided.float().mean()}
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What :meth:`forward` reads."""
+        keys = self.tensor_keys
+        return list(dict.fromkeys([*self.base.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
+
+    def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """The classifier's loss."""
+        return {"loss_lifeguard": self.lifeguard_loss(tensordict)[0]}
+
+    @torch.no_grad()
+    def observe(self, episodes: TensorDictBase) -> None:
+        """Learns the features' range, stores the last transition before each collision, counts successes.
+
+        Args:
+            episodes: whole episodes ``[T]``, end to end.
+
+        Raises:
+            ValueError: when they are not whole, or a number is not finite.
+            KeyError: when a flag is missing.
+        """
+        super().observe(episodes)
+        ends = self._next(episodes, "done").nonzero().squeeze(-1)
+        if episodes.ndim != 1 or not len(ends) or int(ends[-1]) != len(episodes) - 1:
+            raise ValueError(
+                f"Expected whole episodes [T], end to end, got {tuple(episodes.shape)} steps, the last ending none."
+            )
+        features = self._features(episodes).detach().to(self.collisions.rows)
+        if not features.isfinite().all():
+            raise ValueError("Expected finite states and actions, got a NaN or an infinity: end the episode before it.")
+        last = episodes[ends]
+        collided = self._next(last, "collided")
+        arrived = self._next(last, "arrived") if self.successes is not None else None
+        self.scaler.update(features)
+        self.collisions.push(features[ends[collided]])
+        self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
+        if self.successes is not None and arrived is not None:
+            self.successes.push(arrived.to(self.successes.rows))
+            self.weight.fill_(annealed_weight(self.penalty_weight, self.successes.stored))
+
+    def evaluate(self, others: TensorDictBase) -> None:
+        """Counts what the classifier says of stored collisions, drawn at random, and of as many other transitions.
+
+        Args:
+            others: ``[batch_size / 2]`` transitions that did not collide.
+
+        Raises:
+            ValueError: for another number of transitions, or without a stored collision.
+        """
+        if tuple(others.batch_size) != (self.batch_size // 2,):
+            raise ValueError(f"Expected {self.batch_size // 2} transitions, got {tuple(others.batch_size)}.")
+        self._evaluate(self._features(others).detach().to(self.collisions.rows))
+
+    @torch.no_grad()
+    def _evaluate(self, others: Tensor) -> None:
+        half = len(others)
+        logit = self.classifier(self.scaler(torch.cat([self._draw_collisions(half), others])))
+        self.evaluations.push(confusion_counts(logit > 0, torch.arange(2 * half, device=logit.device) < half)[None])
+        self._refresh()
+
+    def fit(self, sample: Sample, steps: int, optimizer: torch.optim.Optimizer | None = None) -> None:
+        """Evaluates the classifier once, then trains it: call it once for each episode, after :meth:`observe`.
+
+        Nothing happens before there are collisions enough. Collisions are drawn from the store with replacement.
+
+        Args:
+            sample: gives n random transitions ``[n]`` of the replay buffer; those that collided are left out.
+            steps: training steps, as many as the episode had.
+            optimizer: of :attr:`model_params`, for a model that has any.
+
+        Raises:
+            ValueError: when a model with parameters gets no optimiser, or nearly all transitions collided.
+        """
+        if optimizer is None and not isinstance(self.classifier, LinearClassifier):
+            raise ValueError("Expected an optimiser for the classifier's parameters, got None: see make_optimizer().")
+        if not self.needs_training or steps < 1:
+            return
+        half = self.batch_size // 2
+        others = self._draw_others(sample, (steps + 1) * half)
+        self._evaluate(others[:half])
+        features, collided = self._balanced_batches(others[half:].unflatten(0, (steps, half)))
+        if isinstance(self.classifier, LinearClassifier):
+            self.classifier.partial_fit(features.flatten(0, 1), collided.flatten())
+        elif optimizer is not None:
+            for x, y in zip(features, collided, strict=True):
+                optimizer.zero_grad(set_to_none=True)
+                self._error(x, y).mean().backward()
+                optimizer.step()
+
+    def _draw_collisions(self, *size: int) -> Tensor:
+        stored = self.collisions.stored
+        if not len(stored):
+            raise ValueError("Expected stored collisions, found none: call observe() with episodes that collided.")
+        return stored[torch.randint(len(stored), size).to(stored.device)]
+
+    def _draw_others(self, sample: Sample, count: int) -> Tensor:
+        """``[count, F]`` unscaled features of random transitions that did not collide."""
+        drawn: list[Tensor] = []
+        missing = count
+        for _ in range(10 + 10 * count // _CHUNK):
+            batch = sample(min(missing + missing // 8 + 8, _CHUNK))
+            others = self._features(batch)[~self._next(batch, "collided")].detach()[:missing]
+            drawn.append(others.to(self.collisions.rows))
+            missing -= len(others)
+            if not missing:
+                return torch.cat(drawn)
+        raise ValueError(
+            f"Expected {count} transitions that did not collide, found {count - missing} after many draws."
+        )
+
+    def _balanced_batches(self, others: Tensor) -> tuple[Tensor, Tensor]:
+        """Shuffled batches, half collisions: scaled features ``[S, batch_size, F]`` and labels ``[S, batch_size]``."""
+        steps, half, _ = others.shape
+        rows = torch.cat([self._draw_collisions(steps, half), others], 1)
+        order = torch.rand(steps, 2 * half).argsort(-1).to(rows.device)
+        shuffled = rows.gather(1, order[..., None].expand_as(rows))
+        return self.scaler(shuffled), order < half
+
+    # ------------------------------------------------------------------ numbers worth logging
+
+    def diagnostics(self) -> dict[str, float]:
+        """The base's, and LifeGuard's: whether it is heard, how well it knows, and what it charges.
+
+        The rates run over the last evaluations; a collision is positive. ``lifeguard_penalty`` is the mean of
+        ``p_cp c`` over the steps of the last episode observed, ``lifeguard_gradient`` the mean norm of its gradient
+        in the action; both are 0 while the actor does not listen.
+        """
+        rates = confusion_rates(self.evaluations.stored)
+        penalty, gradient = self._last_charge()
+        return super().diagnostics() | {
+            "lifeguard_active": float(self._active),
+            **{f"lifeguard_{name}_rate": rate for name, rate in rates._asdict().items()},
+            "lifeguard_collisions": float(len(self.collisions)),
+            "lifeguard_weight": float(self.weight),
+            "lifeguard_penalty": penalty,
+            "lifeguard_gradient": gradient,
+        }
+
+    def _last_charge(self) -> tuple[float, float]:
+        if not self._active or self._last_episode is None:
+            return 0.0, 0.0
+        with torch.enable_grad():
+            features = self._last_episode.clone().requires_grad_()
+            charge = self._charge(features)
+            mean = float(charge.detach().mean())
+            if not charge.requires_grad:
+                return mean, 0.0
+            (gradient,) = torch.autograd.grad(charge.sum(), features)
+        return mean, float(gradient[:, -self.actions :].norm(dim=-1).mean())
+
+
+def _after_loading(loss: LifeGuard, _: object) -> None:
+    loss._refresh()
+    loss._last_episode = None
+
+
+def _make_classifier(model: str | nn.Module, features: int, alpha: float) -> nn.Module:
+    if isinstance(model, nn.Module):
+        return model
+    if model == "linear":
+        return LinearClassifier(features, alpha)
+    if model == "mlp":
+        return MLPClassifier(features)
+    raise ValueError(f'model must be "linear", "mlp" or a module, got {model!r}.')
+
+
+def _regularized(classifier: nn.Module) -> list[Tensor]:
+    """What Eq. 3.8 regularises: the linear model's w, or the matrices of a network."""
+    if isinstance(classifier, LinearClassifier):
+        return [classifier.weight]
+    return [p for p in classifier.parameters() if p.ndim > 1]

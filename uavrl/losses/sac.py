@@ -1,0 +1,173 @@
+"""SAC (Haarnoja et al. 2018, arXiv 1812.05905) behind the interface of the other losses, on TorchRL's loss."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from tensordict import TensorDict, TensorDictBase, TensorDictParams
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule
+from torch import Tensor, nn
+from torchrl.data import TensorSpec
+from torchrl.modules.distributions.utils import rsample_and_log_prob
+from torchrl.objectives import SACLoss as _SACLoss
+from torchrl.objectives import ValueEstimators
+from torchrl.objectives.utils import distance_loss
+
+from uavrl.losses.actor_critic import ActorCriticLoss
+from uavrl.losses.critics import stacked_values
+from uavrl.models import Critic
+
+
+class SACLoss(ActorCriticLoss, _SACLoss):
+    """SAC's critic, actor and temperature losses, in the form without a state-value network.
+
+    What differs from :class:`torchrl.objectives.SACLoss`: the squared error is the default, both critics keep the
+    weights they come with, and :meth:`value_loss` is the critics' loss, with the metadata of :class:`TD3Loss`.
+
+    Args:
+        actor_network: reads the state, samples ``action`` by reparameterisation and gives its log-probability.
+        qvalue_networks: the two critics; each reads the state and ``action``, writes ``state_action_value``.
+        action_spec: the spec of one action, for the target entropy.
+        gamma: discount γ.
+        target_entropy: what the temperature steers the policy's entropy to; ``"auto"`` is minus the width of the
+            action.
+        loss_function: ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
+        reduction: ``"mean"``, ``"sum"`` or ``"none"``.
+        **kwargs: as in :class:`torchrl.objectives.SACLoss`.
+
+    Raises:
+        ValueError: for another number of critics than two.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from torchrl.data import Bounded
+        >>> from torchrl.modules import ProbabilisticActor, TanhNormal
+        >>> from uavrl.models import Critic, GaussianActor
+        >>> spec = Bounded(-2.0, 2.0, (4,))
+        >>> actor = ProbabilisticActor(
+        ...     Mod(GaussianActor(6, 4), ["observation"], ["loc", "scale"]), in_keys=["loc", "scale"], spec=spec,
+        ...     distribution_class=TanhNormal, distribution_kwargs={"low": -2.0, "high": 2.0}, return_log_prob=True)
+        >>> critics = [Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
+        >>> loss = SACLoss(actor, critics, action_spec=spec)
+        >>> actor_loss, metadata = loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))
+        >>> loss.alpha_loss(metadata["log_prob"]).shape
+        torch.Size([])
+    """
+
+    actor_network: TensorDictModule
+    qvalue_network: TensorDictModule
+    value_network: TensorDictModule | None
+    actor_network_params: TensorDictParams
+    qvalue_network_params: TensorDictParams
+    value_network_params: TensorDictParams | None
+    target_actor_network_params: TensorDictParams
+    target_qvalue_network_params: TensorDictParams
+    target_value_network_params: TensorDictParams | None
+
+    def __init__(
+        self,
+        actor_network: ProbabilisticTensorDictSequential,
+        qvalue_networks: Sequence[TensorDictModule],
+        *,
+        action_spec: TensorSpec,
+        gamma: float = 0.99,
+        target_entropy: float | str = "auto",
+        loss_function: str = "l2",
+        reduction: str = "mean",
+        **kwargs: Any,
+    ) -> None:
+        if len(qvalue_networks) != 2:
+            raise ValueError(f"SAC takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
+        kwargs.setdefault("scalar_output_mode", "exclude" if reduction == "none" else None)
+        super().__init__(
+            actor_network,
+            list(qvalue_networks),
+            action_spec=action_spec,
+            target_entropy=target_entropy,
+            loss_function=loss_function,
+            reduction=reduction,
+            **kwargs,
+        )
+        _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an enhancer
+        self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    def _make_vmap(self) -> None:
+        super()._make_vmap()
+        if isinstance(self.qvalue_network.module, Critic):
+            self._vmap_qnetworkN0 = self._stacked_critics
+
+    def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:
+        """Values ``[2, *B, 1]`` of states and actions ``[*B]``."""
+        batch = (params.batch_size[0], *tensordict.batch_size)
+        inputs = (tensordict.get(key) for key in self.qvalue_network.in_keys)
+        value = stacked_values(self.qvalue_network, params, *(x.expand(*batch, x.shape[-1]) for x in inputs))
+        return TensorDict({self.tensor_keys.state_action_value: value}, batch)
+
+    def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
+        """Values ``[2, *B]`` of states and actions ``[*B]``."""
+        inputs = tensordict.select(*self.qvalue_network.in_keys)
+        return self._vmap_qnetworkN0(inputs, params).get(self.tensor_keys.state_action_value).squeeze(-1)
+
+    @property
+    def critic_network_params(self) -> TensorDictParams:
+        """The parameters that the critic's optimiser moves."""
+        return self.qvalue_network_params
+
+    @property
+    def alpha_params(self) -> list[Tensor]:
+        """The parameters that the temperature's optimiser moves: its logarithm, or nothing if it is fixed."""
+        return [self.log_alpha] if isinstance(self.log_alpha, nn.Parameter) else []
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The squared error of both critics against ``r + γ (1 - d) (min_j Q'_j(s', a') - α log π(a'|s'))``.
+
+        Args:
+            tensordict: ``[*B]`` with state, action and ``"next"``.
+
+        Returns:
+            The reduced loss and detached metadata, ``td_error`` (squared, ``[2, *B]``) among them.
+        """
+        weights = self._maybe_get_priority_weight(tensordict)
+        target = self._compute_target_v2(tensordict)
+        value = self._values(tensordict, self.qvalue_network_params)
+        errors = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
+        metadata = {
+            "td_error": (value - target).square().detach(),
+            "pred_value": value.detach(),
+            "target_value": target.detach(),
+        }
+        return self._reduce_loss(errors, tensordict=tensordict, weights=weights), metadata
+
+    def qvalue_v2_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """TorchRL's name of :meth:`value_loss`; its ``td_error`` is the larger of the absolute errors."""
+        loss, metadata = self.value_loss(tensordict)
+        return loss, {"td_error": metadata["td_error"].sqrt().amax(0)}
+
+    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The state with a sampled action, differentiable in the actor, and its log-probability."""
+        acted = tensordict.select(*self.actor_network.in_keys, *self.qvalue_network.in_keys, strict=False)
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            action, log_prob = rsample_and_log_prob(self.actor_network.get_dist(acted))
+        return acted.set(self.tensor_keys.action, action).set(self.tensor_keys.log_prob, log_prob)
+
+    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
+        """``min_j Q_j(s, a)``, of constant critics."""
+        critics = self.target_qvalue_network_params if target else self._cached_detached_qvalue_params
+        return self._values(acted, critics).amin(0)
+
+    def actor_objective(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """What the actor minimises for each sample, ``[*B]``: ``α log π(a|s) - min_j Q_j(s, a)``."""
+        objective, metadata = super().actor_objective(acted)
+        log_prob = acted.get(self.tensor_keys.log_prob)
+        return self._alpha * log_prob + objective, metadata | {"log_prob": log_prob.detach()}
+
+    def alpha_loss(self, log_prob: Tensor) -> Tensor:
+        """The temperature's loss, reduced: ``-log α (log π + target entropy)``.
+
+        Args:
+            log_prob: ``[*B]``, of the metadata of :meth:`actor_loss`.
+        """
+        return self._reduce_loss(self._alpha_loss(log_prob.detach()))

@@ -1,0 +1,155 @@
+"""Gradients of a loss: as written, captured into a flat graph, or compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.fx import GraphModule
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from uavrl.errors import UavrlError
+
+Execution = Literal["eager", "captured", "compiled"]
+LossMethod = Callable[[TensorDictBase], tuple[Tensor, dict[str, Tensor]]]
+
+
+class Gradients(NamedTuple):
+    """What one pass through a loss gives; all of it detached."""
+
+    loss: Tensor
+    metadata: dict[str, Tensor]
+    gradients: tuple[Tensor, ...]
+
+
+def differentiate(loss_method: LossMethod, parameters: Sequence[Tensor], batch: TensorDictBase) -> Gradients:
+    """Runs a loss and differentiates it with respect to ``parameters``.
+
+    Args:
+        loss_method: gives the reduced loss and metadata.
+        parameters: leaves that the loss depends on.
+        batch: ``[B]``.
+    """
+    loss, metadata = loss_method(batch)
+    gradients = torch.autograd.grad(loss, list(parameters))
+    detached = {name: value.detach() for name, value in metadata.items()}
+    return Gradients(loss.detach(), detached, gradients)
+
+
+class LossGradients:
+    """Calls :func:`differentiate`, without Python's and TensorDict's share of its cost.
+
+    ``captured`` records the tensor operations of the first call and replays them: the same kernels in the
+    same order, hence the same numbers. ``compiled`` hands the recorded operations to TorchInductor, which
+    fuses them (it needs a C++ compiler, and rounds differently in the last digits).
+
+    A recording holds as long as the loss takes the same branches: ``mode`` names them, and each mode,
+    batch size and device is recorded once. Parameters and buffers must be changed in place.
+
+    Args:
+        loss_method: gives the reduced loss and metadata.
+        parameters: leaves that the loss depends on.
+        in_keys: what the loss reads of a batch.
+        execution: ``"eager"``, ``"captured"`` or ``"compiled"``.
+        mode: names the branches that the loss would take now.
+
+    Examples:
+        >>> weight = torch.nn.Parameter(torch.ones(3))
+        >>> gradients = LossGradients(lambda batch: ((batch["x"] * weight).sum(), {}), [weight], ["x"], "captured")
+        >>> gradients(TensorDict({"x": torch.full((2, 3), 5.0)}, [2])).gradients
+        (tensor([10., 10., 10.]),)
+    """
+
+    def __init__(
+        self,
+        loss_method: LossMethod,
+        parameters: Sequence[Tensor],
+        in_keys: Sequence[Any],
+        execution: Execution = "captured",
+        mode: Callable[[], Hashable] = tuple,
+    ) -> None:
+        if execution not in ("eager", "captured", "compiled"):
+            raise UavrlError(f"execution must be eager, captured or compiled, got {execution!r}.")
+        self.loss_method = loss_method
+        self.parameters = list(parameters)
+        self.in_keys = list(in_keys)
+        self.execution = execution
+        self.mode = mode
+        self._recorded: dict[Hashable, _Recording] = {}
+
+    def __call__(self, batch: TensorDictBase) -> Gradients:
+        """The loss on ``batch [B]``, its metadata and its gradients."""
+        if self.execution == "eager":
+            return differentiate(self.loss_method, self.parameters, batch)
+        inputs = [value for value in map(batch.get, self.in_keys) if value is not None]
+        key = (self.mode(), tuple((value.shape, value.device) for value in inputs))
+        if key not in self._recorded:
+            self._recorded[key] = self._record(batch, inputs)
+        return self._recorded[key](inputs)
+
+    def _record(self, batch: TensorDictBase, inputs: list[Tensor]) -> _Recording:
+        keys = [key for key in self.in_keys if batch.get(key) is not None]
+        names: list[str] = []
+
+        def flat(*leaves: Tensor) -> tuple[Tensor, ...]:
+            data = TensorDict({}, batch.batch_size, device=batch.device)
+            for key, leaf in zip(keys, leaves, strict=True):
+                data.set(key, leaf)
+            result = differentiate(self.loss_method, self.parameters, data)
+            names[:] = result.metadata
+            return (result.loss, *result.metadata.values(), *result.gradients)
+
+        devices = {leaf.device.index for leaf in inputs if leaf.is_cuda}
+        with torch.random.fork_rng(devices):  # recording draws random numbers; replaying draws them again
+            graph = make_fx(flat)(*inputs)
+        return _Recording(graph, names, inputs, self.execution == "compiled")
+
+
+class _Recording:
+    """The operations of one pass, and the names of what they give."""
+
+    def __init__(self, graph: GraphModule, names: Sequence[str], inputs: list[Tensor], compiled: bool) -> None:
+        self.names = list(names)
+        self.constants: list[Tensor] = []
+        self.run: Callable[..., Any] = graph
+        if compiled:
+            self.constants = _lift_constants(graph)
+            self.run = _compile(graph, [*inputs, *self.constants])
+
+    @torch.no_grad()
+    def __call__(self, inputs: Sequence[Tensor]) -> Gradients:
+        loss, *rest = self.run(*inputs, *self.constants)
+        count = len(self.names)
+        return Gradients(loss, dict(zip(self.names, rest, strict=False)), tuple(rest[count:]))
+
+
+def _lift_constants(graph: GraphModule) -> list[Tensor]:
+    """Turns the parameters and buffers of a graph into inputs, in place, and returns them."""
+    nodes = graph.graph
+    last = [node for node in nodes.nodes if node.op == "placeholder"][-1]
+    lifted: dict[str, Any] = {}
+    for node in [node for node in nodes.nodes if node.op == "get_attr"]:
+        name = str(node.target)
+        if name not in lifted:
+            with nodes.inserting_after(last):
+                last = lifted[name] = nodes.placeholder(f"lifted_{name}")
+        node.replace_all_uses_with(lifted[name])
+        nodes.erase_node(node)
+    graph.recompile()
+    return [getattr(graph, name).detach() for name in lifted]
+
+
+def _compile(graph: GraphModule, inputs: list[Any]) -> Callable[..., Any]:
+    import torch._inductor
+
+    try:
+        with torch.no_grad():
+            return torch._inductor.compile(graph, inputs)
+    except Exception as error:
+        raise UavrlError(
+            f"The update could not be compiled ({str(error).splitlines()[0]}): "
+            f"install a C++ compiler, or use trainer.execution=captured."
+        ) from error

@@ -1,0 +1,111 @@
+"""Builds the policy and its loss, with enhancers, from a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from torchrl.data import Bounded
+from torchrl.modules import ProbabilisticActor, TanhNormal
+
+from uavrl.configs.schema import DDPGConfig, ForkConfig, LifeGuardConfig, PerceptionConfig, SACConfig, TD3Config
+from uavrl.envs.navigation import ACTION_LIMIT
+from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
+from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
+
+ACTIONS = 4
+FRAME = 32 + 3  # one observation; the state is several
+
+
+def state_width(perception: PerceptionConfig) -> int:
+    """Numbers in the policy's state."""
+    return perception.frames * FRAME
+
+
+def make_actor(
+    algo: DDPGConfig, perception: PerceptionConfig, device: torch.device | str = "cpu"
+) -> TensorDictModuleBase:
+    """The policy: reads ``observation``, writes ``action``; SAC's samples it, the others' is deterministic."""
+    width = state_width(perception)
+    if not isinstance(algo, SACConfig):
+        actor = Actor(width, ACTIONS, algo.hidden, limit=ACTION_LIMIT).to(device)
+        return TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
+    gaussian = GaussianActor(width, ACTIONS, algo.hidden).to(device)
+    return ProbabilisticActor(
+        TensorDictModule(gaussian, in_keys=["observation"], out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        spec=Bounded(-ACTION_LIMIT, ACTION_LIMIT, (ACTIONS,), device=device),
+        distribution_class=TanhNormal,
+        distribution_kwargs={"low": -ACTION_LIMIT, "high": ACTION_LIMIT},
+        return_log_prob=True,
+    )
+
+
+def make_loss(
+    algo: DDPGConfig, actor: TensorDictModuleBase, perception: PerceptionConfig, device: torch.device
+) -> ActorCriticLoss:
+    """The loss module of the algorithm with critics of its own, FORK around it and LifeGuard around both."""
+    width = state_width(perception)
+    spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, (ACTIONS,), device=device)
+    critics = [_critic(width, algo.hidden, device) for _ in range(1 if type(algo) is DDPGConfig else 2)]
+    loss: ActorCriticLoss
+    if isinstance(algo, TD3Config):
+        loss = TD3Loss(
+            actor,
+            critics,
+            action_spec=spec,
+            gamma=algo.gamma,
+            policy_noise=algo.policy_noise,
+            noise_clip=algo.noise_clip,
+        )
+    elif isinstance(algo, SACConfig):
+        entropy = "auto" if algo.target_entropy is None else algo.target_entropy
+        loss = SACLoss(actor, critics, action_spec=spec, gamma=algo.gamma, target_entropy=entropy)
+    else:
+        loss = DDPGLoss(actor, critics[0], gamma=algo.gamma)
+    if algo.fork is not None:
+        loss = _with_fork(loss, algo.fork, algo.gamma, width)
+    if algo.lifeguard is not None:
+        loss = _with_lifeguard(loss, algo.lifeguard)
+    return loss.to(device)
+
+
+def _critic(width: int, hidden: Sequence[int], device: torch.device) -> TensorDictModule:
+    net = Critic(width, ACTIONS, hidden).to(device)
+    return TensorDictModule(net, in_keys=["observation", "action"], out_keys=["state_action_value"])
+
+
+def _with_fork(loss: ActorCriticLoss, config: ForkConfig, gamma: float, width: int) -> Fork:
+    return Fork(
+        loss,
+        system_network=SystemNet(width, ACTIONS, config.system_hidden),
+        reward_network=RewardNet(width, ACTIONS, config.reward_hidden),
+        observations=width,
+        max_reward=config.max_reward,
+        gamma=gamma,
+        base_weight=config.base_weight,
+        threshold=config.threshold,
+        return_window=config.return_window,
+        backprop_through_model=config.backprop_through_model,
+    )
+
+
+def _with_lifeguard(loss: ActorCriticLoss, config: LifeGuardConfig) -> LifeGuard:
+    return LifeGuard(
+        loss,
+        observations=FRAME,
+        actions=ACTIONS,
+        model=config.model,  # type: ignore[arg-type]
+        penalty=config.penalty,  # type: ignore[arg-type]
+        penalty_weight=config.penalty_weight,
+        success_window=config.success_window,
+        capacity=config.capacity,
+        batch_size=config.batch_size,
+        min_collisions=config.min_collisions,
+        min_evaluations=config.min_evaluations,
+        evaluation_window=config.evaluation_window,
+        min_true_negative_rate=config.min_true_negative_rate,
+        model_lr=config.model_lr,
+        alpha=config.alpha,
+    )
