@@ -19,22 +19,26 @@ from uavrl.configs.schema import (
     GROUPS,
     DDPGConfig,
     EnvConfig,
+    ForkConfig,
+    LifeGuardConfig,
     LoggerConfig,
     NavigationRewardConfig,
     PerceptionConfig,
     PrioritizedBufferConfig,
+    SACConfig,
     TD3Config,
     TraditionalRewardConfig,
 )
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.errors import UavrlError
-from uavrl.losses import DDPGLoss, TD3Loss
-from uavrl.models import Actor, Critic
+from uavrl.losses import DDPGLoss, Fork, LifeGuard, TD3Loss
+from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
 
-CHOICES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
+FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
+CHOICES = [file for file in FILES if file[0] != "enhancer"]  # an enhancer is part of an algorithm
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
 
@@ -83,7 +87,7 @@ def signature(*functions: Any) -> dict[str, Any]:
 
 
 def test_every_yaml_of_a_group_has_a_schema_and_every_schema_a_yaml() -> None:
-    assert sorted((group, name) for group, names in GROUPS.items() for name in names) == CHOICES
+    assert sorted((group, name) for group, names in GROUPS.items() for name in names) == FILES
 
 
 @pytest.mark.parametrize(("group", "name"), CHOICES)
@@ -101,7 +105,7 @@ def test_every_choice_composes_for_evaluation(group: str, name: str) -> None:
     assert getattr(config, group).name == name
 
 
-@pytest.mark.parametrize("algo", ["td3", "ddpg"])
+@pytest.mark.parametrize("algo", sorted(GROUPS["algo"]))
 @pytest.mark.parametrize("reward", ["navigation", "navigation_prize", "traditional"])
 @pytest.mark.parametrize("buffer", ["uniform", "prioritized"])
 def test_a_saved_configuration_gets_its_types_back(algo: str, reward: str, buffer: str, tmp_path: Path) -> None:
@@ -113,14 +117,22 @@ def test_a_saved_configuration_gets_its_types_back(algo: str, reward: str, buffe
 def test_a_saved_configuration_of_an_unknown_algorithm_is_refused() -> None:
     saved = OmegaConf.create(OmegaConf.to_yaml(composed("config", "run_dir=here"), resolve=True))
     saved.algo.name = "ppo"
-    with pytest.raises(UavrlError, match=r"algo\.name must be one of td3, ddpg, got 'ppo'"):
+    with pytest.raises(UavrlError, match=r"algo\.name must be one of td3, .*sac_lg, got 'ppo'"):
         to_dataclass(saved)
 
 
 # ---------------------------------------------------------------------- yaml, dataclass, signature
 
 
-DERIVED = [("env", "dynamic"), ("reward", "navigation_prize")]  # what they change is tested below
+ENHANCED = {
+    "td3_fork": ("td3", {"fork"}),
+    "td3_lg": ("td3", {"lifeguard"}),
+    "td3_fork_lg": ("td3", {"fork", "lifeguard"}),
+    "ddpg_lg": ("ddpg", {"lifeguard"}),
+    "sac_lg": ("sac", {"lifeguard"}),
+}
+# What these change of another choice is tested below.
+DERIVED = [("env", "dynamic"), ("reward", "navigation_prize"), *(("algo", name) for name in ENHANCED)]
 
 
 @pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice not in DERIVED])
@@ -134,6 +146,41 @@ def test_yaml_holds_every_field_and_the_default_of_the_dataclass(group: str, nam
     if "name" in expected:
         expected["name"] = name
     assert resolved == expected
+
+
+@pytest.mark.parametrize(("name", "schema"), GROUPS["enhancer"].items())
+def test_an_enhancers_yaml_holds_every_field_and_the_default_of_the_dataclass(name: str, schema: type) -> None:
+    written = yaml.safe_load((conf_dir() / "enhancer" / f"{name}.yaml").read_text())
+    del written["defaults"]
+    assert plain(written) == plain(asdict(schema()))
+
+
+@pytest.mark.parametrize("name", ENHANCED)
+def test_an_enhanced_algorithm_is_its_base_with_the_enhancers(name: str) -> None:
+    base, enhancers = ENHANCED[name]
+    enhanced, plain_base = (asdict(settings("config", f"algo={algo}").algo) for algo in (name, base))
+    assert enhanced.pop("name") == name and plain_base.pop("name") == base
+    for enhancer, schema in (("fork", ForkConfig), ("lifeguard", LifeGuardConfig)):
+        assert plain_base.pop(enhancer) is None
+        assert plain(enhanced.pop(enhancer)) == (plain(asdict(schema())) if enhancer in enhancers else None)
+    assert enhanced == plain_base
+
+
+def test_enhancers_attach_to_any_algorithm_by_override() -> None:
+    algo = settings("config", "algo=ddpg", "+enhancer@algo.fork=fork", "+enhancer@algo.lifeguard=lifeguard").algo
+    assert plain(asdict(algo.fork)) == plain(asdict(ForkConfig()))
+    assert algo.lifeguard == LifeGuardConfig()
+
+
+@pytest.mark.parametrize("reward", ["navigation", "navigation_prize"])
+def test_a_collision_costs_less_with_lifeguard(reward: str) -> None:
+    def cost(*overrides: str) -> float:
+        return settings("config", f"reward={reward}", *overrides).reward.collided_reward
+
+    assert (cost(), cost("algo=td3_fork")) == (-50.0, -50.0)
+    assert (cost("algo=td3_lg"), cost("algo=sac_lg")) == (-10.0, -10.0)
+    assert cost("algo=td3_lg", "algo.lifeguard=null") == -50.0
+    assert cost("algo=td3_lg", "reward.collided_reward=-50") == -50.0
 
 
 def test_the_prize_is_what_loitering_for_ever_would_earn() -> None:
@@ -183,6 +230,7 @@ CONSTRUCTORS = [
     (NavigationRewardConfig(), [NavigationReward.__init__]),
     (TraditionalRewardConfig(), [TraditionalReward.__init__]),
     (TD3Config(), [TD3Loss.__init__, ActorCriticStepper.__init__, Actor.__init__, Critic.__init__]),
+    (SACConfig(policy_delay=2), [ActorCriticStepper.__init__, GaussianActor.__init__, Critic.__init__]),
     (PerceptionConfig(), [TruncatedIcosahedron.__init__, NavigationObservation.__init__]),
     (EnvConfig(), [NavigationEnv.__init__]),
 ]
@@ -190,6 +238,7 @@ COVERED = {  # keys of the dataclass that a constructor takes under the same nam
     "navigation": {"weights", "flight_level", "collided_reward", "arrived_reward", "altitude_term"},
     "traditional": {"arrived_reward", "collided_reward"},
     "td3": {"gamma", "policy_noise", "noise_clip", "actor_lr", "critic_lr", "policy_delay", "tau", "hidden"},
+    "sac": {"actor_lr", "critic_lr", "temperature_lr", "policy_delay", "tau", "hidden"},
     "truncated_icosahedron": {"radius", "statistic", "angles"},
     "static": {"num_uavs", "max_steps", "goal_angle"},
 }
@@ -203,6 +252,17 @@ def test_constructors_default_to_the_configuration(config: Any, functions: list[
     shared = {key for key in shared if key != "name"}
     assert shared == COVERED[config.name]
     assert {key: defaults[key] for key in shared} == {key: values[key] for key in shared}
+
+
+def test_enhancers_default_to_the_configuration() -> None:
+    for config, constructor in ((ForkConfig(), Fork.__init__), (LifeGuardConfig(), LifeGuard.__init__)):
+        defaults = signature(constructor)
+        shared = {key: value for key, value in asdict(config).items() if key in defaults}
+        chosen = {"threshold", "max_reward", "base_weight"}  # measured for the UAV; FORK's depend on its variant
+        assert len(shared) >= 5
+        assert {k: v for k, v in shared.items() if k not in chosen} == {k: defaults[k] for k in shared.keys() - chosen}
+    assert tuple(ForkConfig().system_hidden) == signature(SystemNet.__init__)["hidden"]
+    assert tuple(ForkConfig().reward_hidden) == signature(RewardNet.__init__)["hidden"]
 
 
 def test_ddpg_defaults_agree_where_they_are_not_td3s() -> None:
@@ -310,6 +370,27 @@ OUT_OF_RANGE = [
     ("logger.name", "mlflow"),
     ("logger.interval", "0"),
 ]
+ENHANCER_OUT_OF_RANGE = [
+    ("fork.system_hidden", "[]"),
+    ("fork.reward_hidden", "[0]"),
+    ("fork.model_lr", "0"),
+    ("fork.threshold", "0"),
+    ("fork.max_reward", "-1"),
+    ("fork.base_weight", "-0.6"),
+    ("fork.return_window", "0"),
+    ("lifeguard.model", "tree"),
+    ("lifeguard.penalty", "none"),
+    ("lifeguard.penalty_weight", "-10"),
+    ("lifeguard.success_window", "0"),
+    ("lifeguard.capacity", "0"),
+    ("lifeguard.batch_size", "7"),
+    ("lifeguard.min_collisions", "0"),
+    ("lifeguard.min_evaluations", "-1"),
+    ("lifeguard.evaluation_window", "0"),
+    ("lifeguard.min_true_negative_rate", "1"),
+    ("lifeguard.model_lr", "0"),
+    ("lifeguard.alpha", "0"),
+]
 NOT_FINITE = ["algo.gamma", "algo.actor_lr", "trainer.updates_per_step", "env.world.ceiling", "env.airframe.mass"]
 
 
@@ -317,6 +398,18 @@ NOT_FINITE = ["algo.gamma", "algo.actor_lr", "trainer.updates_per_step", "env.wo
 def test_values_out_of_range_are_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"(?i)\b{key.rpartition('.')[2]}\b"):
         settings("config", f"{key}={value}")
+
+
+@pytest.mark.parametrize(("key", "value"), ENHANCER_OUT_OF_RANGE, ids=lambda text: text)
+def test_values_of_enhancers_out_of_range_are_refused_by_name(key: str, value: str) -> None:
+    with pytest.raises(UavrlError, match=rf"algo\.{re.escape(key)} must be"):
+        settings("config", "algo=td3_fork_lg", f"algo.{key}={value}")
+
+
+@pytest.mark.parametrize("key", ["temperature_lr", "gamma"])
+def test_values_of_sac_out_of_range_are_refused_by_name(key: str) -> None:
+    with pytest.raises(UavrlError, match=rf"algo\.{key} must be"):
+        settings("config", "algo=sac", f"algo.{key}=-1")
 
 
 def test_a_radius_out_of_range_is_refused_by_name() -> None:

@@ -31,6 +31,22 @@ SMALL = [
     "trainer.progress=false",
 ]
 
+LIFEGUARD = [  # heard after a few collisions, which a low ceiling brings about
+    "env.world.ceiling=3.6",
+    "algo.lifeguard.min_collisions=3",
+    "algo.lifeguard.min_evaluations=1",
+    "algo.lifeguard.min_true_negative_rate=0",
+    "algo.lifeguard.batch_size=8",
+]
+FORK_AND_LIFEGUARD = [
+    "algo=td3_fork_lg",
+    "algo.fork.threshold=10",
+    "algo.fork.system_hidden=[16]",
+    "algo.fork.reward_hidden=[16]",
+    "algo.lifeguard.model=mlp",
+    *LIFEGUARD,
+]
+
 
 def small_config(run_dir: Path, *overrides: str) -> DictConfig:
     register_schemas()
@@ -60,13 +76,29 @@ def assert_same_run(one: Path, other: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "overrides", [[], ["buffer=prioritized"], ["algo=ddpg"], ["env=dynamic", "perception.lidar.dropout=0.1"]]
+    "overrides",
+    [
+        [],
+        ["buffer=prioritized"],
+        ["algo=ddpg"],
+        FORK_AND_LIFEGUARD,
+        ["algo=sac_lg", *LIFEGUARD],
+        ["env=dynamic", "perception.lidar.dropout=0.1"],
+    ],
 )
 def test_two_runs_are_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
     for name in ("one", "other"):
         config = small_config(tmp_path / name, "trainer.episodes=14", *overrides)
         train(config, create_run(config))
     assert_same_run(tmp_path / "one", tmp_path / "other")
+
+
+def test_the_enhancers_have_their_say_in_these_runs(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=14", "logger.interval=1", *FORK_AND_LIFEGUARD)
+    train(config, create_run(config))
+    for name in ("lifeguard_active", "lifeguard_penalty", "fork_gate", "fork_weight"):
+        (log,) = (tmp_path / "run/logs").rglob(f"{name}.csv")
+        assert max(float(line.split(",")[-1]) for line in log.read_text().splitlines()) > 0, name
 
 
 def test_another_seed_gives_another_run(tmp_path: Path) -> None:
@@ -76,7 +108,7 @@ def test_another_seed_gives_another_run(tmp_path: Path) -> None:
     assert (tmp_path / "0/episodes.csv").read_bytes() != (tmp_path / "1/episodes.csv").read_bytes()
 
 
-@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"]])
+@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"], FORK_AND_LIFEGUARD])
 def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     for run_dir in (whole, cut):

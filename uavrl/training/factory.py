@@ -94,7 +94,7 @@ def make_env(
     return TransformedEnv(base, Compose(*make_transforms(perception, reward, env.world.flight_level)))
 
 
-def make_buffer(config: UniformBufferConfig, batch_size: int, device: torch.device) -> TensorDictReplayBuffer:
+def make_buffer(config: UniformBufferConfig, device: torch.device) -> TensorDictReplayBuffer:
     """The replay buffer, uniform or prioritised (Eq. 2.17–2.18)."""
     sampler = (
         PrioritizedSampler(config.capacity, config.alpha, config.beta)
@@ -105,7 +105,6 @@ def make_buffer(config: UniformBufferConfig, batch_size: int, device: torch.devi
     return TensorDictReplayBuffer(
         storage=LazyTensorStorage(config.capacity, device="cpu"),
         sampler=sampler,
-        batch_size=batch_size,
         priority_key="td_error",
         transform=move,
     )

@@ -150,12 +150,12 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     env = make_env(settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
     actor = make_actor(settings.algo, settings.perception, device)
     loss = make_loss(settings.algo, actor, settings.perception, device)
-    buffer = make_buffer(settings.buffer, settings.algo.batch_size, device)
+    buffer = make_buffer(settings.buffer, device)
     return NavigationTrainer(
         collector=make_collector(settings, env, actor, device),
         loss=loss,
         stepper=_make_stepper(settings, loss),
-        replay=EpisodeReplay(buffer, settings.trainer.updates_per_step),
+        replay=EpisodeReplay(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         progress=Progress(0, 1, enabled=False),
         rotation=rotation(run_dir, settings.trainer.keep_checkpoints),

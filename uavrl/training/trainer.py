@@ -46,13 +46,15 @@ class EpisodeReplay(TrainerHookBase):
 
     Args:
         buffer: where transitions are stored.
+        batch_size: transitions in a batch.
         updates_per_step: updates for each environment step.
     """
 
     BATCHES_AT_ONCE = 32
 
-    def __init__(self, buffer: ReplayBuffer, updates_per_step: float = 1.0) -> None:
+    def __init__(self, buffer: ReplayBuffer, batch_size: int, updates_per_step: float = 1.0) -> None:
         self.buffer = buffer
+        self.batch_size = batch_size
         self.updates_per_step = updates_per_step
         self._trainer: Trainer | None = None
         self._owed = 0.0
@@ -70,11 +72,10 @@ class EpisodeReplay(TrainerHookBase):
     def sample(self, batch: TensorDictBase) -> TensorDictBase:
         """One batch of transitions."""
         if self.prioritized:  # each update changes what the next one should draw
-            return self.buffer.sample()
+            return self.buffer.sample(self.batch_size)
         if not self._drawn:
             count = min(self.BATCHES_AT_ONCE, self._to_draw)
-            size = self.buffer.batch_size
-            self._drawn = list(self.buffer.sample(count * size).split(size))[::-1]
+            self._drawn = list(self.buffer.sample(count * self.batch_size).split(self.batch_size))[::-1]
         self._to_draw -= 1
         return self._drawn.pop()
 
