@@ -14,9 +14,12 @@ import yaml
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from uavrl.buffers import BackwardReward
 from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, register_schemas, to_dataclass
 from uavrl.configs.schema import (
     GROUPS,
+    ABRConfig,
+    ABRPlusConfig,
     DDPGConfig,
     EnvConfig,
     ForkConfig,
@@ -33,11 +36,12 @@ from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.losses import DDPGLoss, Fork, LifeGuard, TD3Loss
-from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
+from uavrl.models import Actor, Critic, GaussianActor, OneShotClassifier, RewardNet, SystemNet
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
+FILES = [file for file in FILES if file[0] != "pretrain"]  # tests/pretraining/test_config.py has these
 CHOICES = [file for file in FILES if file[0] != "enhancer"]  # an enhancer is part of an algorithm
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
@@ -231,6 +235,8 @@ CONSTRUCTORS = [
     (TraditionalRewardConfig(), [TraditionalReward.__init__]),
     (TD3Config(), [TD3Loss.__init__, ActorCriticStepper.__init__, Actor.__init__, Critic.__init__]),
     (SACConfig(policy_delay=2), [ActorCriticStepper.__init__, GaussianActor.__init__, Critic.__init__]),
+    (ABRConfig(), [BackwardReward.__init__, OneShotClassifier.__init__]),
+    (ABRPlusConfig(), [BackwardReward.__init__]),
     (PerceptionConfig(), [TruncatedIcosahedron.__init__, NavigationObservation.__init__]),
     (EnvConfig(), [NavigationEnv.__init__]),
 ]
@@ -239,6 +245,8 @@ COVERED = {  # keys of the dataclass that a constructor takes under the same nam
     "traditional": {"arrived_reward", "collided_reward"},
     "td3": {"gamma", "policy_noise", "noise_clip", "actor_lr", "critic_lr", "policy_delay", "tau", "hidden"},
     "sac": {"actor_lr", "critic_lr", "temperature_lr", "policy_delay", "tau", "hidden"},
+    "abr": {"multiplier", "threshold", "max_classes", "seed"},
+    "abr_plus": {"multiplier"},
     "truncated_icosahedron": {"radius", "statistic", "angles"},
     "static": {"num_uavs", "max_steps", "goal_angle"},
 }
@@ -370,6 +378,13 @@ OUT_OF_RANGE = [
     ("logger.name", "mlflow"),
     ("logger.interval", "0"),
 ]
+BACKWARD_OUT_OF_RANGE = [
+    ("abr", "multiplier", "-0.2"),
+    ("abr", "threshold", "1.1"),
+    ("abr", "max_classes", "0"),
+    ("abr", "seed", "-1"),
+    ("abr_plus", "multiplier", "-0.2"),
+]
 ENHANCER_OUT_OF_RANGE = [
     ("fork.system_hidden", "[]"),
     ("fork.reward_hidden", "[0]"),
@@ -404,6 +419,12 @@ def test_values_out_of_range_are_refused_by_name(key: str, value: str) -> None:
 def test_values_of_enhancers_out_of_range_are_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"algo\.{re.escape(key)} must be"):
         settings("config", "algo=td3_fork_lg", f"algo.{key}={value}")
+
+
+@pytest.mark.parametrize(("name", "key", "value"), BACKWARD_OUT_OF_RANGE)
+def test_values_of_the_backward_reward_out_of_range_are_refused_by_name(name: str, key: str, value: str) -> None:
+    with pytest.raises(UavrlError, match=rf"backward_reward\.{key} must be"):
+        settings("config", f"backward_reward={name}", f"backward_reward.{key}={value}")
 
 
 @pytest.mark.parametrize("key", ["temperature_lr", "gamma"])

@@ -12,11 +12,14 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import torch
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from uavrl.configs import conf_dir, register_schemas
+from uavrl.pretraining.recording import StateRecorder, read_recording
 from uavrl.training.checkpoint import rotation
+from uavrl.training.episodes import read_episodes
 from uavrl.training.run import create_run, train
 
 SMALL = [
@@ -45,6 +48,13 @@ FORK_AND_LIFEGUARD = [
     "algo.fork.reward_hidden=[16]",
     "algo.lifeguard.model=mlp",
     *LIFEGUARD,
+]
+
+ABR = [  # some goals are so near that random flights arrive; one class for nearly all states
+    "backward_reward=abr",
+    "backward_reward.threshold=0.1",
+    "env.world.goal_radius=12",
+    "env.max_steps=40",
 ]
 
 
@@ -83,6 +93,7 @@ def assert_same_run(one: Path, other: Path) -> None:
         ["algo=ddpg"],
         FORK_AND_LIFEGUARD,
         ["algo=sac_lg", *LIFEGUARD],
+        ABR,
         ["env=dynamic", "perception.lidar.dropout=0.1"],
     ],
 )
@@ -101,6 +112,44 @@ def test_the_enhancers_have_their_say_in_these_runs(tmp_path: Path) -> None:
         assert max(float(line.split(",")[-1]) for line in log.read_text().splitlines()) > 0, name
 
 
+def last_values(run_dir: Path, *names: str) -> list[float]:
+    logs = [next((run_dir / "logs").rglob(f"{name}.csv")) for name in names]
+    return [float(log.read_text().splitlines()[-1].split(",")[-1]) for log in logs]
+
+
+def test_flights_that_arrive_are_paid_again(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=20", "logger.interval=1", *ABR)
+    train(config, create_run(config))
+    episodes, extra, values = last_values(tmp_path / "run", "backward_episodes", "backward_extra", "backward_values")
+    arrived = sum(episode.outcome == "arrived" for episode in read_episodes(tmp_path / "run/episodes.csv"))
+    assert episodes == arrived > 1
+    assert extra > 0 and values > 1
+
+
+def test_a_recording_keeps_every_state_and_is_cut_back_with_the_run(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=8", "trainer.record_states=true")
+    train(config, create_run(config))
+    before = read_recording(tmp_path / "run/states")
+    episodes = read_episodes(tmp_path / "run/episodes.csv")
+    assert before.outcomes == [episode.outcome for episode in episodes]
+    assert len(before) == sum(episode.steps for episode in episodes)
+    recorder = StateRecorder(tmp_path / "run/states")
+    recorder.add(torch.zeros(5, 105), "arrived")  # flown after the last checkpoint, by a process that was killed
+    config = OmegaConf.merge(config, {"trainer": {"episodes": 12}})
+    train(config, tmp_path / "run", resume=True)
+    after = read_recording(tmp_path / "run/states")
+    assert len(after.outcomes) == 12
+    assert (after.states[: len(before)] == before.states).all()
+
+
+def test_a_run_can_be_asked_for_its_states_later(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=4")
+    train(config, create_run(config))
+    config = OmegaConf.merge(config, {"trainer": {"episodes": 7, "record_states": True}})
+    train(config, tmp_path / "run", resume=True)
+    assert len(read_recording(tmp_path / "run/states").outcomes) == 3
+
+
 def test_another_seed_gives_another_run(tmp_path: Path) -> None:
     for seed in (0, 1):
         config = small_config(tmp_path / str(seed), "trainer.episodes=4", f"seed={seed}")
@@ -108,7 +157,7 @@ def test_another_seed_gives_another_run(tmp_path: Path) -> None:
     assert (tmp_path / "0/episodes.csv").read_bytes() != (tmp_path / "1/episodes.csv").read_bytes()
 
 
-@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"], FORK_AND_LIFEGUARD])
+@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"], FORK_AND_LIFEGUARD, ABR])
 def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     for run_dir in (whole, cut):

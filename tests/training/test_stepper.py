@@ -1,15 +1,23 @@
 from __future__ import annotations
 
 import copy
+import itertools
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
+from torch import Tensor
 from torchrl.data import Bounded
 
-from uavrl.losses import DDPGLoss, TD3Loss
+from tests.losses.test_fork import fork
+from tests.losses.test_lifeguard import episodes, lifeguard, sampler
+from tests.losses.test_sac import critics, stochastic_actor
+from uavrl.configs.schema import PrioritizedBufferConfig
+from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic
+from uavrl.training.factory import make_buffer
+from uavrl.training.gradients import Execution, LossGradients
 from uavrl.training.stepper import ActorCriticStepper
 
 
@@ -20,6 +28,25 @@ def make_loss(name: str) -> TD3Loss | DDPGLoss:
     if name == "td3":
         return TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,)), policy_noise=0.0)
     return DDPGLoss(actor, critics[0])
+
+
+def make_enhanced(threshold: float = 1e9) -> LifeGuard:
+    """TD3 with FORK and, around both, LifeGuard with a network for a classifier."""
+    return lifeguard(fork(make_loss("td3"), threshold=threshold), model="mlp", model_lr=1e-2)
+
+
+def make_any(name: str) -> ActorCriticLoss:
+    torch.manual_seed(0)
+    if name == "sac":
+        return SACLoss(stochastic_actor(), critics(), action_spec=Bounded(-2.0, 2.0, (2,)))
+    return make_enhanced() if name == "td3_fork_lg" else make_loss(name)
+
+
+def flown() -> TensorDict:
+    data = episodes(10)
+    following = torch.cat([data["observation"][1:], data["observation"][:1]])
+    data["next"].update({"observation": following, "reward": torch.ones(len(data), 1)})
+    return data
 
 
 def batch() -> TensorDict:
@@ -78,21 +105,102 @@ def test_the_priority_is_the_largest_absolute_td_error(name: str) -> None:
     torch.testing.assert_close(data["td_error"], error.amax(0) if error.ndim > 1 else error)
 
 
-@pytest.mark.parametrize("name", ["td3", "ddpg"])
+def go_on(stepper: ActorCriticStepper, seed: int) -> list[TensorDictBase]:
+    """Four times new episodes and two updates."""
+    torch.manual_seed(seed)
+    results: list[TensorDictBase] = []
+    for _ in range(4):
+        data = flown()
+        stepper.observe(data, sampler(data))
+        for _ in range(2):
+            results.append(stepper.step(None, batch()))
+    return results
+
+
+OPTIMISERS = {
+    "td3": {"actor_optimizer", "critic_optimizer"},
+    "ddpg": {"actor_optimizer", "critic_optimizer"},
+    "sac": {"actor_optimizer", "critic_optimizer", "temperature_optimizer"},
+    "td3_fork_lg": {"actor_optimizer", "critic_optimizer", "fork_optimizer_0", "lifeguard_optimizer_0"},
+}
+
+
+@pytest.mark.parametrize("name", list(OPTIMISERS))
 def test_a_restored_stepper_goes_on_the_same(name: str) -> None:
-    loss = make_loss(name)
-    stepper = ActorCriticStepper(loss)
-    for _ in range(3):
-        stepper.step(None, batch())
-    other_loss = make_loss(name)
-    other = ActorCriticStepper(other_loss)
+    loss = make_any(name)
+    stepper = ActorCriticStepper(loss, policy_delay=5)
+    start = parameters(loss)
+    go_on(stepper, 1)
+    state = copy.deepcopy(stepper.state_dict())
+    assert {key for key in state if "optimizer" in key} == OPTIMISERS[name]
+    assert all(state[key]["state"] for key in OPTIMISERS[name])  # each has made a step
+    if name == "td3_fork_lg":
+        assert loss.mode == (True, True, "probability")
+    other_loss = make_any(name)
+    other = ActorCriticStepper(other_loss, policy_delay=5)
     other_loss.load_state_dict(copy.deepcopy(loss.state_dict()))
-    other.load_state_dict(copy.deepcopy(stepper.state_dict()))
-    for _ in range(3):
-        stepper.step(None, batch())
-        other.step(None, batch())
+    other.load_state_dict(state)
+    middle = parameters(loss)
+    said, repeated = go_on(stepper, 2), go_on(other, 2)
+    assert all((one == two).all() for one, two in zip(said, repeated, strict=True))
     one, two = parameters(loss), parameters(other_loss)
-    assert all(torch.equal(one[key], two[key]) for key in one)
+    assert [key for key in one if not torch.equal(one[key], two[key])] == []
+    trained = [key for key, value in loss.named_parameters() if "target" not in key and value.ndim > 1]
+    assert all(
+        moved(before, after, key) for key in trained for before, after in itertools.pairwise((start, middle, one))
+    )
+
+
+def test_the_actors_loss_is_recorded_once_for_each_mode() -> None:
+    """The gate of FORK and the trust in LifeGuard change the loss; a recording of another mode would be wrong."""
+    torch.manual_seed(0)
+    loss = make_enhanced()
+    data, others = flown(), flown()[:10]
+    for _ in range(4):
+        loss.observe(data)
+        loss.fit(sampler(data), 20, loss.make_optimizer())
+    stepper = ActorCriticStepper(loss, execution="captured")
+    recordings: list[object] = []
+
+    def counted(tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        recordings.append(loss.mode)
+        return loss.actor_loss(tensordict)
+
+    stepper.actor.gradients.loss_method = counted
+    eager = LossGradients(loss.actor_loss, stepper.actor.gradients.parameters, [], "eager")
+    modes = [(gate, heard) for gate in (False, True) for heard in (False, True)]
+    for gate, heard in modes + modes[::-1]:
+        loss.base.update_gate(0.0 if gate else 1e10)
+        loss.min_true_negative_rate = -1.0 if heard else 1.0
+        loss.evaluate(others)
+        assert loss.mode == (gate, heard, "probability")
+        expected, said = eager(batch()), stepper.actor(batch())
+        assert torch.equal(said.loss, expected.loss)
+        assert all(map(torch.equal, said.gradients, expected.gradients))
+        assert ("fork_term" in said.metadata, "lifeguard_penalty" in said.metadata) == (gate, heard)
+    assert recordings == [(gate, heard, "probability") for gate, heard in modes]
+
+
+@pytest.mark.parametrize("execution", ["eager", "captured"])
+@pytest.mark.parametrize("name", ["td3", "ddpg"])
+def test_importance_weights_of_a_prioritised_buffer_count(name: str, execution: Execution) -> None:
+    """Σ w e / Σ w, with e the squared errors of each transition; also after batches without weights."""
+    loss = make_loss(name)
+    stepper = ActorCriticStepper(loss, execution=execution, policy_delay=1)
+    stepper.step(None, batch())
+    buffer = make_buffer(PrioritizedBufferConfig(capacity=32), torch.device("cpu"))
+    buffer.extend(batch())
+    drawn = buffer.sample(10)
+    drawn["td_error"] = torch.linspace(0.1, 9.0, 10)
+    buffer.update_tensordict_priority(drawn)
+    drawn = buffer.sample(10)
+    weights = drawn["priority_weight"]
+    assert weights.unique().numel() > 2
+    _, metadata = loss.value_loss(drawn.exclude("priority_weight"))
+    errors = (metadata["pred_value"] - metadata["target_value"]).detach().square().reshape(-1, 10).sum(0)
+    said = stepper.step(None, drawn)
+    torch.testing.assert_close(said["loss_value"], (weights * errors).sum() / weights.sum())
+    assert abs(said["loss_value"] - errors.mean()) > 1e-3
 
 
 @pytest.mark.gpu

@@ -1,1 +1,7 @@
-"""Replay-buffer transforms."""
+"""What happens to data on its way into a replay buffer. It needs torch, tensordict, torchrl and sortedcontainers."""
+
+from uavrl.buffers.backward_reward import BackwardReward, TrajectoryClassifier
+from uavrl.buffers.functional import backward_reward
+from uavrl.buffers.history import TrajectoryHistory
+
+__all__ = ["BackwardReward", "TrajectoryClassifier", "TrajectoryHistory", "backward_reward"]

@@ -11,6 +11,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
 from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig, require, require_one_of
 from uavrl.errors import UavrlError
 
@@ -30,7 +31,8 @@ def register_schemas() -> None:
     store = ConfigStore.instance()
     store.store(name="train_schema", node=TrainConfig)
     store.store(name="evaluate_schema", node=EvaluateConfig)
-    for group, schemas in GROUPS.items():
+    store.store(name="pretrain_schema", node=PretrainConfig)
+    for group, schemas in {**GROUPS, **PRETRAIN_GROUPS}.items():
         for name, schema in schemas.items():
             store.store(group=group, name=f"{name}_schema", node=schema)
 

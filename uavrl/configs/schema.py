@@ -245,6 +245,44 @@ class PrioritizedBufferConfig(UniformBufferConfig):
 
 
 @dataclass
+class NoBackwardRewardConfig:
+    """conf/backward_reward/none.yaml."""
+
+    name: str = "none"
+
+
+@dataclass
+class ABRConfig:
+    """conf/backward_reward/abr.yaml."""
+
+    name: str = "abr"
+    multiplier: float = 0.2
+    threshold: float = 0.98
+    max_classes: int = 20_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(self.multiplier >= 0, "backward_reward.multiplier", "at least 0", self.multiplier)
+        require(0 < self.threshold <= 1, "backward_reward.threshold", "in (0, 1]", self.threshold)
+        require(self.max_classes >= 1, "backward_reward.max_classes", "at least 1", self.max_classes)
+        require(self.seed >= 0, "backward_reward.seed", "at least 0", self.seed)
+
+
+@dataclass
+class ABRPlusConfig:
+    """conf/backward_reward/abr_plus.yaml."""
+
+    name: str = "abr_plus"
+    multiplier: float = 0.2
+    artifact: str = "packaged"
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        require(self.multiplier >= 0, "backward_reward.multiplier", "at least 0", self.multiplier)
+
+
+@dataclass
 class CollectorConfig:
     """conf/collector."""
 
@@ -267,6 +305,7 @@ class TrainerConfig:
     keep_checkpoints: int = 2
     threads: int = 1
     execution: str = "captured"
+    record_states: bool = False
     progress: bool = True
 
     def __post_init__(self) -> None:
@@ -301,6 +340,7 @@ class TrainConfig:
     reward: Any = None
     algo: Any = None
     buffer: Any = None
+    backward_reward: Any = None
     collector: CollectorConfig = field(default_factory=CollectorConfig)
     trainer: TrainerConfig = field(default_factory=TrainerConfig)
     logger: LoggerConfig = field(default_factory=LoggerConfig)
@@ -369,10 +409,11 @@ GROUPS: dict[str, dict[str, type]] = {
     },
     "enhancer": {"fork": ForkConfig, "lifeguard": LifeGuardConfig},
     "buffer": {"uniform": UniformBufferConfig, "prioritized": PrioritizedBufferConfig},
+    "backward_reward": {"none": NoBackwardRewardConfig, "abr": ABRConfig, "abr_plus": ABRPlusConfig},
     "collector": {"sync": CollectorConfig},
     "trainer": {"default": TrainerConfig},
     "logger": {"csv": LoggerConfig, "tensorboard": LoggerConfig, "wandb": LoggerConfig},
 }
 
 # The groups whose choices have dataclasses of their own.
-CHOSEN_GROUPS = ("reward", "algo", "buffer")
+CHOSEN_GROUPS = ("reward", "algo", "buffer", "backward_reward")

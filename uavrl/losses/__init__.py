@@ -4,7 +4,8 @@ from uavrl.losses.actor_critic import ActorCriticLoss, Enhancer
 from uavrl.losses.ddpg import DDPGLoss
 from uavrl.losses.fork import Fork
 from uavrl.losses.lifeguard import LifeGuard
+from uavrl.losses.psae import PSAELoss
 from uavrl.losses.sac import SACLoss
 from uavrl.losses.td3 import TD3Loss
 
-__all__ = ["ActorCriticLoss", "DDPGLoss", "Enhancer", "Fork", "LifeGuard", "SACLoss", "TD3Loss"]
+__all__ = ["ActorCriticLoss", "DDPGLoss", "Enhancer", "Fork", "LifeGuard", "PSAELoss", "SACLoss", "TD3Loss"]

@@ -15,11 +15,20 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import ReplayBuffer
 
 from uavrl.errors import UavrlError
+from uavrl.pretraining.recording import StateRecorder
 
 CHECKPOINTS = "checkpoints"
 CONFIG = "config.yaml"
 # What may differ between a run and its continuation: none of it changes what is learned.
-FREE_KEYS = ("run_dir", "resume", "logger", "trainer.episodes", "trainer.progress", "trainer.keep_checkpoints")
+FREE_KEYS = (
+    "run_dir",
+    "resume",
+    "logger",
+    "trainer.episodes",
+    "trainer.progress",
+    "trainer.record_states",
+    "trainer.keep_checkpoints",
+)
 
 
 class BufferState:
@@ -46,6 +55,26 @@ class BufferState:
             self.buffer.storage.set(torch.arange(length), data)
             self.buffer.writer.loads(path / "writer")
             self.buffer.sampler.loads(path / "sampler")
+
+
+class RecordingState:
+    """How many episodes a recording held: loading it cuts the recording back to where the checkpoint was made.
+
+    Args:
+        recorder: the recording, or None where none is made.
+    """
+
+    def __init__(self, recorder: StateRecorder | None) -> None:
+        self.recorder = recorder
+
+    def state_dict(self) -> dict[str, Any]:
+        """The number of episodes."""
+        return {"episodes": 0 if self.recorder is None else self.recorder.episodes}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Cuts the recording back."""
+        if self.recorder is not None:
+            self.recorder.truncate(state_dict["episodes"])
 
 
 def fingerprint(config: DictConfig) -> str:

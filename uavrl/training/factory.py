@@ -11,9 +11,13 @@ from torchrl.data import LazyTensorStorage, PrioritizedSampler, RandomSampler, T
 from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
+from uavrl.buffers import BackwardReward
 from uavrl.configs.schema import (
+    ABRConfig,
+    ABRPlusConfig,
     EnvConfig,
     NavigationRewardConfig,
+    NoBackwardRewardConfig,
     PerceptionConfig,
     PrioritizedBufferConfig,
     TraditionalRewardConfig,
@@ -22,6 +26,8 @@ from uavrl.configs.schema import (
 )
 from uavrl.envs.navigation import ACTION_LIMIT, GoalAngle, NavigationEnv
 from uavrl.errors import UavrlError
+from uavrl.models import OneShotClassifier, TrajectoryClassifier
+from uavrl.models.trajectory_classifier import packaged_artifact
 from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
 
 RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
@@ -94,7 +100,29 @@ def make_env(
     return TransformedEnv(base, Compose(*make_transforms(perception, reward, env.world.flight_level)))
 
 
-def make_buffer(config: UniformBufferConfig, device: torch.device) -> TensorDictReplayBuffer:
+def make_backward_reward(
+    config: NoBackwardRewardConfig | ABRConfig | ABRPlusConfig, perception: PerceptionConfig
+) -> BackwardReward | None:
+    """The write-path transform that pays arriving flights again, or None."""
+    classifier: OneShotClassifier | TrajectoryClassifier
+    if isinstance(config, ABRConfig):
+        classifier = OneShotClassifier(
+            frames=perception.frames,
+            threshold=config.threshold,
+            max_classes=config.max_classes,
+            seed=config.seed,
+        )
+    elif isinstance(config, ABRPlusConfig):
+        packaged = config.artifact == "packaged"
+        classifier = TrajectoryClassifier.load(packaged_artifact() if packaged else config.artifact)
+    else:
+        return None
+    return BackwardReward(classifier, perception.frames, config.multiplier)
+
+
+def make_buffer(
+    config: UniformBufferConfig, device: torch.device, backward_reward: BackwardReward | None = None
+) -> TensorDictReplayBuffer:
     """The replay buffer, uniform or prioritised (Eq. 2.17–2.18)."""
     sampler = (
         PrioritizedSampler(config.capacity, config.alpha, config.beta)
@@ -102,11 +130,12 @@ def make_buffer(config: UniformBufferConfig, device: torch.device) -> TensorDict
         else RandomSampler()
     )
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
+    transforms = [transform for transform in (backward_reward, move) if transform is not None]
     return TensorDictReplayBuffer(
         storage=LazyTensorStorage(config.capacity, device="cpu"),
         sampler=sampler,
         priority_key="td_error",
-        transform=move,
+        transform=Compose(*transforms) if transforms else None,
     )
 
 

@@ -46,8 +46,8 @@ class LossGradients:
     same order, hence the same numbers. ``compiled`` hands the recorded operations to TorchInductor, which
     fuses them (it needs a C++ compiler, and rounds differently in the last digits).
 
-    A recording holds as long as the loss takes the same branches: ``mode`` names them, and each mode,
-    batch size and device is recorded once. Parameters and buffers must be changed in place.
+    A recording holds as long as the loss takes the same branches: ``mode`` names them, and each mode, set of
+    entries, batch size, type and device is recorded once. Entries outside ``in_keys`` are not seen. Parameters and buffers must be changed in place.
 
     Args:
         loss_method: gives the reduced loss and metadata.
@@ -84,14 +84,15 @@ class LossGradients:
         """The loss on ``batch [B]``, its metadata and its gradients."""
         if self.execution == "eager":
             return differentiate(self.loss_method, self.parameters, batch)
-        inputs = [value for value in map(batch.get, self.in_keys) if value is not None]
-        key = (self.mode(), tuple((value.shape, value.device) for value in inputs))
+        entries = [(key, batch.get(key)) for key in self.in_keys]
+        present = [(key, value) for key, value in entries if value is not None]
+        inputs = [value for _, value in present]
+        key = (self.mode(), tuple((str(key), value.shape, value.dtype, value.device) for key, value in present))
         if key not in self._recorded:
-            self._recorded[key] = self._record(batch, inputs)
+            self._recorded[key] = self._record(batch, [key for key, _ in present], inputs)
         return self._recorded[key](inputs)
 
-    def _record(self, batch: TensorDictBase, inputs: list[Tensor]) -> _Recording:
-        keys = [key for key in self.in_keys if batch.get(key) is not None]
+    def _record(self, batch: TensorDictBase, keys: list[Any], inputs: list[Tensor]) -> _Recording:
         names: list[str] = []
 
         def flat(*leaves: Tensor) -> tuple[Tensor, ...]:

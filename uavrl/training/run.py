@@ -22,6 +22,8 @@ from uavrl.configs import to_dataclass
 from uavrl.configs.schema import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
+from uavrl.pretraining.from_run import STATES_FOLDER
+from uavrl.pretraining.recording import StateRecorder
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
@@ -33,8 +35,8 @@ from uavrl.training.checkpoint import (
     rotation,
 )
 from uavrl.training.episodes import EpisodeLog, read_episodes
-from uavrl.training.factory import make_buffer, make_collector, make_device, make_env
-from uavrl.training.learner import make_actor, make_loss
+from uavrl.training.factory import make_backward_reward, make_buffer, make_collector, make_device, make_env
+from uavrl.training.learner import make_actor, make_loss, state_width
 from uavrl.training.loggers import make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.stepper import ActorCriticStepper
@@ -52,7 +54,9 @@ def create_run(config: DictConfig) -> Path:
         UavrlError: when it cannot be written, or holds a run already.
     """
     run_dir = Path(str(config.run_dir))
-    if any((run_dir / name).exists() for name in (CONFIG, EPISODES)) or any((run_dir / CHECKPOINTS).glob("*")):
+    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER)) or any(
+        (run_dir / CHECKPOINTS).glob("*")
+    ):
         raise UavrlError(
             f"The run folder {run_dir} holds a run already: "
             f"go on with it by resume={run_dir}, or choose another run_dir."
@@ -112,6 +116,7 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
         if not resume:
             for name in (CONFIG, EPISODES):  # nothing to resume: the folder is free for another try
                 (run_dir / name).unlink(missing_ok=True)
+            shutil.rmtree(run_dir / STATES_FOLDER, ignore_errors=True)
         raise
     try:
         if checkpoint is not None:
@@ -150,11 +155,14 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     env = make_env(settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
     actor = make_actor(settings.algo, settings.perception, device)
     loss = make_loss(settings.algo, actor, settings.perception, device)
-    buffer = make_buffer(settings.buffer, device)
+    backward_reward = make_backward_reward(settings.backward_reward, settings.perception)
+    buffer = make_buffer(settings.buffer, device, backward_reward)
     return NavigationTrainer(
         collector=make_collector(settings, env, actor, device),
         loss=loss,
         stepper=_make_stepper(settings, loss),
+        backward_reward=backward_reward,
+        recorder=_make_recorder(settings, run_dir),
         replay=EpisodeReplay(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         progress=Progress(0, 1, enabled=False),
@@ -167,6 +175,12 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
         logger=make_logger(settings.logger, run_dir),
         log_interval=settings.logger.interval,
     )
+
+
+def _make_recorder(settings: TrainConfig, run_dir: Path) -> StateRecorder | None:
+    if not settings.trainer.record_states:
+        return None
+    return StateRecorder(run_dir / STATES_FOLDER, state_width(settings.perception))
 
 
 def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticStepper:

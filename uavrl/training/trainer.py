@@ -14,9 +14,11 @@ from torchrl.data import ReplayBuffer
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer, TrainerHookBase
 
+from uavrl.buffers import BackwardReward
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
-from uavrl.training.checkpoint import BufferState
+from uavrl.pretraining.recording import StateRecorder
+from uavrl.training.checkpoint import BufferState, RecordingState
 from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.training.progress import Progress
 from uavrl.training.stepper import ActorCriticStepper
@@ -122,6 +124,8 @@ class NavigationTrainer(Trainer):
         loss: the loss module.
         stepper: the optimisation step.
         replay: where episodes are stored.
+        backward_reward: what relabels them on the way there, if anything does.
+        recorder: where their states are kept for pre-training, if they are.
         episode_log: where episodes are recorded.
         progress: what the user sees.
         rotation: where checkpoints go.
@@ -141,6 +145,8 @@ class NavigationTrainer(Trainer):
         loss: ActorCriticLoss,
         stepper: ActorCriticStepper,
         replay: EpisodeReplay,
+        backward_reward: BackwardReward | None,
+        recorder: StateRecorder | None,
         episode_log: EpisodeLog,
         progress: Progress,
         rotation: CheckpointRotation,
@@ -153,6 +159,8 @@ class NavigationTrainer(Trainer):
         log_interval: int,
     ) -> None:
         self.episode_log = episode_log
+        self.backward_reward = backward_reward
+        self.recorder = recorder
         self.progress = progress
         self.run_seed = seed
         self._last_save = 0
@@ -174,6 +182,8 @@ class NavigationTrainer(Trainer):
                 replay_data=BufferState(replay.buffer),
                 episode_log=episode_log,
                 random_state=GlobalRNGState(),
+                recording=RecordingState(recorder),
+                **({} if backward_reward is None else {"backward_reward": backward_reward}),
                 format="archive",
                 archive_compression="stored",
             ),
@@ -190,7 +200,10 @@ class NavigationTrainer(Trainer):
         steps = self.collected_frames - len(batch)
         for trajectory in split_episodes(batch):
             steps += len(trajectory)
-            self.episode_log.add(summarize(trajectory, self.episode_log.count + 1, steps))
+            episode = summarize(trajectory, self.episode_log.count + 1, steps)
+            self.episode_log.add(episode)
+            if self.recorder is not None:
+                self.recorder.add(trajectory["observation"], episode.outcome)
         rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
         self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
         if self.episode_log.count >= self.episodes:
@@ -200,6 +213,7 @@ class NavigationTrainer(Trainer):
             "return": mean_return,
             "episodes": self.episode_log.count,
             **self.optimization_stepper.diagnostics(),
+            **(self.backward_reward.diagnostics() if self.backward_reward is not None else {}),
         }
 
     @staticmethod

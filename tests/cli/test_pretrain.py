@@ -1,0 +1,250 @@
+"""``uavrl-pretrain`` end to end on a small recording; bad input ends in one sentence."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.pretraining.synthetic import checkpoint_run, record, walk
+from uavrl.cli import pretrain as command
+from uavrl.models import TrajectoryClassifier
+from uavrl.models.trajectory_classifier import read_about
+from uavrl.pretraining import StateRecorder, pipeline
+
+SMALL = [
+    "progress=false",
+    "pretrain=quick",
+    "pretrain.states=400",
+    "pretrain.features=4",
+    "pretrain.hidden=16",
+    "pretrain.psae_epochs=10",
+    "pretrain.psae_lr=0.01",
+    "pretrain.clusters=[2,3,4,5,6,8,10,12,14,16]",
+    "pretrain.classifier_epochs=30",
+    "pretrain.classifier_batch_size=32",
+    "pretrain.one_shot=false",
+]
+
+
+def in_process(*arguments: str) -> int:
+    before = sys.argv
+    sys.argv = ["uavrl-pretrain", *arguments]
+    try:
+        command.main()
+    except SystemExit as exit_:
+        return int(exit_.code or 0)
+    finally:
+        sys.argv = before
+    return 0
+
+
+def as_process(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    whole = [sys.executable, "-m", "uavrl.cli.pretrain", *arguments]
+    return subprocess.run(whole, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+
+
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs the command in this process and returns the sentence that it ends with."""
+
+    def run(*arguments: str) -> str:
+        code = in_process(*arguments)
+        out, err = capfd.readouterr()
+        assert code == 1
+        assert "Traceback" not in out + err
+        return next(line for line in err.splitlines() if line.startswith("uavrl: "))
+
+    return run
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    record(tmp_path / "states", episodes=50)
+    return tmp_path / "states"
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+# ---------------------------------------------------------------------- end to end
+
+
+def test_from_a_recording_to_an_artifact(recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out_folder = tmp_path / "artifact"
+    assert in_process(f"recording={recording}", f"output={out_folder}", *SMALL) == 0
+    assert names(out_folder) == ["artifact.json", "artifact.safetensors", "class_sizes.png", "elbow.png"]
+    about = read_about(out_folder)
+    assert about["k"] == about["sse"]["elbow"] in about["sse"]["k"]
+    assert about["sse"]["sse"][-1] < about["sse"]["sse"][0]
+    assert about["source"]["name"] == "states" and about["source"]["states_drawn"] == 400
+    assert about["source"]["episodes"] == 50 == sum(about["source"]["outcomes"].values())
+    assert about["classifier"]["held_out_accuracy"] > 0.7 and 0 < about["classifier"]["held_out_states"] < 200
+    assert about["config"]["pretrain"]["hidden"] == 16
+    assert all(len(about[key]) == 64 for key in ("config_sha256", "weights_sha256"))
+    said = capfd.readouterr().out
+    assert f"{about['k']} classes (elbow of the SSE curve: {about['k']})" in said
+    assert f"Artifact: {out_folder}" in said
+
+    classifier = TrajectoryClassifier.load(out_folder)
+    states = torch.from_numpy(np.fromfile(recording / "states.f32", "<f4").reshape(-1, 6))
+    labels = classifier(states)
+    nearest = torch.cdist(classifier.encode(states), classifier.centres).argmin(-1)
+    assert (labels == nearest).float().mean() > 0.7
+
+
+def test_the_same_seed_gives_the_same_artifact_and_the_default_output_is_in_the_source(recording: Path) -> None:
+    assert in_process(f"recording={recording}", *SMALL) == 0
+    assert in_process(f"recording={recording}", f"output={recording}/other", *SMALL) == 0
+    assert in_process(f"recording={recording}", f"output={recording}/seed", *SMALL, "seed=1") == 0
+    one, same, other = (read_about(recording / name) for name in ("pretrained", "other", "seed"))
+    assert one["weights_sha256"] == same["weights_sha256"] != other["weights_sha256"]
+    assert one["config_sha256"] == same["config_sha256"] != other["config_sha256"]
+    assert one["source"] == same["source"]
+
+
+def test_from_the_checkpoint_of_a_run_with_a_given_k(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    path = checkpoint_run(tmp_path / "run", [walk(15, 6, rng) for _ in range(30)])
+    arguments = [f"run={tmp_path / 'run'}", *SMALL, "pretrain.k=7", "pretrain.compare_k=20"]
+    assert in_process(*arguments) == 0
+    about = read_about(tmp_path / "run" / "pretrained")
+    assert about["source"]["name"] == f"run/{path.name}"
+    assert about["k"] == 7 != about["sse"]["elbow"]
+    assert list(about["class_sizes"]) == [
+        "PSAE and k-means, k = 7",
+        "PSAE and classifier, k = 7",
+        "PSAE and k-means, k = 20",
+    ]
+    assert about["class_sizes"]["PSAE and k-means, k = 20"]["classes"] == 20
+    assert about["class_sizes"]["PSAE and k-means, k = 20"]["mean"] == 400 / 20
+    assert TrajectoryClassifier.load(tmp_path / "run" / "pretrained").k == 7
+
+
+def test_without_a_curve(recording: Path) -> None:
+    assert in_process(f"recording={recording}", *SMALL, "pretrain.k=3", "pretrain.clusters=[]") == 0
+    assert names(recording / "pretrained") == ["artifact.json", "artifact.safetensors", "class_sizes.png"]
+    assert read_about(recording / "pretrained")["sse"] == {"k": [], "sse": [], "elbow": None}
+
+
+def test_a_short_recording_is_used_whole_and_that_is_said(recording: Path, tmp_path: Path) -> None:
+    done = as_process(f"recording={recording}", *SMALL, "pretrain.states=5000", cwd=tmp_path)
+    assert done.returncode == 0
+    source = read_about(recording / "pretrained")["source"]
+    assert source["states_drawn"] == source["states"] < 5000
+    assert "fewer than pretrain.states=5000: all are used" in done.stderr
+
+
+def test_one_shot_learning_is_counted_beside(recording: Path) -> None:
+    assert in_process(f"recording={recording}", *SMALL, "pretrain.one_shot=true") == 0
+    sizes = read_about(recording / "pretrained")["class_sizes"]
+    assert next(iter(sizes)) == "one-shot learning"
+    assert 1 <= sizes["one-shot learning"]["largest"] <= 400
+
+
+def test_progress_bars_are_shown_if_asked_for(recording: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert in_process(f"recording={recording}", *SMALL, "progress=true") == 0
+    err = capfd.readouterr().err
+    assert all(name in err for name in ("autoencoder, epochs", "k-means, values of k", "classifier, epochs"))
+
+
+# ---------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "Give either run=RUN_FOLDER or recording=FOLDER"),
+        (["run=none"], "Expected a run folder at none"),
+        (["recording=none"], "none/recording.json and found no such file"),
+        (["recording=none", "run=none"], "and not both"),
+        (["recording=states", "pretrain.states=0"], "pretrain.states must be at least 1"),
+        (["recording=states", "pretrain.states=10"], "Expected at least as many states as clusters (16), got 10"),
+        (["recording=states", "pretrain.k=100000"], "Expected at least as many states as clusters (100000)"),
+        (["recording=states", "output=file"], "file cannot be written"),
+        (["recording=states", "output=file/below"], "cannot be written"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_writes_nothing(
+    arguments: list[str],
+    said: str,
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    refused: Callable[..., str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("kept")
+    assert said in refused(*SMALL, *arguments)
+    assert names(tmp_path) == ["file", "states"]
+    assert names(recording) == ["episodes.csv", "recording.json", "states.f32"]
+
+
+def test_states_that_are_not_finite_are_refused(recording: Path, refused: Callable[..., str]) -> None:
+    content = bytearray((recording / "states.f32").read_bytes())
+    content[400:404] = np.array([np.nan], "<f4").tobytes()
+    (recording / "states.f32").write_bytes(content)
+    assert f"Expected finite states in {recording}" in refused(f"recording={recording}", *SMALL)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "said"),
+    [([40], "Expected 2 or more episodes"), ([2] * 20, "Expected three states in a row")],
+)
+def test_too_few_states_or_episodes_are_refused(
+    lengths: list[int], said: str, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    recorder = StateRecorder(tmp_path / "few", 6)
+    for length in lengths:
+        recorder.add(np.random.default_rng(length).normal(size=(length, 6)), "arrived")
+    assert said in refused(f"recording={tmp_path / 'few'}", *SMALL)
+
+
+def test_a_truncated_recording_is_refused(recording: Path, refused: Callable[..., str]) -> None:
+    path = recording / "states.f32"
+    path.write_bytes(path.read_bytes()[:-5])
+    assert "is truncated" in refused(f"recording={recording}", *SMALL)
+
+
+def test_an_artifact_is_not_overwritten(recording: Path, refused: Callable[..., str]) -> None:
+    (recording / "pretrained").mkdir()
+    (recording / "pretrained" / "artifact.json").write_text("kept")
+    assert "holds an artifact already" in refused(f"recording={recording}", *SMALL)
+    assert (recording / "pretrained" / "artifact.json").read_text() == "kept"
+
+
+def test_ctrl_c_leaves_no_artifact(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pipeline, "train_classifier", interrupted)
+    assert in_process(f"recording={recording}", *SMALL) == 130
+    assert names(recording / "pretrained") == []
+    assert "uavrl: stopped." in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("override", "named"), [("pretrain.sates=5", "sates"), ("pretrain=fast", "fast"), ("seed=x", "seed")]
+)
+def test_the_real_command_names_the_bad_override(override: str, named: str, tmp_path: Path) -> None:
+    done = as_process(override, cwd=tmp_path)
+    assert done.returncode == 1
+    assert named in done.stderr and "Traceback" not in done.stderr + done.stdout
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_report_is_plain_json(recording: Path) -> None:
+    assert in_process(f"recording={recording}", *SMALL) == 0
+    text = (recording / "pretrained" / "artifact.json").read_text()
+    assert "NaN" not in text and str(recording.parent) not in text
+    assert json.loads(text)["versions"]["torch"] == version("torch")

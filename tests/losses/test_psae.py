@@ -1,0 +1,150 @@
+"""Eq. 3.3 on numbers worked out by hand, and PSAE's loss under the contract of losses."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+
+from tests.contracts import LossContract
+from uavrl.losses.psae import PSAELoss
+from uavrl.losses.psae_functional import neighbour_similarity, psae_loss, reconstruction_error
+from uavrl.models.psae import PSAE
+
+STATES = torch.tensor([[[1.0, 0.0]], [[2.0, 2.0]], [[0.0, 3.0]]])  # [3, 1, 2]
+RECONSTRUCTIONS = torch.tensor([[[0.0, 0.0]], [[2.0, 1.0]], [[2.0, 3.0]]])
+FEATURES = torch.tensor([[[0.0, 2.0]], [[3.0, 4.0]], [[-4.0, 3.0]]])
+
+
+def test_the_reconstruction_term() -> None:
+    assert reconstruction_error(STATES, RECONSTRUCTIONS).tolist() == [1.0 + 1.0 + 4.0]
+
+
+def test_the_similarity_term() -> None:
+    # cos((3, 4), (0, 2)) = 8 / (5 * 2), cos((3, 4), (-4, 3)) = 0
+    torch.testing.assert_close(neighbour_similarity(FEATURES), torch.tensor([0.8]))
+
+
+def test_the_neighbours_are_compared_with_the_anchor_and_not_with_each_other() -> None:
+    features = torch.tensor([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+    assert neighbour_similarity(features).item() == 0.0
+    assert neighbour_similarity(torch.ones(3, 2)).item() == pytest.approx(2.0)
+
+
+def test_the_loss() -> None:
+    loss = psae_loss(torch.tensor([6.0]), torch.tensor([0.8]))
+    torch.testing.assert_close(loss, torch.tensor([0.7 * 6 - 0.3 * 0.8]))
+    assert psae_loss(torch.tensor([6.0]), torch.tensor([0.8]), 0.0).item() == pytest.approx(-0.8)
+    assert psae_loss(torch.tensor([6.0]), torch.tensor([0.8]), 1.0).item() == 6.0
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 5), (3,), (4, 3, 5)])
+def test_what_is_no_triple_is_refused(shape: tuple[int, ...]) -> None:
+    wrong = torch.zeros(shape)
+    with pytest.raises(ValueError, match=r"\[3, \*B, D\]"):
+        reconstruction_error(wrong, wrong)
+    with pytest.raises(ValueError, match=r"\[3, \*B, D\]"):
+        neighbour_similarity(wrong)
+
+
+def test_shapes_that_differ_are_refused() -> None:
+    with pytest.raises(ValueError, match="of the states' shape"):
+        reconstruction_error(STATES, STATES[:, :, :1])
+    with pytest.raises(ValueError, match="of one shape"):
+        psae_loss(torch.zeros(2), torch.zeros(3))
+
+
+class Fixed(torch.nn.Module):
+    """An autoencoder whose every output is known: features (x, 2), reconstruction 2 x."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gain = torch.nn.Parameter(torch.tensor(2.0))
+
+    def forward(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.cat([states, torch.full_like(states, 2.0)], -1), self.gain * states
+
+
+def triple(before: float, anchor: float, after: float) -> TensorDict:
+    data = {"observation": anchor, "previous": {"observation": before}, "next": {"observation": after}}
+    return TensorDict(data).apply(lambda x: torch.as_tensor(x).reshape(1, 1), batch_size=[1])
+
+
+def test_the_module_on_numbers_worked_out_by_hand() -> None:
+    # errors: 1² + 0² + 3²; cos((0, 2), (1, 2)) = 4 / (2 √5), cos((0, 2), (3, 2)) = 4 / (2 √13)
+    loss, metadata = PSAELoss(Fixed()).psae_loss(triple(1.0, 0.0, 3.0))
+    similarity = 2 / math.sqrt(5) + 2 / math.sqrt(13)
+    assert metadata["reconstruction_error"].item() == 10.0
+    assert metadata["similarity"].item() == pytest.approx(similarity)
+    assert loss.item() == pytest.approx(0.7 * 10 - 0.3 * similarity)
+
+
+def test_previous_and_next_are_told_from_the_anchor() -> None:
+    loss = PSAELoss(Fixed())
+    one, other = (loss.psae_loss(triple(*values))[0].item() for values in ((1.0, 0.0, 3.0), (0.0, 1.0, 3.0)))
+    assert one != pytest.approx(other)
+
+
+def test_a_tradeoff_out_of_range_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"tradeoff must be in \[0, 1\], got 1.5"):
+        PSAELoss(PSAE(6), tradeoff=1.5)
+
+
+def test_a_network_of_other_keys_is_refused() -> None:
+    with pytest.raises(ValueError, match="to features and reconstruction"):
+        PSAELoss(TensorDictModule(torch.nn.Linear(6, 6), ["observation"], ["features"]))
+
+
+def test_it_trains_the_networks_own_parameters() -> None:
+    network = PSAE(6)
+    loss = PSAELoss(network)
+    optimizer = torch.optim.SGD(loss.parameters(), 0.1)
+    before = network.encoder[0].weight.clone()
+    loss.psae_loss(TestPSAELoss().make_data())[0].backward()
+    optimizer.step()
+    assert not torch.equal(network.encoder[0].weight, before)
+
+
+class TestPSAELoss(LossContract):
+    methods: ClassVar[dict[str, str]] = {"psae_loss": "network"}
+    compiled: ClassVar[tuple[str, ...]] = ("psae_loss",)
+
+    def make_loss(self, **kwargs: object) -> PSAELoss:
+        return PSAELoss(PSAE(self.observations, features=3, hidden=8), **kwargs)
+
+    def groups(self, loss: torch.nn.Module) -> dict[str, list[torch.Tensor]]:
+        return {"network": list(loss.network_params.values(True, True))}
+
+    def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
+        generator = torch.Generator().manual_seed(0)
+        before, anchor, after = torch.randn(3, size, self.observations, generator=generator, dtype=dtype)
+        data = {"observation": anchor, "previous": {"observation": before}, "next": {"observation": after}}
+        return TensorDict(data, [size])
+
+    def test_the_actors_metadata_is_detached(self) -> None:
+        """Here: the loss's own, there being no actor."""
+        metadata = self.make_loss().psae_loss(self.make_data())[1]
+        assert len(metadata) == 2 and not any(value.requires_grad for value in metadata.values())
+
+    def test_forward_gives_each_loss(self) -> None:
+        loss = self.make_loss()
+        assert sorted(loss(self.make_data()).keys()) == sorted(loss.out_keys)
+
+    def test_keyword_arguments(self) -> None:
+        loss, data = self.make_loss(), self.make_data()
+        values = loss(**{"_".join(k) if isinstance(k, tuple) else k: v for k, v in data.items(True, True)})
+        expected = loss(data)
+        for key, value in zip(loss.out_keys, values, strict=True):
+            torch.testing.assert_close(value, expected[key])
+
+    def test_keys_can_be_renamed(self, method: str) -> None:
+        data, renamed = self.make_data(), self.make_data()
+        renamed["before"] = renamed.pop("previous")["observation"]
+        renamed["state"] = renamed.pop("observation")
+        loss = self.seeded_loss()
+        loss.set_keys(observation="state", previous_observation="before")
+        assert torch.equal(self.evaluate(loss, method, renamed), self.evaluate(self.seeded_loss(), method, data))

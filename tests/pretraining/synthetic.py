@@ -1,0 +1,60 @@
+"""Small recordings that need no flight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torchrl.checkpoint import Checkpoint
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+
+from uavrl.pretraining import StateRecorder
+from uavrl.training.checkpoint import BufferState, rotation
+
+OUTCOMES = ("arrived", "collided", "timed_out")
+
+
+def walk(length: int, width: int, rng: np.random.Generator, places: int = 5) -> np.ndarray:
+    """States of one episode that drift around one of some places, ``[length, width]``."""
+    place = np.random.default_rng(rng.integers(places)).normal(size=width)
+    return (place + np.cumsum(rng.normal(scale=0.02, size=(length, width)), 0)).astype(np.float32)
+
+
+def record(path: Path, episodes: int = 40, width: int = 6, seed: int = 0) -> list[np.ndarray]:
+    """Writes a recording and returns the states of its episodes."""
+    rng = np.random.default_rng(seed)
+    recorder, written = StateRecorder(path, width), []
+    for i in range(episodes):
+        written.append(walk(int(rng.integers(5, 20)), width, rng))
+        recorder.add(written[-1], OUTCOMES[i % 3])
+    return written
+
+
+def transitions(states: np.ndarray, outcome: str) -> TensorDict:
+    """One episode as the trainer stores it."""
+    last = torch.arange(len(states))[:, None] == len(states) - 1
+    observation = torch.from_numpy(states)
+    following = {
+        "observation": observation + 1,
+        "reward": torch.zeros(len(states), 1),
+        "done": last,
+        "terminated": last & (outcome != "timed_out"),
+        "arrived": last & (outcome == "arrived"),
+        "collided": last & (outcome == "collided"),
+    }
+    return TensorDict(
+        {"observation": observation, "action": torch.zeros(len(states), 4), "next": following}, [len(states)]
+    )
+
+
+def checkpoint_run(run_dir: Path, episodes: list[np.ndarray], capacity: int = 10_000) -> Path:
+    """A run folder with a checkpoint whose replay buffer saw these episodes."""
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=4)
+    for i, states in enumerate(episodes):
+        buffer.extend(transitions(states, OUTCOMES[i % 3]))
+    run_dir.mkdir(parents=True)
+    (run_dir / "config.yaml").write_text(f"algo:\n  name: td3\nbuffer:\n  capacity: {capacity}\n")
+    checkpoint = Checkpoint(replay_data=BufferState(buffer), format="archive", archive_compression="stored")
+    return rotation(run_dir).save(checkpoint, step=1)

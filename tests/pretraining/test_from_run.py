@@ -1,0 +1,94 @@
+"""States of a run: its recording, or the replay buffer of its newest checkpoint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.pretraining.synthetic import OUTCOMES, checkpoint_run, record, walk
+from uavrl.errors import UavrlError
+from uavrl.pretraining.from_run import open_source, read_run
+
+WIDTH = 6
+
+
+def episodes(count: int = 7, seed: int = 0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [walk(int(rng.integers(3, 9)), WIDTH, rng) for _ in range(count)]
+
+
+def test_the_buffer_of_a_checkpoint_gives_the_states_in_order(tmp_path: Path) -> None:
+    written = episodes()
+    path = checkpoint_run(tmp_path / "run", written)
+    recording = read_run(tmp_path / "run")
+    assert np.array_equal(recording.states, np.concatenate(written))
+    assert recording.states.dtype == np.float32
+    assert recording.episode.tolist() == [i for i, states in enumerate(written) for _ in states]
+    assert recording.outcomes == [OUTCOMES[i % 3] for i in range(7)]
+    assert recording.name == f"run/{path.name}"
+
+
+@pytest.mark.parametrize("capacity", range(12, 30))
+def test_of_a_buffer_that_overwrote_its_oldest_transitions_whole_episodes_are_left(
+    tmp_path: Path, capacity: int
+) -> None:
+    written = episodes(9)
+    checkpoint_run(tmp_path / "run", written, capacity)
+    recording = read_run(tmp_path / "run")
+    count = len(recording.outcomes)
+    assert count >= 1
+    assert np.array_equal(recording.states, np.concatenate(written[-count:]))
+    assert recording.outcomes == [OUTCOMES[i % 3] for i in range(9)][-count:]
+    kept = sum(len(states) for states in written[-count - 1 :])
+    assert kept >= capacity or kept == sum(map(len, written))  # one more would not have fitted
+
+
+def test_a_recording_is_preferred_to_the_buffer(tmp_path: Path) -> None:
+    checkpoint_run(tmp_path / "run", episodes())
+    written = record(tmp_path / "run" / "states", episodes=3)
+    recording = read_run(tmp_path / "run")
+    assert np.array_equal(recording.states, np.concatenate(written))
+    assert recording.name == "run/states"
+
+
+def test_a_missing_run_or_checkpoint_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UavrlError, match="Expected a run folder at"):
+        read_run(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UavrlError, match="Expected a checkpoint in"):
+        read_run(tmp_path / "empty")
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
+    path = checkpoint_run(tmp_path / "run", episodes())
+    content = path.read_bytes()
+    start = content.index(np.concatenate(episodes())[:4].tobytes())
+    path.write_bytes(content[:start] + b"\x07" + content[start + 1 :])
+    with pytest.raises(UavrlError, match=r"cannot be read .*Bad CRC"):
+        read_run(tmp_path / "run")
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(UavrlError, match="damaged"):
+        read_run(tmp_path / "run")
+
+
+def test_an_empty_buffer_is_refused(tmp_path: Path) -> None:
+    checkpoint_run(tmp_path / "run", [])
+    with pytest.raises(UavrlError, match="Expected whole episodes"):
+        read_run(tmp_path / "run")
+
+
+@pytest.mark.parametrize(("recording", "run"), [(None, None), ("a", "b")])
+def test_one_source_is_asked_for(recording: str | None, run: str | None) -> None:
+    with pytest.raises(UavrlError, match="Give either run=RUN_FOLDER or recording=FOLDER"):
+        open_source(recording, run)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_states_that_are_not_finite_are_refused(tmp_path: Path, value: float) -> None:
+    written = episodes()
+    written[3][1, 2] = value
+    checkpoint_run(tmp_path / "run", written)
+    with pytest.raises(UavrlError, match=r"Expected finite states in .*run"):
+        open_source(None, str(tmp_path / "run"))

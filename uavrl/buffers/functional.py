@@ -1,0 +1,117 @@
+"""The augmentative backward reward as functions (Chansuparp (2022), §3.4, Eq. 3.5, Algorithm 3.1).
+
+Algorithm 3.1 counts steps from 1: a_t is taken in s_t, earns r_t and leads to s_{t+1}. Window k holds the steps
+Z - p_frames + 1 to Z with Z = k p_frames; the thesis prints k + p_frames, by which all windows would overlap.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from uavrl.buffers.history import TrajectoryHistory
+
+
+def window_ends(steps: int, frames: int = 3) -> Tensor:
+    """Where each window of an episode ends: step Z = k p_frames for k = 1 … ⌊T / p_frames⌋ (Algorithm 3.1).
+
+    Args:
+        steps: T.
+        frames: p_frames.
+
+    Returns:
+        ``[T // frames]`` int64, positions counted from 0, so that 2 is the third step. What is left at the end
+        belongs to no window.
+
+    Raises:
+        ValueError: when ``frames`` is not positive.
+
+    Examples:
+        >>> window_ends(10).tolist(), window_ends(2).tolist()
+        ([2, 5, 8], [])
+    """
+    if frames < 1:
+        raise ValueError(f"Expected windows of at least one step, got frames={frames}: Table 4.1 has 3.")
+    return torch.arange(1, steps // frames + 1) * frames - 1
+
+
+def floored_sums(reward: Tensor, frames: int = 3) -> Tensor:
+    """R of each window: ⌊r_{Z - p_frames + 1} + … + r_Z⌋ (Algorithm 3.1).
+
+    Summed in double precision, so that neither the order nor the device moves a sum across an integer.
+
+    Args:
+        reward: the rewards of one episode, ``[T]``.
+        frames: p_frames.
+
+    Returns:
+        ``[T // frames]`` int64.
+
+    Raises:
+        ValueError: for another shape or type, or sums that are not finite.
+
+    Examples:
+        >>> floored_sums(torch.tensor([1.0, 2.5, 0.25, -0.5, 0.0, 0.25, 99.0])).tolist()
+        [3, -1]
+    """
+    if reward.ndim != 1 or not reward.is_floating_point():
+        raise ValueError(f"Expected the rewards of one episode, floats [T], got {reward.dtype} {list(reward.shape)}.")
+    whole = len(window_ends(len(reward), frames)) * frames
+    sums = reward[:whole].double().reshape(-1, frames).sum(-1).floor()
+    if not bool((sums.abs() < 2.0**63).all()):
+        raise ValueError(
+            "Expected finite rewards in an episode that arrived, got a window whose sum is not: check the reward."
+        )
+    return sums.long()
+
+
+def backward_reward(
+    reward: Tensor, labels: Tensor, history: TrajectoryHistory, *, frames: int = 3, multiplier: float = 0.2
+) -> Tensor:
+    """Relabels one episode that arrived: r += m p_addReward in each window (Eq. 3.5, Algorithm 3.1).
+
+    m is the place of the window's floored sum among the distinct sums that its class has seen, itself included.
+    The windows enter the history one after the other, so that earlier ones of the same episode count.
+
+    Args:
+        reward: ``[T]``.
+        labels: the class l of each window, integers ``[T // frames]``.
+        history: H, which takes the windows in.
+        frames: p_frames.
+        multiplier: p_addReward.
+
+    Returns:
+        The new rewards ``[T]``, in the type of ``reward``, which stays as it is.
+
+    Raises:
+        ValueError: for other shapes or types; the history is untouched then.
+
+    Examples:
+        >>> history = TrajectoryHistory()
+        >>> reward = torch.tensor([1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 5.0])
+        >>> new = backward_reward(reward, torch.tensor([0, 0]), history, multiplier=0.5)
+        >>> new.tolist(), history.values(0)
+        ([1.0, 1.0, 1.0, 2.5, 2.5, 2.5, 5.0], [3, 6])
+    """
+    sums = floored_sums(reward, frames)
+    check_labels(labels, len(sums))
+    ranks = [history.insert_and_rank(label, r) for label, r in zip(labels.tolist(), sums.tolist(), strict=True)]
+    extra = torch.tensor(ranks, dtype=torch.float64) * multiplier
+    new = reward.clone()
+    new[: len(ranks) * frames] += extra.repeat_interleave(frames).to(reward)
+    return new
+
+
+def check_labels(labels: Tensor, count: int) -> None:
+    """Refuses labels that are not ``count`` integers.
+
+    Raises:
+        ValueError: for another shape or type.
+
+    Examples:
+        >>> check_labels(torch.tensor([3, 3]), 2)
+    """
+    integer = isinstance(labels, Tensor) and not (labels.is_floating_point() or labels.is_complex())
+    if not integer or labels.dtype == torch.bool or labels.shape != (count,):
+        got = f"{labels.dtype} {list(labels.shape)}" if isinstance(labels, Tensor) else type(labels).__name__
+        raise ValueError(f"Expected one integer label for each window, [{count}], got {got}: check the classifier.")

@@ -1,0 +1,47 @@
+"""``uavrl-pretrain``: from recorded states to the trajectory classifier that ABR⁺ loads."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import hydra
+from omegaconf import DictConfig
+
+from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.configs import conf_dir, register_schemas, to_dataclass
+
+if TYPE_CHECKING:
+    from uavrl.configs.pretrain import PretrainConfig
+
+register_schemas()
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="pretrain")
+def main(config: DictConfig) -> None:
+    """Makes one artifact."""
+    configure_logging()
+    with one_sentence():
+        _pretrain(config)
+
+
+def _pretrain(config: DictConfig) -> None:
+    settings: PretrainConfig = to_dataclass(config)
+    # Imported here: --help and a mistyped key answer without loading torch.
+    from uavrl.pretraining.pipeline import pretrain
+
+    about = pretrain(settings)
+    source, learned, elbow = about["source"], about["classifier"], about["sse"]["elbow"]
+    print(f"{source['states_drawn']:,} of {source['states']:,} states in {source['episodes']:,} episodes")
+    print(f"{about['k']} classes" + (f" (elbow of the SSE curve: {elbow})" if elbow is not None else ""))
+    print(f"The classifier says the right one for {learned['held_out_accuracy']:.1%} of held-out states")
+    print("Class sizes")
+    for name, sizes in about["class_sizes"].items():
+        print(
+            f"  {name}: {sizes['classes']} classes, mean {sizes['mean']:.2f}, largest {sizes['largest']}, "
+            f"SD {sizes['sd']:.2f}"
+        )
+    print(f"Artifact: {about['output']}")
+
+
+if __name__ == "__main__":
+    main()
