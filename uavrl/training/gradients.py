@@ -47,7 +47,8 @@ class LossGradients:
     fuses them (it needs a C++ compiler, and rounds differently in the last digits).
 
     A recording holds as long as the loss takes the same branches: ``mode`` names them, and each mode, set of
-    entries, batch size, type and device is recorded once. Entries outside ``in_keys`` are not seen. Parameters and buffers must be changed in place.
+    entries, batch size, type and device is recorded once. Entries outside ``in_keys`` are not seen. Parameters and
+    buffers must be changed in place.
 
     Args:
         loss_method: gives the reduced loss and metadata.
