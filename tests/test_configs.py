@@ -15,7 +15,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from uavrl.buffers import BackwardReward
-from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, register_schemas, to_dataclass
+from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, learner, register_schemas, to_dataclass
 from uavrl.configs.schema import (
     GROUPS,
     ABRConfig,
@@ -174,6 +174,22 @@ def test_enhancers_attach_to_any_algorithm_by_override() -> None:
     algo = settings("config", "algo=ddpg", "+enhancer@algo.fork=fork", "+enhancer@algo.lifeguard=lifeguard").algo
     assert plain(asdict(algo.fork)) == plain(asdict(ForkConfig()))
     assert algo.lifeguard == LifeGuardConfig()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "name"),
+    [
+        ([], "td3"),
+        (["algo=td3_lg"], "td3_lg"),
+        (["algo=td3_fork_lg", "algo.lifeguard.model=mlp"], "td3_fork_lg_mlp"),
+        (["algo=td3_lg", "algo.lifeguard=null"], "td3"),
+        (["algo=ddpg", "+enhancer@algo.fork=fork", "backward_reward=abr"], "ddpg_fork_abr"),
+    ],
+)
+def test_run_folders_are_named_for_what_learns(overrides: list[str], name: str) -> None:
+    config = composed("config", *overrides)
+    assert learner(config) == name
+    assert f"_static_{name}_navigation_prize_seed0" in config.run_dir
 
 
 @pytest.mark.parametrize("reward", ["navigation", "navigation_prize"])

@@ -82,11 +82,12 @@ def test_the_wheel_holds_the_package_and_its_configuration_alone(unpacked: Path)
     tops = {p.name for p in unpacked.iterdir()}
     assert {t for t in tops if not t.endswith(".dist-info")} == {"uavrl"}
     for folder, packed in ((ROOT / "conf", unpacked / "uavrl/conf"), (ROOT / "uavrl", unpacked / "uavrl")):
-        for suffix in ("*.yaml", "*.py", "py.typed"):
+        for suffix in ("*.yaml", "*.py", "py.typed", "artifact.json", "*.safetensors"):
             for file in folder.rglob(suffix):
                 assert (packed / file.relative_to(folder)).is_file(), file
     (entry_points,) = unpacked.glob("*.dist-info/entry_points.txt")
-    assert "uavrl-train = uavrl.cli.train:main" in entry_points.read_text()
+    for command in ("train", "evaluate", "pretrain"):
+        assert f"uavrl-{command} = uavrl.cli.{command}:main" in entry_points.read_text()
     assert list(unpacked.glob("*.dist-info/licenses/LICENSE"))
 
 

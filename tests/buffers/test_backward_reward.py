@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from tests.contracts import TransformContract
 from tests.transforms.small_env import SmallEnv
-from uavrl.buffers import BackwardReward, TrajectoryClassifier, TrajectoryHistory, backward_reward
+from uavrl.buffers import BackwardReward, StateClassifier, TrajectoryHistory, backward_reward
 from uavrl.models import OneShotClassifier
 
 
@@ -390,7 +390,7 @@ def test_diagnostics() -> None:
 
 def test_the_functions_alone_give_the_same() -> None:
     data = random_episodes(3, 1)
-    label: TrajectoryClassifier = lambda states: (states[:, 0] > 0).long()  # noqa: E731
+    label: StateClassifier = lambda states: (states[:, 0] > 0).long()  # noqa: E731
     labels = label(data["observation"][[2, 5, 8, 11, 14, 17]])
     expected = backward_reward(data["next", "reward"].squeeze(-1), labels, TrajectoryHistory())
     assert torch.equal(BackwardReward(label).inv(data)["next", "reward"].squeeze(-1), expected)

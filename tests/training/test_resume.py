@@ -16,7 +16,8 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl.configs import conf_dir, register_schemas
+from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder, read_recording
 from uavrl.training.checkpoint import rotation
 from uavrl.training.episodes import read_episodes
@@ -50,6 +51,7 @@ FORK_AND_LIFEGUARD = [
     *LIFEGUARD,
 ]
 
+SAC = ["algo=sac_lg", *LIFEGUARD]
 ABR = [  # some goals are so near that random flights arrive; one class for nearly all states
     "backward_reward=abr",
     "backward_reward.threshold=0.1",
@@ -92,7 +94,7 @@ def assert_same_run(one: Path, other: Path) -> None:
         ["buffer=prioritized"],
         ["algo=ddpg"],
         FORK_AND_LIFEGUARD,
-        ["algo=sac_lg", *LIFEGUARD],
+        SAC,
         ABR,
         ["env=dynamic", "perception.lidar.dropout=0.1"],
     ],
@@ -126,6 +128,13 @@ def test_flights_that_arrive_are_paid_again(tmp_path: Path) -> None:
     assert extra > 0 and values > 1
 
 
+def test_abr_plus_runs_with_the_artifact_of_the_package(tmp_path: Path) -> None:
+    overrides = ["trainer.episodes=4", "logger.interval=1", "backward_reward=abr_plus", "env.world.goal_radius=12"]
+    config = small_config(tmp_path / "run", *overrides)
+    train(config, create_run(config))
+    assert last_values(tmp_path / "run", "backward_seconds")[0] > 0
+
+
 def test_a_recording_keeps_every_state_and_is_cut_back_with_the_run(tmp_path: Path) -> None:
     config = small_config(tmp_path / "run", "trainer.episodes=8", "trainer.record_states=true")
     train(config, create_run(config))
@@ -150,6 +159,39 @@ def test_a_run_can_be_asked_for_its_states_later(tmp_path: Path) -> None:
     assert len(read_recording(tmp_path / "run/states").outcomes) == 3
 
 
+def test_a_recording_survives_a_spell_without_one(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=4", "trainer.record_states=true")
+    train(config, create_run(config))
+    for episodes, record in ((6, False), (8, True)):
+        config = OmegaConf.merge(config, {"trainer": {"episodes": episodes, "record_states": record}})
+        train(config, tmp_path / "run", resume=True)
+    assert len(read_recording(tmp_path / "run/states").outcomes) == 4 + 2
+
+
+def test_a_run_older_than_the_backward_reward_goes_on(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=4")
+    train(config, create_run(config))
+    saved = OmegaConf.load(tmp_path / "run/config.yaml")
+    del saved["backward_reward"]
+    assert to_dataclass(saved).backward_reward.name == "none"
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_abr_plus_refuses_states_that_its_artifact_does_not_know(tmp_path: Path, frames: int) -> None:
+    config = small_config(tmp_path / "run", "backward_reward=abr_plus", f"perception.frames={frames}")
+    with pytest.raises(UavrlError, match=rf"classifies states of 105 numbers, these have {35 * frames}"):
+        train(config, create_run(config))
+    assert not (tmp_path / "run/artifact").exists()
+
+
+def test_abr_takes_states_of_any_number_of_frames_but_one(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "four", *ABR, "perception.frames=4", "trainer.episodes=2")
+    train(config, create_run(config))
+    config = small_config(tmp_path / "one", *ABR, "perception.frames=1")
+    with pytest.raises(UavrlError, match=r"perception\.frames must be at least 2, got 1"):
+        train(config, create_run(config))
+
+
 def test_another_seed_gives_another_run(tmp_path: Path) -> None:
     for seed in (0, 1):
         config = small_config(tmp_path / str(seed), "trainer.episodes=4", f"seed={seed}")
@@ -157,7 +199,7 @@ def test_another_seed_gives_another_run(tmp_path: Path) -> None:
     assert (tmp_path / "0/episodes.csv").read_bytes() != (tmp_path / "1/episodes.csv").read_bytes()
 
 
-@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"], FORK_AND_LIFEGUARD, ABR])
+@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"], FORK_AND_LIFEGUARD, SAC, ABR])
 def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     for run_dir in (whole, cut):

@@ -1,7 +1,7 @@
 """What happens to data on its way into a replay buffer. It needs torch, tensordict, torchrl and sortedcontainers."""
 
-from uavrl.buffers.backward_reward import BackwardReward, TrajectoryClassifier
+from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
 from uavrl.buffers.functional import backward_reward
 from uavrl.buffers.history import TrajectoryHistory
 
-__all__ = ["BackwardReward", "TrajectoryClassifier", "TrajectoryHistory", "backward_reward"]
+__all__ = ["BackwardReward", "StateClassifier", "TrajectoryHistory", "backward_reward"]

@@ -14,13 +14,13 @@ from uavrl.buffers.functional import backward_reward, check_labels, window_ends
 from uavrl.buffers.history import TrajectoryHistory
 
 
-class TrajectoryClassifier(Protocol):
+class StateClassifier(Protocol):
     """Anything that puts states into classes: a function, or a module (whose state then goes into checkpoints).
 
     Examples:
         >>> def by_quadrant(states: Tensor) -> Tensor:
         ...     return 2 * (states[:, 0] > 0).long() + (states[:, 1] > 0).long()
-        >>> classifier: TrajectoryClassifier = by_quadrant
+        >>> classifier: StateClassifier = by_quadrant
         >>> classifier(torch.tensor([[0.3, -1.0], [2.0, 0.1]])).tolist()
         [2, 3]
     """
@@ -82,7 +82,7 @@ class BackwardReward(Transform):
 
     def __init__(
         self,
-        classifier: TrajectoryClassifier,
+        classifier: StateClassifier,
         frames: int = 3,
         multiplier: float = 0.2,
         *,

@@ -1,6 +1,6 @@
 """Typed configuration dataclasses and their registration with Hydra."""
 
-from uavrl.configs.registry import conf_dir, register_schemas, to_dataclass
+from uavrl.configs.registry import conf_dir, learner, register_schemas, to_dataclass
 from uavrl.configs.schema import EvaluateConfig, TrainConfig
 
-__all__ = ["EvaluateConfig", "TrainConfig", "conf_dir", "register_schemas", "to_dataclass"]
+__all__ = ["EvaluateConfig", "TrainConfig", "conf_dir", "learner", "register_schemas", "to_dataclass"]

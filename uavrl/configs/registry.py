@@ -15,6 +15,9 @@ from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
 from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig, require, require_one_of
 from uavrl.errors import UavrlError
 
+# What a run did whose configuration is older than the group.
+ABSENT = {"backward_reward": "none"}
+
 
 def conf_dir() -> Path:
     """The folder of yaml files: inside the installed package, or beside it in a checkout."""
@@ -28,6 +31,7 @@ def conf_dir() -> Path:
 def register_schemas() -> None:
     """Puts every dataclass into Hydra's ConfigStore; yaml files name theirs as ``<group>/<name>_schema``."""
     OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
+    OmegaConf.register_new_resolver("learner", lambda *, _root_: learner(_root_), replace=True)
     store = ConfigStore.instance()
     store.store(name="train_schema", node=TrainConfig)
     store.store(name="evaluate_schema", node=EvaluateConfig)
@@ -40,6 +44,17 @@ def register_schemas() -> None:
 def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:
     """``${with_lifeguard:A,B}`` is A where the algorithm has a LifeGuard, else B."""
     return without if OmegaConf.select(_root_, "algo.lifeguard") is None else value
+
+
+def learner(config: DictConfig) -> str:
+    """What learns in a run, as part of a name: ``td3``, ``td3_fork_lg_mlp``, ``ddpg_abr_plus``."""
+    parts = [str(config.algo.name).split("_")[0]]
+    if OmegaConf.select(config, "algo.fork") is not None:
+        parts.append("fork")
+    if OmegaConf.select(config, "algo.lifeguard") is not None:
+        parts.append("lg" if config.algo.lifeguard.model == "linear" else f"lg_{config.algo.lifeguard.model}")
+    backward = OmegaConf.select(config, "backward_reward.name", default="none")
+    return "_".join(parts if backward == "none" else [*parts, str(backward)])
 
 
 def to_dataclass(config: DictConfig) -> Any:
@@ -69,6 +84,8 @@ def _with_types(config: DictConfig) -> DictConfig:
     """Merges a run's configuration, which yaml left without types, into the dataclasses that its names choose."""
     typed = OmegaConf.structured(TrainConfig)
     for group in CHOSEN_GROUPS:
+        if group not in config and group in ABSENT:
+            config = cast(DictConfig, OmegaConf.merge(config, {group: {"name": ABSENT[group]}}))
         name = str(OmegaConf.select(config, f"{group}.name"))
         require_one_of(name, f"{group}.name", list(GROUPS[group]))
         typed[group] = OmegaConf.structured(GROUPS[group][name])

@@ -33,7 +33,7 @@ class LifeGuard(Enhancer):
     Call :meth:`observe` and then :meth:`fit` once for each episode flown. The classifier reads the last observation
     in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last transition
     before each collision and from as many other transitions. The actor hears of it after ``min_evaluations``
-    evaluations on data it was not yet trained on, while its true-negative rate is high enough.
+    evaluations, each before it is trained on the episode, while its true-negative rate is high enough.
 
     Args:
         base: the loss to enhance.
@@ -133,6 +133,10 @@ class LifeGuard(Enhancer):
         self._active = False
         self._last_episode: Tensor | None = None
         self.register_load_state_dict_post_hook(_after_loading)
+        states = base.unenhanced.actor_network.in_keys
+        if len(states) == 1:
+            self.tensor_keys.observation = states[0]
+        self.to(next(iter(base.actor_network_params.values(True, True))).device)
 
     # ------------------------------------------------------------------ state
 
@@ -169,7 +173,13 @@ class LifeGuard(Enhancer):
 
     def _features(self, tensordict: TensorDictBase) -> Tensor:
         """``[*B, observations + actions]``, unscaled."""
-        state, action = tensordict.get(self.tensor_keys.observation), tensordict.get(self.tensor_keys.action)
+        keys = self.tensor_keys
+        state, action = (tensordict.get(key, None) for key in (keys.observation, keys.action))
+        if state is None or action is None:
+            missing = keys.observation if state is None else keys.action
+            raise KeyError(
+                f"Expected the entry {missing!r}, found none: name yours by set_keys(observation=, action=)."
+            )
         if state.shape[-1] < self.observations or action.shape[-1] != self.actions:
             raise ValueError(
                 f"Expected a state of at least {self.observations} and an action of {self.actions} numbers, got "

@@ -96,7 +96,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
 
     def _make_vmap(self) -> None:
         super()._make_vmap()
-        if isinstance(self.qvalue_network.module, Critic):
+        if type(self.qvalue_network.module) is Critic:
             self._vmap_qnetworkN0 = self._stacked_critics
 
     def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:

@@ -93,7 +93,7 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
 
     def _make_vmap(self) -> None:
         super()._make_vmap()
-        if isinstance(self.qvalue_network.module, Critic):
+        if type(self.qvalue_network.module) is Critic:
             self._vmap_qvalue_network00 = self._stacked_critics
 
     def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:

@@ -117,7 +117,7 @@ def one_shot_sizes(states: Tensor, frames: int = 3) -> Tensor | None:
     if states.shape[1] % frames:
         log.info("One-shot learning is left out: states of %d numbers are not %d frames.", states.shape[1], frames)
         return None
-    return class_sizes(OneShotClassifier(states.shape[1] // frames, frames)(states))
+    return class_sizes(OneShotClassifier(states.shape[1] // frames, frames, max_classes=len(states))(states))
 
 
 def _pretrain(recording: Recording, sample: Sample, config: PretrainConfig, output: Path) -> dict[str, Any]:

@@ -66,13 +66,15 @@ class RecordingState:
 
     def __init__(self, recorder: StateRecorder | None) -> None:
         self.recorder = recorder
+        self._loaded = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """The number of episodes."""
-        return {"episodes": 0 if self.recorder is None else self.recorder.episodes}
+        """The number of episodes; while nothing is recorded, that of before."""
+        return {"episodes": self._loaded if self.recorder is None else self.recorder.episodes}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Cuts the recording back."""
+        self._loaded = state_dict["episodes"]
         if self.recorder is not None:
             self.recorder.truncate(state_dict["episodes"])
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
 from typing import cast
 
 import torch
@@ -28,6 +30,7 @@ from uavrl.envs.navigation import ACTION_LIMIT, GoalAngle, NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.models import OneShotClassifier, TrajectoryClassifier
 from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.training.learner import state_width
 from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
 
 RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
@@ -101,20 +104,44 @@ def make_env(
 
 
 def make_backward_reward(
-    config: NoBackwardRewardConfig | ABRConfig | ABRPlusConfig, perception: PerceptionConfig
+    config: NoBackwardRewardConfig | ABRConfig | ABRPlusConfig, perception: PerceptionConfig, kept: Path
 ) -> BackwardReward | None:
-    """The write-path transform that pays arriving flights again, or None."""
+    """The write-path transform that pays arriving flights again, or None.
+
+    Args:
+        config: which backward reward.
+        perception: what the states are.
+        kept: the run's copy of the artifact of ABR⁺, made here at the first time and read from then on.
+
+    Raises:
+        UavrlError: when the classifier does not fit the states, or its artifact is missing.
+    """
     classifier: OneShotClassifier | TrajectoryClassifier
     if isinstance(config, ABRConfig):
+        if perception.frames < 2:
+            raise UavrlError(
+                f"With backward_reward=abr perception.frames must be at least 2, got {perception.frames}: "
+                f"it convolves over time."
+            )
         classifier = OneShotClassifier(
             frames=perception.frames,
+            features=10 * (perception.frames - 1),  # 20 for 3 frames (Table 4.1)
             threshold=config.threshold,
             max_classes=config.max_classes,
             seed=config.seed,
         )
     elif isinstance(config, ABRPlusConfig):
-        packaged = config.artifact == "packaged"
-        classifier = TrajectoryClassifier.load(packaged_artifact() if packaged else config.artifact)
+        if not kept.exists():
+            source = packaged_artifact() if config.artifact == "packaged" else Path(config.artifact)
+            TrajectoryClassifier.load(source)
+            shutil.copytree(source, kept)
+        classifier = TrajectoryClassifier.load(kept)
+        if classifier.inputs != state_width(perception):
+            raise UavrlError(
+                f"The artifact {config.artifact} classifies states of {classifier.inputs} numbers, these have "
+                f"{state_width(perception)}: make one with uavrl-pretrain from a run with perception.frames="
+                f"{perception.frames}."
+            )
     else:
         return None
     return BackwardReward(classifier, perception.frames, config.multiplier)

@@ -16,9 +16,10 @@ import numpy as np
 import torch
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
+from torchrl.checkpoint import Checkpoint
 
 import uavrl
-from uavrl.configs import to_dataclass
+from uavrl.configs import learner, to_dataclass
 from uavrl.configs.schema import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
@@ -45,6 +46,7 @@ from uavrl.training.trainer import EpisodeReplay, NavigationTrainer, barrier_see
 log = logging.getLogger(__name__)
 EPISODES = "episodes.csv"
 SUMMARY = "summary.json"
+ARTIFACT = "artifact"  # a copy of ABR⁺'s classifier: the run can go on without the original
 
 
 def create_run(config: DictConfig) -> Path:
@@ -63,7 +65,8 @@ def create_run(config: DictConfig) -> Path:
         )
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
-        (run_dir / CONFIG).write_text(OmegaConf.to_yaml(config, resolve=True))
+        with (run_dir / CONFIG).open("x") as file:
+            file.write(OmegaConf.to_yaml(config, resolve=True))
     except OSError as error:
         raise UavrlError(
             f"The run folder {run_dir} cannot be written ({error.strerror}): choose another with run_dir=FOLDER."
@@ -116,7 +119,8 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
         if not resume:
             for name in (CONFIG, EPISODES):  # nothing to resume: the folder is free for another try
                 (run_dir / name).unlink(missing_ok=True)
-            shutil.rmtree(run_dir / STATES_FOLDER, ignore_errors=True)
+            for name in (STATES_FOLDER, ARTIFACT):
+                shutil.rmtree(run_dir / name, ignore_errors=True)
         raise
     try:
         if checkpoint is not None:
@@ -155,7 +159,7 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     env = make_env(settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
     actor = make_actor(settings.algo, settings.perception, device)
     loss = make_loss(settings.algo, actor, settings.perception, device)
-    backward_reward = make_backward_reward(settings.backward_reward, settings.perception)
+    backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
     buffer = make_buffer(settings.buffer, device, backward_reward)
     return NavigationTrainer(
         collector=make_collector(settings, env, actor, device),
@@ -209,13 +213,16 @@ def _checked_checkpoint(run_dir: Path, config: DictConfig) -> Path:
 
 def _restore(trainer: NavigationTrainer, path: Path) -> None:
     checkpoint = trainer._sync_checkpoint_components()
-    restore(checkpoint, path, [name for name in checkpoint.components if name not in ("logger", "episode_log")])
-    restore(checkpoint, path, ["episode_log"])  # last, because it cuts episodes.csv back
+    last = ["recording", "episode_log"]  # because they cut files back
+    restore(checkpoint, path, [name for name in checkpoint.components if name not in ("logger", *last)])
+    known = Checkpoint.manifest(path)["components"]
+    restore(checkpoint, path, [name for name in last if name in known])
 
 
 def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
     summary = {
         "algo": settings.algo.name,
+        "learner": learner(OmegaConf.structured(settings)),
         "env": settings.env.name,
         "reward": settings.reward.name,
         "seed": settings.seed,

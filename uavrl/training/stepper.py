@@ -83,7 +83,7 @@ class ActorCriticStepper(OptimizationStepper):
         super().__init__()
         self.loss = loss
         self.policy_delay = policy_delay
-        in_keys = [*loss.unenhanced.in_keys, loss.unenhanced.tensor_keys.priority_weight]
+        in_keys = [*loss.in_keys, loss.unenhanced.tensor_keys.priority_weight]
 
         def descent(method: LossMethod, parameters: Iterable[Any], lr: float, mode: Callable = tuple) -> Descent:
             leaves = [p for p in parameters if isinstance(p, Tensor)]
