@@ -120,6 +120,7 @@ def train_classifier(
     Examples:
         >>> features = torch.tensor([[-1.0], [1.0]]).repeat(50, 1)
         >>> network = nn.Linear(1, 2)
+        >>> _ = nn.init.zeros_(network.weight), nn.init.zeros_(network.bias)
         >>> train_classifier(features, (features[:, 0] > 0).long(), network, batch_size=10)
         >>> accuracy(network, features, (features[:, 0] > 0).long())
         1.0

@@ -52,6 +52,6 @@ def plot(runs: dict[str, Sequence[Episode]], output: Path, window: int = 500) ->
         axis.set(title=titles[name], xlabel="environment steps [thousand]", ylim=(0, 100))
         axis.grid(alpha=0.3)
     axes[0].set_ylabel(f"% of the last {window} episodes")
-    axes[0].legend(loc="upper left")
+    axes[-1].legend(loc="upper right")
     figure.savefig(output, dpi=110)
     plt.close(figure)
