@@ -16,7 +16,7 @@ from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.training.episodes import Episode, EpisodeLog, read_episodes, split_episodes
-from uavrl.training.run import _build, create_run, seed_everything
+from uavrl.training.run import _build, create_run, seed_everything, train
 from uavrl.training.trainer import NavigationTrainer, barrier_seed
 
 # The policy hardly moves, and no barrier but the first and the last drops open episodes.
@@ -225,6 +225,21 @@ def test_a_loss_that_is_no_number_ends_the_run_and_leaves_the_checkpoints(tmp_pa
 
 def row(number: int, outcome: str = "arrived") -> Episode:
     return Episode(number, 10 * number, outcome, -1.5 * number, 10, 0.1, 0.2, 0.3, 4.0, 5.0, 6.0, 7, number)
+
+
+def test_training_gives_denormal_arithmetic_back(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=3")
+    during: list[bool] = []
+
+    def halves_to_zero() -> bool:
+        return bool(torch.tensor(torch.finfo(torch.float32).tiny) / 2 == 0)
+
+    original = NavigationTrainer.train
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(NavigationTrainer, "train", lambda self: (during.append(halves_to_zero()), original(self)))
+        train(config, create_run(config))
+    assert during == [True]
+    assert not halves_to_zero()
 
 
 def test_the_log_cuts_its_file_back_to_the_checkpoint(tmp_path: Path) -> None:
