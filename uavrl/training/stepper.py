@@ -12,6 +12,7 @@ from torchrl.objectives import SoftUpdate
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from uavrl.losses import ActorCriticLoss, Enhancer, Fork, LifeGuard, SACLoss
+from uavrl.training.adam import DirectAdam
 from uavrl.training.gradients import Execution, Gradients, LossGradients, LossMethod
 
 
@@ -41,14 +42,14 @@ class Descent:
 
     def __init__(self, gradients: LossGradients, lr: float) -> None:
         self.gradients = gradients
-        self.optimizer = torch.optim.Adam(gradients.parameters, lr=lr, fused=True)
+        self.optimizer = DirectAdam(gradients.parameters, lr=lr)
 
     def __call__(self, batch: TensorDictBase) -> Gradients:
         """One step; returns what it was based on."""
         result = self.gradients(batch)
         for parameter, gradient in zip(self.gradients.parameters, result.gradients, strict=True):
-            parameter.grad = gradient
-        self.optimizer.step()
+            parameter.grad = gradient  # for whoever wants to look
+        self.optimizer.descend(result.gradients)
         return result
 
 
@@ -89,7 +90,7 @@ class ActorCriticStepper(OptimizationStepper):
             leaves = [p for p in parameters if isinstance(p, Tensor)]
             return Descent(LossGradients(method, leaves, in_keys, execution, mode), lr)
 
-        self.critic = descent(loss.value_loss, loss.critic_network_params.values(True, True), critic_lr)
+        self.critic = descent(self._value_loss, loss.critic_network_params.values(True, True), critic_lr)
         actor_params = loss.actor_network_params.values(True, True)
         self.actor = descent(loss.actor_loss, actor_params, actor_lr, lambda: loss.mode)
         self.targets = FusedSoftUpdate(loss.unenhanced, tau=tau)
@@ -112,9 +113,7 @@ class ActorCriticStepper(OptimizationStepper):
             The detached losses and the mean value of the batch.
         """
         value = self.critic(sub_batch)
-        squared_error = value.metadata["td_error"]
-        squared_error = squared_error.amax(0) if squared_error.ndim > 1 else squared_error
-        sub_batch.set("td_error", squared_error.sqrt())  # Eq. 2.17: the priority is the absolute error
+        sub_batch.set("td_error", value.metadata["priority"])
         for fork, models in self.forks:
             fork.update_gate(**models(sub_batch).metadata)
         self.updates += 1
@@ -128,9 +127,16 @@ class ActorCriticStepper(OptimizationStepper):
             {
                 "loss_value": value.loss,
                 "loss_actor": self._actor_loss,
-                "value": value.metadata["pred_value"].mean(),
+                "value": value.metadata["value"],
             }
         )
+
+    def _value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The critics' loss, with the mean value and the priority (Eq. 2.17: the absolute error) beside it."""
+        loss, metadata = self.loss.value_loss(batch)
+        squared_error = metadata["td_error"]
+        squared_error = squared_error.amax(0) if squared_error.ndim > 1 else squared_error
+        return loss, {"priority": squared_error.sqrt(), "value": metadata["pred_value"].mean()}
 
     def _step_temperature(self, log_prob: Tensor) -> None:
         assert self.temperature is not None and isinstance(self.loss.unenhanced, SACLoss)
