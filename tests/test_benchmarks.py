@@ -6,20 +6,27 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
+def written_by(benchmark: str, folder: Path, *arguments: str) -> dict[str, Any]:
+    output = folder / "numbers.json"
+    command = [sys.executable, str(ROOT / "benchmarks" / benchmark), *arguments, "--json", str(output)]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+    assert result.returncode == 0, result.stderr
+    return json.loads(output.read_text())
+
+
 @pytest.mark.slow
 def test_the_lidar_benchmark_writes_its_ratios(tmp_path: Path) -> None:
-    output = tmp_path / "lidar.json"
-    arguments = ["--num", "1", "--num-pybullet", "1", "--repeats", "1", "--json", str(output)]
-    command = [sys.executable, str(ROOT / "benchmarks/lidar.py"), *arguments]
-    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert result.returncode == 0, result.stderr
-    numbers = json.loads(output.read_text())
+    numbers = written_by("lidar.py", tmp_path, "--num", "1", "--num-pybullet", "1", "--repeats", "1")
     rows = {name: row["ms_per_scan"] for name, row in numbers["rows"].items()}
     ours = rows["scan + reduction, cut"]
     assert numbers["vs_pybullet"] == pytest.approx(rows["PyBullet rayTestBatch, uncut"] / ours)
@@ -27,3 +34,58 @@ def test_the_lidar_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     assert numbers["vs_pybullet"] > 1
     assert numbers["vs_bare_embree"] > 0.5
     assert (numbers["num"], numbers["rays_per_scan"], numbers["threads"]) == (1, 28_928, 1)
+
+
+@pytest.mark.slow
+def test_the_environment_benchmark_writes_its_profile(tmp_path: Path) -> None:
+    numbers = written_by("env.py", tmp_path, "--uavs", "2", "--repeats", "1", "--steps", "32")
+    bare = numbers["rows"]["bare PyBullet physics"] + numbers["rows"]["bare Embree rays"]
+    assert numbers["vs_bare"] == pytest.approx(numbers["ms_per_uav_step"] / bare)
+    assert min(numbers["profile"].values()) > 0
+    assert max(numbers["profile"], key=numbers["profile"].get).startswith(("rays", "physics: control", "reduction"))
+    assert (numbers["uavs"], numbers["rays_per_scan"], numbers["threads"]) == (2, 28_928, 1)
+
+
+@pytest.mark.slow
+def test_the_training_benchmark_writes_its_ratios(tmp_path: Path) -> None:
+    few = ["--repeats", "1", "--steps", "40", "--warm-up", "40", "--skip-async"]
+    numbers = written_by("train.py", tmp_path, *few)
+    speeds = {name: row["steps_per_second"] for name, row in numbers["rows"].items()}
+    assert numbers["steps_per_second"] == speeds["uavrl"]
+    assert numbers["vs_sb3"] == pytest.approx(speeds["uavrl"] / speeds["Stable-Baselines3"])
+    assert numbers["vs_sb3_pybullet"] == pytest.approx(speeds["uavrl"] / speeds["Stable-Baselines3 + PyBullet's rays"])
+    assert numbers["vs_sb3_pybullet"] > 1
+    assert all(100 < row["peak_rss_mib"] < 10_000 for row in numbers["rows"].values())
+
+
+def test_pybullets_rays_see_what_the_lidar_sees(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    from pybullet_rays import PyBulletLidar
+
+    from uavrl.envs import Lidar, LidarConfig, World, WorldConfig
+
+    world, config = World(WorldConfig()), LidarConfig(max_range=4.0)
+    tilted = Rotation.from_euler("zyx", [[0.3, 0.1, -0.2]]).as_matrix()
+    places = world.sample_task(np.random.default_rng(0)).start[None]
+    ours = Lidar(world.meshes, None, config).scan(places, tilted)
+    theirs = PyBulletLidar(world.meshes, config).scan(places, tilted)
+    both = np.isfinite(ours).all(-1) & np.isfinite(theirs).all(-1)
+    assert both.sum() > 1000
+    assert (np.isnan(ours) != np.isnan(theirs)).mean() < 1e-3  # at the range's end and at edges
+    np.testing.assert_allclose(ours[both], theirs[both], atol=1e-3)
+
+
+def test_the_stopwatch_gives_each_second_to_the_innermost_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import profiling
+
+    now = iter(range(100)).__next__
+    monkeypatch.setattr(profiling, "time", SimpleNamespace(perf_counter=now))
+    owner = SimpleNamespace(inner=lambda: None)
+    owner.outer = lambda: owner.inner()
+    before = dict(vars(owner))
+    stopwatch = profiling.Stopwatch("rest")  # reads 0
+    with stopwatch.watching({"outer": [(owner, "outer")], "inner": [(owner, "inner")]}):
+        owner.outer()  # begins at 1, its inner one lasts from 2 to 3, ends at 4
+    assert stopwatch.stop() == {"rest": 2, "outer": 2, "inner": 1}  # stops at 5
+    assert vars(owner) == before

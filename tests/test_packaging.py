@@ -86,7 +86,7 @@ def test_the_wheel_holds_the_package_and_its_configuration_alone(unpacked: Path)
             for file in folder.rglob(suffix):
                 assert (packed / file.relative_to(folder)).is_file(), file
     (entry_points,) = unpacked.glob("*.dist-info/entry_points.txt")
-    for command in ("train", "evaluate", "pretrain"):
+    for command in ("train", "evaluate", "pretrain", "report", "replay"):
         assert f"uavrl-{command} = uavrl.cli.{command}:main" in entry_points.read_text()
     assert list(unpacked.glob("*.dist-info/licenses/LICENSE"))
 

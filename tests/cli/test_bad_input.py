@@ -27,6 +27,7 @@ TINY = [
     "buffer.capacity=400",
     "trainer.checkpoint_interval=40",
     "trainer.progress=false",
+    "trainer.execution=captured",
 ]
 SMALL_EVALUATION = ["episodes=2", "num_uavs=2", "progress=false"]
 

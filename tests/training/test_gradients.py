@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -8,7 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
 from uavrl.errors import UavrlError
-from uavrl.training.gradients import Execution, Gradients, LossGradients
+from uavrl.training.gradients import Execution, Gradients, LossGradients, chosen_execution
 
 RECORDING: list[Execution] = ["captured", pytest.param("compiled", marks=pytest.mark.slow)]
 
@@ -63,6 +64,14 @@ def check(gradients: LossGradients, loss: Noisy, batch: TensorDictBase) -> Gradi
 def test_another_execution_is_refused() -> None:
     with pytest.raises(UavrlError, match=r"^execution must be eager, captured or compiled, got 'fast'\.$"):
         gradients_of(Noisy(), "fast")  # type: ignore[arg-type]
+
+
+def test_updates_are_compiled_where_there_is_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", sys.executable)
+    assert chosen_execution("auto") == "compiled"
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    assert chosen_execution("auto") == "captured"
+    assert chosen_execution("eager") == "eager"
 
 
 @pytest.mark.parametrize("execution", ["eager", *RECORDING])

@@ -33,6 +33,7 @@ SMALL = [
     "trainer.checkpoint_interval=50",
     "trainer.keep_checkpoints=10",
     "trainer.progress=false",
+    "trainer.execution=captured",  # compiling takes longer than these runs
 ]
 
 LIFEGUARD = [  # heard after a few collisions, which a low ceiling brings about

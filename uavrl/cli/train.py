@@ -11,7 +11,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence, was_interrupted
-from uavrl.configs import conf_dir, register_schemas
+from uavrl.configs import conf_dir, register_schemas, to_dataclass
 
 register_schemas()
 _FAILED: list[str] = []
@@ -35,8 +35,8 @@ def _main(config: DictConfig) -> None:
 
 
 def _train(config: DictConfig) -> None:
-    # Imported here: --help and a mistyped key answer without loading torch.
-    from uavrl.configs import to_dataclass
+    to_dataclass(config)
+    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.training.run import create_run, resume_config, train
 
     hydra_config = HydraConfig.get()
@@ -49,7 +49,6 @@ def _train(config: DictConfig) -> None:
     else:
         if hydra_config.mode == RunMode.MULTIRUN:
             OmegaConf.update(config, "run_dir", f"{config.run_dir}_{hydra_config.job.num}")
-        to_dataclass(config)
         run_dir = create_run(config)
         print(f"Run folder: {run_dir}")
     try:

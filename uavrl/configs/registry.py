@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
+from uavrl.configs.replay import ReplayConfig
 from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig, require, require_one_of
 from uavrl.errors import UavrlError
 
@@ -32,13 +33,20 @@ def register_schemas() -> None:
     """Puts every dataclass into Hydra's ConfigStore; yaml files name theirs as ``<group>/<name>_schema``."""
     OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
     OmegaConf.register_new_resolver("learner", lambda *, _root_: learner(_root_), replace=True)
+    ConfigStore.__deepcopy__ = _shared  # type: ignore[attr-defined]
     store = ConfigStore.instance()
     store.store(name="train_schema", node=TrainConfig)
     store.store(name="evaluate_schema", node=EvaluateConfig)
     store.store(name="pretrain_schema", node=PretrainConfig)
+    store.store(name="replay_schema", node=ReplayConfig)
     for group, schemas in {**GROUPS, **PRETRAIN_GROUPS}.items():
         for name, schema in schemas.items():
             store.store(group=group, name=f"{name}_schema", node=schema)
+
+
+def _shared(store: ConfigStore, _: dict[int, Any]) -> ConfigStore:
+    """The store is its own copy: Hydra copies it whole for every group that ``--help`` lists, and never changes it."""
+    return store
 
 
 def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:

@@ -291,6 +291,7 @@ class CollectorConfig:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
+        require_one_of(self.name, "collector.name", ("sync", "async"))
         require(self.steps_per_batch >= 1, "collector.steps_per_batch", "at least 1", self.steps_per_batch)
 
 
@@ -304,13 +305,13 @@ class TrainerConfig:
     checkpoint_interval: int = 20_000
     keep_checkpoints: int = 2
     threads: int = 1
-    execution: str = "captured"
+    execution: str = "auto"
     record_states: bool = False
     progress: bool = True
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        require_one_of(self.execution, "trainer.execution", ("eager", "captured", "compiled"))
+        require_one_of(self.execution, "trainer.execution", ("eager", "captured", "compiled", "auto"))
         for key in ("episodes", "window", "checkpoint_interval", "keep_checkpoints", "threads"):
             require(getattr(self, key) >= 1, f"trainer.{key}", "at least 1", getattr(self, key))
         require(self.updates_per_step > 0, "trainer.updates_per_step", "above 0", self.updates_per_step)
@@ -410,7 +411,7 @@ GROUPS: dict[str, dict[str, type]] = {
     "enhancer": {"fork": ForkConfig, "lifeguard": LifeGuardConfig},
     "buffer": {"uniform": UniformBufferConfig, "prioritized": PrioritizedBufferConfig},
     "backward_reward": {"none": NoBackwardRewardConfig, "abr": ABRConfig, "abr_plus": ABRPlusConfig},
-    "collector": {"sync": CollectorConfig},
+    "collector": {"sync": CollectorConfig, "async": CollectorConfig},
     "trainer": {"default": TrainerConfig},
     "logger": {"csv": LoggerConfig, "tensorboard": LoggerConfig, "wandb": LoggerConfig},
 }

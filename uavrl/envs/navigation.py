@@ -40,7 +40,8 @@ class NavigationEnv(EnvBase):
     rewards are transforms (:mod:`uavrl.transforms`).
 
     Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, so that two policies flown with
-    one seed meet the same tasks (only a plane in the way makes the environment draw it anew).
+    one seed meet the same tasks (only a plane in the way makes the environment draw it anew). ``reset(task=k)``
+    goes on with task ``k``.
     ``set_seed`` also rebuilds physics and traffic at the next full reset: what follows is bit-identical
     to a newly built environment with that seed.
 
@@ -164,11 +165,11 @@ class NavigationEnv(EnvBase):
         self._next_task = 0
         self._stale = False
         if planes:
-            self._simulation.place_planes(self._plane_poses())
+            self._simulation.place_planes(self.plane_poses())
 
     # ------------------------------------------------------------------ reset and step
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+    def _reset(self, tensordict: TensorDictBase | None = None, *, task: int | None = None, **_: object) -> TensorDict:
         mask = np.ones(self.num_uavs, dtype=bool)
         if tensordict is not None and (reset := tensordict.get("_reset", None)) is not None:
             mask = reset.reshape(self.num_uavs).cpu().numpy()
@@ -176,6 +177,7 @@ class NavigationEnv(EnvBase):
             if not mask.all():
                 raise RuntimeError("A new seed takes effect at a full reset: reset all UAVs first.")
             self._rebuild()
+        self._next_task = self._next_task if task is None else task
         self._place(np.flatnonzero(mask))
         nothing = np.zeros(self.num_uavs, dtype=bool)
         data = self._observe(np.flatnonzero(mask), nothing, nothing)
@@ -184,7 +186,6 @@ class NavigationEnv(EnvBase):
         return self._pack(data)
 
     def _place(self, index: np.ndarray) -> None:
-        assert self._simulation is not None
         starts, yaws = np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
             rng = np.random.default_rng((self._seed, self._next_task))
@@ -194,7 +195,7 @@ class NavigationEnv(EnvBase):
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
             self._next_task += 1
         self._steps[index] = 0
-        self._simulation.reset(index, starts, yaws)
+        self.simulation.reset(index, starts, yaws)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         if self._simulation is None:
@@ -219,13 +220,11 @@ class NavigationEnv(EnvBase):
     # ------------------------------------------------------------------ what is seen
 
     def _distance(self) -> np.ndarray:
-        assert self._simulation is not None
-        return np.sqrt(((self._goal - self._simulation.position) ** 2).sum(1))
+        return np.sqrt(((self._goal - self.simulation.position) ** 2).sum(1))
 
     def _observe(self, index: np.ndarray, arrived: np.ndarray, collided: np.ndarray) -> dict[str, np.ndarray]:
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
-        simulation = self._simulation
-        assert simulation is not None
+        simulation = self.simulation
         position, velocity = simulation.position, simulation.velocity
         if self.goal_angle == "course":
             elevation = goal_course_deg(position, velocity, self._goal)
@@ -249,13 +248,20 @@ class NavigationEnv(EnvBase):
             data["clearance"] = simulation.closest_distance()[:, None]
         return data
 
-    def _plane_poses(self) -> np.ndarray:
+    @property
+    def simulation(self) -> Simulation:
+        """The physics: attitudes, sensor positions and more; there is none before the first reset."""
+        assert self._simulation is not None
+        return self._simulation
+
+    def plane_poses(self) -> np.ndarray:
+        """Returns x, y, z in m and yaw in rad of all planes, ``[K, 4]``."""
         return np.column_stack([self._traffic.positions, self._traffic.yaws])
 
     def _scan(self, index: np.ndarray) -> np.ndarray:
         simulation, lidar = self._simulation, self._lidar
         assert simulation is not None and lidar is not None
-        planes = self._plane_poses() if self.world.config.planes else None
+        planes = self.plane_poses() if self.world.config.planes else None
         position, rotation = simulation.lidar_position[index], simulation.rotation[index]
         velocity = simulation.velocity[index]
         spin = (rotation @ simulation.angular_velocity[index][:, :, None])[:, :, 0]

@@ -1,13 +1,29 @@
-"""Success over steps, from the ``episodes.csv`` of runs."""
+"""Rates and returns over steps and episodes, from the ``episodes.csv`` of runs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from uavrl.training.episodes import OUTCOMES, Episode
+from uavrl.training.episodes import OUTCOMES, RATES, Episode
+
+POINTS = 240  # of a curve: enough for a screen
+
+
+def moving_mean(values: Sequence[float] | np.ndarray, window: int) -> np.ndarray:
+    """Mean of the last ``window`` values (or of as many as there are), after each value.
+
+    Examples:
+        >>> moving_mean([0.0, 1.0, 2.0, 3.0], window=2).tolist()
+        [0.0, 0.5, 1.5, 2.5]
+    """
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    ends = np.arange(1, len(total))
+    count = np.minimum(ends, window)
+    return (total[ends] - total[ends - count]) / count
 
 
 def moving_rates(episodes: Sequence[Episode], window: int = 500) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -21,12 +37,69 @@ def moving_rates(episodes: Sequence[Episode], window: int = 500) -> tuple[np.nda
         Steps of training ``[E]``, and the rate ``[E]`` of each outcome.
     """
     steps = np.array([e.total_steps for e in episodes])
-    count = np.minimum(np.arange(1, len(episodes) + 1), window)
-    rates = {}
-    for outcome in OUTCOMES:
-        total = np.concatenate([[0], np.cumsum([e.outcome == outcome for e in episodes])])
-        rates[outcome] = (total[1:] - total[np.arange(1, len(total)) - count]) / count
-    return steps, rates
+    return steps, {name: moving_mean([e.outcome == name for e in episodes], window) for name in OUTCOMES}
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One quantity of a group of seeds over one of the two axes.
+
+    Attributes:
+        seeds: for each seed its ``x`` and ``y``, thinned out, to its own last episode.
+        x: where ``mean``, ``low`` and ``high`` stand; they end where the first seed ends. Empty for a single seed.
+        mean: over the seeds.
+        low: the lowest seed.
+        high: the highest seed.
+    """
+
+    seeds: list[tuple[list[float], list[float]]]
+    x: list[float]
+    mean: list[float]
+    low: list[float]
+    high: list[float]
+
+
+def curves(group: Sequence[Sequence[Episode]], window: int, points: int = POINTS) -> dict[str, dict[str, Curve]]:
+    """Rolling success, collision and time-out rates and return of the seeds of a group.
+
+    Args:
+        group: the episodes of each seed.
+        window: number of episodes that a point covers. The first points cover as many as there are, and a curve begins
+            after a tenth of them: a rate over two or three episodes is noise.
+        points: of each curve, at most.
+
+    Returns:
+        By quantity (``success``, ``collision``, ``time_out``, ``return``) and axis (``steps``, ``episodes``).
+    """
+    quantities: dict[str, list[np.ndarray]] = {name: [] for name in (*RATES, "return")}
+    axes: dict[str, list[np.ndarray]] = {"steps": [], "episodes": []}
+    for episodes in group:
+        steps, rates = moving_rates(episodes, window)
+        begin = min(max(window // 10, 1), len(episodes)) - 1
+        axes["steps"].append(steps[begin:])
+        axes["episodes"].append(np.arange(1, len(episodes) + 1)[begin:])
+        for name, outcome in RATES.items():
+            quantities[name].append(rates[outcome][begin:])
+        quantities["return"].append(moving_mean([e.episode_return for e in episodes], window)[begin:])
+    return {name: {axis: _curve(x, ys, points) for axis, x in axes.items()} for name, ys in quantities.items()}
+
+
+def _curve(xs: list[np.ndarray], ys: list[np.ndarray], points: int) -> Curve:
+    seeds = []
+    for x, y in zip(xs, ys, strict=True):
+        kept = np.unique(np.linspace(0, len(x) - 1, points).round().astype(int))
+        seeds.append((x[kept].tolist(), _rounded(y[kept])))
+    if len(xs) < 2:
+        return Curve(seeds, [], [], [], [])
+    start, end = max(int(x[0]) for x in xs), min(int(x[-1]) for x in xs)
+    grid = np.unique(np.linspace(start, end, points).round()) if start <= end else np.array([])
+    # What a seed has reached at a point is what it had after its last episode before it.
+    values = np.stack([y[np.searchsorted(x, grid, side="right") - 1] for x, y in zip(xs, ys, strict=True)])
+    return Curve(seeds, grid.tolist(), *(_rounded(of(values, axis=0)) for of in (np.mean, np.min, np.max)))
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return np.round(values, 5).tolist()
 
 
 def steps_to(episodes: Sequence[Episode], threshold: float, window: int = 500, outcome: str = "arrived") -> int | None:

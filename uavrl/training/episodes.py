@@ -8,13 +8,15 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any
-
-from tensordict import TensorDictBase
+from typing import TYPE_CHECKING, Any
 
 from uavrl.errors import UavrlError
 
+if TYPE_CHECKING:  # reports read episodes without torch
+    from tensordict import TensorDictBase
+
 OUTCOMES = ("arrived", "collided", "timed_out")
+RATES = {"success": "arrived", "collision": "collided", "time_out": "timed_out"}
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,23 @@ class Episode:
         kinds = {"int": int, "float": float, "str": str}
         values = [kinds[str(f.type)](v) for f, v in zip(fields(Episode), row, strict=True)]
         return Episode(*values)
+
+
+def wilson(count: int, total: int) -> dict[str, float]:
+    """A rate with its Wilson 95 % interval: ``rate``, ``low`` and ``high``, each in [0, 1].
+
+    Args:
+        count: how often it happened.
+        total: how often it could have happened, at least 1.
+
+    Examples:
+        >>> {name: round(value, 3) for name, value in wilson(420, 500).items()}
+        {'rate': 0.84, 'low': 0.805, 'high': 0.87}
+    """
+    from scipy.stats import binomtest
+
+    interval = binomtest(count, total).proportion_ci(0.95, method="wilson")
+    return {"rate": count / total, "low": float(interval.low), "high": float(interval.high)}
 
 
 def outcome(last: TensorDictBase) -> str:
@@ -110,8 +129,11 @@ def read_episodes(path: Path) -> list[Episode]:
     """
     if not path.is_file():
         raise UavrlError(f"Expected the episodes of a run in {path} and found no such file: is it a run folder?")
-    with path.open(newline="") as file:
-        text = file.read()
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            text = file.read()
+    except UnicodeDecodeError as error:
+        raise UavrlError(f"{path} is damaged: it holds bytes that are no text.") from error
     lines = text[: text.rfind("\n") + 1].splitlines()
     rows = list(csv.reader(lines))
     if not rows or rows[0] != Episode.header():
@@ -120,6 +142,9 @@ def read_episodes(path: Path) -> list[Episode]:
         )
     try:
         episodes = [Episode.from_row(row) for row in rows[1:]]
+        unknown = {e.outcome for e in episodes} - set(OUTCOMES)
+        if unknown:
+            raise ValueError(f"{sorted(unknown)[0]!r} is no outcome of an episode")
     except ValueError as error:
         raise UavrlError(f"{path} is damaged: {error}.") from error
     if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):

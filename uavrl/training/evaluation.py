@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.stats import binomtest
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
-from uavrl.training.episodes import outcome
+from uavrl.training.episodes import RATES, outcome, wilson
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
-RATES = {"success": "arrived", "collision": "collided", "time_out": "timed_out"}
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Flight:
         return self.straight / max(self.flown, 1e-9)
 
 
-class _FlightRecorder:
+class FlightRecorder:
     """Follows every vehicle of a batch from reset to done."""
 
     def __init__(self, count: int) -> None:
@@ -48,6 +46,7 @@ class _FlightRecorder:
         self._steps = np.zeros(count, dtype=int)
 
     def step(self, before: TensorDictBase, after: TensorDictBase) -> list[Flight]:
+        """Takes in one step of all vehicles, ``[N]`` before and after it; returns the flights that it ended."""
         position, next_position = before["position"].double().numpy(), after["position"].double().numpy()
         new = self._steps == 0
         self._start[new] = position[new]
@@ -89,7 +88,7 @@ def fly(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False) 
     Raises:
         ValueError: when the environment has given out its first tasks already.
     """
-    recorder = _FlightRecorder(env.batch_size[0])
+    recorder = FlightRecorder(env.batch_size[0])
     flights: dict[int, Flight] = {}
     with (
         set_exploration_type(ExplorationType.DETERMINISTIC),
@@ -126,9 +125,7 @@ def summarize_flights(flights: Sequence[Flight]) -> dict[str, Any]:
         raise ValueError("Expected at least one flight to summarise, got none.")
     result: dict[str, Any] = {"episodes": len(flights)}
     for name, ending in RATES.items():
-        count = sum(f.outcome == ending for f in flights)
-        interval = binomtest(count, len(flights)).proportion_ci(0.95, method="wilson")
-        result[name] = {"rate": count / len(flights), "low": float(interval.low), "high": float(interval.high)}
+        result[name] = wilson(sum(f.outcome == ending for f in flights), len(flights))
     arrived = [f for f in flights if f.outcome == "arrived"]
     clearances = [f.clearance for f in arrived]
     result["path_efficiency"] = float(np.mean([f.path_efficiency for f in arrived])) if arrived else None

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.collectors import Collector
-from torchrl.data import LazyTensorStorage, PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
+from torchrl.collectors import BaseCollector, Collector
+from torchrl.data import Bounded, PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
 from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
@@ -30,8 +31,11 @@ from uavrl.envs.navigation import ACTION_LIMIT, GoalAngle, NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.models import OneShotClassifier, TrajectoryClassifier
 from uavrl.models.trajectory_classifier import packaged_artifact
-from uavrl.training.learner import state_width
+from uavrl.training.async_collector import AsyncCollector
+from uavrl.training.learner import ACTIONS, state_width
+from uavrl.training.storage import GatheringStorage
 from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
+from uavrl.transforms.functional import Statistic
 
 RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
 
@@ -68,11 +72,16 @@ def make_reward(config: RewardConfig) -> Transform:
 
 
 def make_transforms(
-    perception: PerceptionConfig, reward: RewardConfig | None = None, flight_level: float = 3.5
+    perception: PerceptionConfig,
+    reward: RewardConfig | None = None,
+    flight_level: float = 3.5,
+    *,
+    keep_cloud: bool = False,
 ) -> list[Transform]:
-    """From the raw scan to the policy's state: reduction, reward, scaling, frames."""
+    """From the raw scan, which is dropped unless it shall be kept, to the policy's state."""
+    statistic = cast(Statistic, perception.statistic)
     return [
-        TruncatedIcosahedron(radius=perception.radius, statistic=perception.statistic),  # type: ignore[arg-type]
+        TruncatedIcosahedron(radius=perception.radius, statistic=statistic, del_keys=not keep_cloud),
         *([make_reward(reward)] if reward is not None else []),
         NavigationObservation(perception.radius, flight_level, perception.angles),  # type: ignore[arg-type]
         CatFrames(perception.frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
@@ -87,6 +96,7 @@ def make_env(
     seed: int = 0,
     num_uavs: int | None = None,
     measure_clearance: bool = False,
+    keep_cloud: bool = False,
 ) -> TransformedEnv:
     """The navigation environment with everything between the raw scan and the policy's state."""
     base = NavigationEnv(
@@ -100,7 +110,8 @@ def make_env(
         measure_clearance=measure_clearance,
         seed=seed,
     )
-    return TransformedEnv(base, Compose(*make_transforms(perception, reward, env.world.flight_level)))
+    transforms = make_transforms(perception, reward, env.world.flight_level, keep_cloud=keep_cloud)
+    return TransformedEnv(base, Compose(*transforms))
 
 
 def make_backward_reward(
@@ -159,33 +170,44 @@ def make_buffer(
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
     transforms = [transform for transform in (backward_reward, move) if transform is not None]
     return TensorDictReplayBuffer(
-        storage=LazyTensorStorage(config.capacity, device="cpu"),
+        storage=GatheringStorage(config.capacity, device="cpu"),
         sampler=sampler,
         priority_key="td_error",
         transform=Compose(*transforms) if transforms else None,
     )
 
 
-def make_collector(config: TrainConfig, env: EnvBase, actor: TensorDictModuleBase, device: torch.device) -> Collector:
-    """Collects whole episodes, one a batch, with exploration noise after the random steps."""
+def make_collector(
+    config: TrainConfig, env: EnvBase | Callable[[], EnvBase], actor: TensorDictModuleBase, device: torch.device
+) -> BaseCollector:
+    """Collects whole episodes, one a batch, with exploration noise after the random steps.
+
+    Args:
+        config: the run's.
+        env: the environment; for ``collector=async`` what makes it, in the process that flies.
+        actor: the policy without noise.
+        device: where the policy lives.
+    """
     sigma = config.algo.exploration_noise * ACTION_LIMIT
     noise = AdditiveGaussianModule(
-        spec=env.action_spec_unbatched.to(device),
+        spec=Bounded(-ACTION_LIMIT, ACTION_LIMIT, (ACTIONS,), device=device),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,
         device=device,
     )
-    return Collector(
-        env,
-        TensorDictSequential(actor, noise),
-        frames_per_batch=config.env.num_uavs * config.collector.steps_per_batch,
-        total_frames=-1,
-        init_random_frames=config.algo.random_steps,
-        trajs_per_batch=1,
-        traj_format="cat",
-        policy_device=device,
-        env_device="cpu",
-        storing_device="cpu",
-        auto_register_policy_transforms=False,
-    )
+    kwargs: dict[str, Any] = {
+        "policy": TensorDictSequential(actor, noise),
+        "frames_per_batch": config.env.num_uavs * config.collector.steps_per_batch,
+        "total_frames": -1,
+        "init_random_frames": config.algo.random_steps,
+        "trajs_per_batch": 1,
+        "traj_format": "cat",
+        "policy_device": device,
+        "env_device": "cpu",
+        "storing_device": "cpu",
+        "auto_register_policy_transforms": False,
+    }
+    if config.collector.name == "async":
+        return AsyncCollector([env], num_threads=config.trainer.threads, **kwargs)
+    return Collector(env, **kwargs)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+import os
+import shutil
+import sys
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -13,8 +17,25 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from uavrl.errors import UavrlError
 
+log = logging.getLogger(__name__)
 Execution = Literal["eager", "captured", "compiled"]
 LossMethod = Callable[[TensorDictBase], tuple[Tensor, dict[str, Tensor]]]
+
+
+def chosen_execution(name: str) -> Execution:
+    """``name``, or for ``"auto"`` the fastest that this machine has: ``"compiled"`` where there is a C++ compiler.
+
+    Examples:
+        >>> chosen_execution("eager")
+        'eager'
+    """
+    if name != "auto":
+        return cast(Execution, name)
+    compiler = os.environ.get("CXX", "clang++" if sys.platform == "darwin" else "g++")
+    if shutil.which(compiler):
+        return "compiled"
+    log.info("No C++ compiler (%s) was found: updates are captured, not compiled, and about a fifth slower.", compiler)
+    return "captured"
 
 
 class Gradients(NamedTuple):

@@ -9,6 +9,7 @@ import random
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +38,11 @@ from uavrl.training.checkpoint import (
 )
 from uavrl.training.episodes import EpisodeLog, read_episodes
 from uavrl.training.factory import make_backward_reward, make_buffer, make_collector, make_device, make_env
+from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss, state_width
 from uavrl.training.loggers import make_logger
 from uavrl.training.progress import Progress
+from uavrl.training.provenance import commit
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.trainer import EpisodeReplay, NavigationTrainer, barrier_seed
 
@@ -171,7 +174,8 @@ def seed_everything(seed: int) -> None:
 
 def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> NavigationTrainer:
     device = make_device(settings.device)
-    env = make_env(settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
+    new_env = partial(make_env, settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
+    env = new_env if settings.collector.name == "async" else new_env()
     actor = make_actor(settings.algo, settings.perception, device)
     loss = make_loss(settings.algo, actor, settings.perception, device)
     backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
@@ -186,7 +190,7 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         progress=Progress(0, 1, enabled=False),
         rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
-        metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__},
+        metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
         policy=actor,
         episodes=settings.trainer.episodes,
         seed=settings.seed,
@@ -212,7 +216,7 @@ def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticSt
         temperature_lr=getattr(algo, "temperature_lr", 3e-4),
         policy_delay=algo.policy_delay,
         tau=algo.tau,
-        execution=settings.trainer.execution,  # type: ignore[arg-type]
+        execution=chosen_execution(settings.trainer.execution),
     )
 
 
@@ -248,7 +252,12 @@ def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path)
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),
         "mean_return": trainer.episode_log.mean_return(),
-        "versions": {"uavrl": uavrl.__version__, "torch": str(torch.__version__), "python": platform.python_version()},
+        "versions": {
+            "uavrl": uavrl.__version__,
+            "commit": commit(),
+            "torch": str(torch.__version__),
+            "python": platform.python_version(),
+        },
     }
     partial = run_dir / f"{SUMMARY}.partial"
     partial.write_text(json.dumps(summary, indent=2) + "\n")

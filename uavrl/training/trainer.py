@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState
-from torchrl.collectors import Collector
+from torchrl.collectors import BaseCollector
 from torchrl.data import ReplayBuffer
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer, TrainerHookBase
@@ -18,6 +18,7 @@ from uavrl.buffers import BackwardReward
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.recording import StateRecorder
+from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.checkpoint import BufferState, RecordingState
 from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.training.progress import Progress
@@ -141,7 +142,7 @@ class NavigationTrainer(Trainer):
     def __init__(
         self,
         *,
-        collector: Collector,
+        collector: BaseCollector,
         loss: ActorCriticLoss,
         stepper: ActorCriticStepper,
         replay: EpisodeReplay,
@@ -225,8 +226,10 @@ class NavigationTrainer(Trainer):
             )
 
     def barrier(self) -> None:
-        """Drops open episodes and rebuilds the environment."""
+        """Drops open episodes and rebuilds the environment; flights in a process of their own go on."""
         self.steps_flown = self.collector.state_dict()["frames"]
+        if isinstance(self.collector, AsyncCollector) and self.collector.running:
+            return
         self.collector.set_seed(barrier_seed(self.run_seed, self.episode_log.count), static_seed=True)
         self.collector.reset()
 

@@ -1,0 +1,65 @@
+"""Whole flights with random actions, as a training collects them, and how they are timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from common import experiment
+from torchrl.collectors import BaseCollector
+
+from uavrl.configs import TrainConfig
+from uavrl.training.factory import make_collector, make_env
+from uavrl.training.learner import make_actor
+
+CPU = torch.device("cpu")
+ALWAYS_RANDOM = 2**40  # steps
+Row = Callable[[], float]  # returns milliseconds per UAV step
+
+
+def settings(uavs: int, **world: Any) -> TrainConfig:
+    """The default experiment with so many UAVs, other values of its world, and random actions for ever."""
+    config = experiment(f"env.num_uavs={uavs}", f"algo.random_steps={ALWAYS_RANDOM}")
+    return replace(config, env=replace(config.env, world=replace(config.env.world, **world)))
+
+
+def flights(config: TrainConfig) -> BaseCollector:
+    """The collector of whole flights that a training has."""
+    env = make_env(config.env, config.perception, config.reward, seed=config.seed)
+    return make_collector(config, env, make_actor(config.algo, config.perception, CPU), CPU)
+
+
+def flying(collector: BaseCollector, steps: int) -> Row:
+    """Flies at least ``steps`` steps at a time, those of unfinished flights included."""
+    batches = iter(collector)
+
+    def fly() -> float:
+        before, seconds, flown = collector.state_dict()["frames"], 0.0, 0
+        while flown < steps:
+            begin = time.perf_counter()
+            next(batches)
+            seconds += time.perf_counter() - begin
+            flown = collector.state_dict()["frames"] - before
+        return seconds / flown * 1e3
+
+    return fly
+
+
+def measure(rows: dict[str, Row], repeats: int, warm_up: int = 1) -> dict[str, float]:
+    """Returns the median of each row in milliseconds per UAV step."""
+    times: dict[str, list[float]] = {name: [] for name in rows}
+    for turn in range(-warm_up, repeats):
+        for name, run in rows.items():
+            value = run()
+            if turn >= 0:
+                times[name].append(value)
+    return {name: float(np.median(values)) for name, values in times.items()}
+
+
+def mean_of(run: Row, times: int) -> Row:
+    """The mean of several runs, as one run."""
+    return lambda: float(np.mean([run() for _ in range(times)]))

@@ -1,0 +1,154 @@
+"""``uavrl-replay`` end to end on a tiny run; bad input ends in one sentence and leaves no file."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from tests.cli.test_bad_input import TINY, in_process
+from tests.reporting.test_flight_page import Page
+from uavrl.cli import replay as command
+from uavrl.cli import train as train_command
+from uavrl.cli.policies import load_policy
+from uavrl.reporting.flight_page import unpack
+from uavrl.training.flight import load_replay
+
+WORLD = ["env.world.size=[26,20]", "env.world.obstacles=6"]
+SMALL = ["progress=false", "points=40"]
+
+
+def content(folder: Path) -> list[str]:
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+
+
+def data_of(page: Path) -> dict[str, Any]:
+    return json.loads(Page(page.read_text()).scripts["data"])
+
+
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs the command in this process and returns the sentence that it ends with."""
+
+    def run(*arguments: str) -> str:
+        code = in_process(command.main, *arguments)
+        out, err = capfd.readouterr()
+        assert code == 1
+        assert "Traceback" not in out + err
+        return next(line for line in err.splitlines() if line.startswith("uavrl: "))
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "guarded"
+    tiny = [*TINY, *WORLD, "algo=td3_lg", "reward=traditional", f"run_dir={folder}"]
+    assert in_process(train_command.main, *tiny) == 0
+    return folder
+
+
+def test_a_run_is_shown_with_its_own_reward_and_the_risk_that_its_lifeguard_sees(
+    run_dir: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    page, data = tmp_path / "page.html", tmp_path / "flights.npz"
+    arguments = [f"run={run_dir}", "tasks=[0,3]", f"output={page}", f"data={data}", *SMALL]
+    assert in_process(command.main, *arguments) == 0
+    out = capfd.readouterr().out
+    assert "task 0: " in out and "task 3: " in out and f"Written to {page}" in out
+    shown, kept = data_of(page), load_replay(data)
+    assert shown["source"]["run"] == "guarded" and shown["source"]["seed"] == 20_000
+    assert [flight["task"] for flight in shown["flights"]] == [0, 3]
+    for flight, whole in zip(shown["flights"], kept.flights, strict=True):
+        assert flight["reward_names"] == ["progress", "arrival", "collision"]
+        risks = unpack(flight["risks"])
+        assert risks.shape == (flight["steps"],) and ((risks >= 0) & (risks <= 1)).all()
+        np.testing.assert_array_equal(unpack(flight["positions"]), whole.positions)
+    assert content(tmp_path) == ["flights.npz", "page.html"]
+
+
+def test_the_policy_of_the_run_flies(run_dir: Path, tmp_path: Path) -> None:
+    data = tmp_path / "f.npz"
+    assert in_process(command.main, f"run={run_dir}", f"output={tmp_path / 'p.html'}", f"data={data}", *SMALL) == 0
+    (flight,) = load_replay(data).flights
+    _, policy, source = load_policy(run_dir, None, torch.device("cpu"))
+    states = TensorDict({"observation": torch.from_numpy(flight.observations[:-1])}, [flight.summary.steps])
+    with torch.no_grad():
+        np.testing.assert_allclose(policy(states)["action"].numpy(), flight.actions, atol=1e-5)
+    assert source["run"] == str(run_dir)
+
+
+def test_the_page_goes_into_the_run_and_its_name_tells_what_was_changed(run_dir: Path) -> None:
+    assert in_process(command.main, f"run={run_dir}", "task=2", "env.max_steps=3", *SMALL) == 0
+    page = run_dir / "replay_task=2_env.max_steps=3.html"
+    assert data_of(page)["flights"][0]["steps"] <= 3
+    page.unlink()
+
+
+def test_flights_in_a_file_make_the_same_page_again(tmp_path: Path) -> None:
+    first = ["policy=straight", "env.max_steps=4", "episodes=2", *WORLD, f"data={tmp_path / 'f.npz'}"]
+    assert in_process(command.main, *first, f"output={tmp_path / 'a.html'}", *SMALL) == 0
+    again = [f"flight={tmp_path / 'f.npz'}", f"output={tmp_path / 'b.html'}", "progress=false"]
+    assert in_process(command.main, *again) == 0
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    assert data_of(tmp_path / "a.html")["flights"][0]["risks"]["shape"] == [0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "Give one of run=RUN_FOLDER, policy=straight and flight=FILE.npz"),
+        (["policy=straight", "run=x"], "and no two of them"),
+        (["policy=clever"], "policy must be straight, got 'clever'"),
+        (["policy=straight", "task=-1"], "task must be a number from 0, got -1"),
+        (["policy=straight", "tasks=[0,-2]"], "tasks must be a list of different numbers from 0"),
+        (["policy=straight", "tasks=[1,1]"], "tasks must be a list of different numbers from 0"),
+        (["policy=straight", "task=1", "episodes=2"], "one of task, tasks and episodes"),
+        (["policy=straight", "episodes=51"], "at most 50 in one page"),
+        (["policy=straight", "points=0"], "points must be at least 1"),
+        (["run=nothing"], "Expected a run folder with nothing/config.yaml and found none"),
+        (["flight=nothing.npz"], "found no such file"),
+        (["flight=nothing.npz", "task=1"], "leave task out"),
+    ],
+)
+def test_bad_input_is_refused_by_name(
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert said in refused(*arguments, "progress=false")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_empty_run_folder_and_a_missing_checkpoint_are_named(
+    run_dir: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    assert "Expected a run folder with" in refused(f"run={tmp_path / 'empty'}")
+    missing = run_dir / "checkpoints/none.torchrl"
+    assert f"Expected a checkpoint at {missing}" in refused(f"run={run_dir}", f"checkpoint={missing}")
+
+
+def test_what_cannot_be_written_is_named_before_anything_is_flown(tmp_path: Path, refused: Callable[..., str]) -> None:
+    (tmp_path / "file").write_text("kept")
+    for key in ("output", "video", "data"):
+        keys = {"output": tmp_path / "page.html", key: tmp_path / "file" / "x.mp4"}
+        sentence = refused("policy=straight", *(f"{name}={path}" for name, path in keys.items()))
+        assert f"choose another with {key}=FILE" in sentence
+    assert content(tmp_path) == ["file"]
+
+
+@pytest.mark.parametrize(("package", "extra"), [("plotly.offline", "report"), ("imageio_ffmpeg", "video")])
+def test_a_package_that_is_missing_is_named(
+    package: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    page, film = tmp_path / "page.html", tmp_path / "film.mp4"
+    assert f"pip install 'uavrl[{extra}]'" in refused("policy=straight", f"output={page}", f"video={film}")
+    assert not list(tmp_path.iterdir())

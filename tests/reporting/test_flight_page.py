@@ -1,0 +1,217 @@
+"""The page shows the flight's own numbers and needs nothing from outside; a real browser plays it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.training.flights import small_replay
+from uavrl.errors import UavrlError
+from uavrl.reporting.flight_page import make_page, pack, page_data, unpack, visible_triangles, write_page
+from uavrl.reporting.flight_shapes import football
+from uavrl.training.flight import Replay
+from uavrl.transforms.functional import truncated_icosahedron_faces
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMEDRIVER = shutil.which("chromedriver")
+
+
+class Page(HTMLParser):
+    """Collects what a page would fetch, and the text of its scripts."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.scripts: dict[str, str] = {}
+        self._script = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {key: value or "" for key, value in attrs}
+        self.fetched += [values[key] for key in ("src", "href", "srcset", "action") if key in values]
+        if tag == "script":
+            self._script = values.get("id", f"script {len(self.scripts)}")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "script":
+            self._script = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._script:
+            self.scripts[self._script] = self.scripts.get(self._script, "") + data
+
+
+@pytest.fixture(scope="module")
+def page() -> Page:
+    return Page(make_page(small_replay()))
+
+
+def test_the_page_fetches_nothing_and_forbids_it() -> None:
+    text = make_page(small_replay())
+    assert all(address.startswith("data:") for address in Page(text).fetched)
+    assert "default-src 'none'" in text
+    assert not re.search(r"@import|url\(\s*['\"]?(https?:)?//", text.split("<script>")[0])
+    assert not re.findall(r"/\*[\w.]+\.(css|js|json)\*/", text), "a mark of the template is left"
+
+
+def test_the_numbers_in_the_page_are_those_of_the_flight(page: Page) -> None:
+    replay = small_replay()
+    data = json.loads(page.scripts["data"])
+    assert data["source"] == replay.source
+    for shown, flight in zip(data["flights"], replay.flights, strict=True):
+        for name in ("positions", "attitudes", "velocities", "goal", "rewards", "faces", "planes", "clearances"):
+            np.testing.assert_array_equal(unpack(shown[name]), getattr(flight, name).astype(np.float32), err_msg=name)
+        step = shown["points"]["scale"]
+        ends = unpack(shown["point_ends"])
+        clouds = np.split(unpack(shown["points"]), ends[:-1])
+        for moment, cloud in enumerate(clouds):
+            whole = flight.cloud(moment)
+            nearest = np.abs(whole[None, :, :1] - cloud[:20, None, :1]).min(1)
+            assert len(cloud) <= len(whole) and (nearest <= step).all()
+        assert (shown["task"], shown["outcome"]) == (flight.summary.task, flight.summary.outcome)
+        assert shown["path_efficiency"] == flight.summary.path_efficiency
+        assert shown["reward_names"] == list(flight.reward_names)
+
+
+@pytest.mark.parametrize("copies", [1, 25])
+def test_the_page_stays_small(copies: int) -> None:
+    replay = small_replay()
+    many = Replay(replay.source, replay.flights * copies, replay.sceneries)
+    assert len(make_page(many).encode()) < 15e6
+
+
+def test_text_from_outside_cannot_leave_the_data() -> None:
+    replay = small_replay()
+    evil = Replay({"run": "</script><script>alert(1)</script>"}, replay.flights[:1], replay.sceneries)
+    page = Page(make_page(evil))
+    assert json.loads(page.scripts["data"])["source"] == evil.source
+    assert len(page.scripts) == 4
+
+
+def test_packing() -> None:
+    values = np.array([[1.25, -3.0], [0.0, 2.0]])
+    np.testing.assert_array_equal(unpack(pack(values)), values)
+    np.testing.assert_allclose(unpack(pack(values, scale=3.0 / 32767)), values, atol=0.5 * 3.0 / 32767)
+    assert unpack(pack(np.array([3, -4]))).tolist() == [3, -4]
+
+
+def test_the_football_is_that_of_the_reduction() -> None:
+    shape, faces = football(4.0), truncated_icosahedron_faces(4.0)
+    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(shape.vertices[shape.edges], axis=1), axis=-1), 1.614, atol=1e-3)
+    assert np.bincount(shape.faces).tolist() == [3] * 12 + [4] * 20
+    corners = shape.vertices[shape.triangles]
+    heights = np.einsum("tci,ti->tc", corners, faces.normals.numpy()[shape.faces])
+    np.testing.assert_allclose(heights, faces.offsets.numpy()[shape.faces, None].repeat(3, 1), atol=1e-5)
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * faces.normals.numpy()[shape.faces]).sum(1) > 0).all()
+
+
+def test_foundations_are_left_out_and_nothing_else() -> None:
+    scenery = next(iter(small_replay().sceneries.values()))
+    shown = visible_triangles(scenery)
+    assert 0.3 < shown.mean() < 1
+    assert scenery.vertices[scenery.triangles[~shown]][..., 2].max() < 9
+    inside = (np.abs(scenery.vertices[:, :2]) < scenery.size / 2).all(1) & (scenery.vertices[:, 2] > 1.0)
+    floor = np.abs(scenery.vertices[:, :2]).max(1) < 6  # far from the walls the ground stays below 0.5 m
+    assert shown[(inside & floor)[scenery.triangles].any(1)].all()
+
+
+def test_without_plotly_the_page_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(UavrlError, match=r"pip install 'uavrl\[report\]'"):
+        write_page(small_replay(), tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_page_of_no_flights_has_data() -> None:
+    assert page_data(Replay({}, (), {}))["flights"] == []
+
+
+# ---------------------------------------------------------------------- in a browser
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    if CHROMIUM is None or CHROMEDRIVER is None:
+        pytest.skip("needs chromium and chromedriver: apt-get install chromium chromium-driver")
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: pip install selenium")
+    folder = tmp_path_factory.mktemp("browser")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    options.page_load_strategy = "none"
+    flags = "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
+    flags += "disable-component-update disable-sync use-angle=swiftshader enable-unsafe-swiftshader "
+    flags += f"window-size=700,500 user-data-dir={folder / 'profile'}"
+    for flag in flags.split():
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(CHROMEDRIVER))
+    try:
+        driver.set_script_timeout(900)  # without a graphics card, and on a busy machine
+        driver.command_executor.client_config.timeout = 1000
+        write_page(small_replay(), folder / "page.html")
+        driver.get((folder / "page.html").as_uri())
+        ready = "return document.body && document.body.dataset.ready"
+        until = time.monotonic() + 900
+        while not driver.execute_script(ready):
+            assert time.monotonic() < until, driver.get_log("browser")
+            time.sleep(0.5)
+        yield driver
+    finally:
+        driver.quit()
+
+
+@pytest.mark.slow
+def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
+    flight = small_replay().flights[0]
+    move = """
+        document.getElementById("slider").value = arguments[0];
+        document.getElementById("slider").dispatchEvent(new Event("input"));
+        const gd = document.getElementById("scene"), mark = gd.data[MARK], colours = new Set(gd.data[FACES].facecolor);
+        const drawn = gd._fullLayout.scene._scene.traces[gd._fullData[VEHICLE].uid].data.x[0];
+        return {uav: [mark.x[0], mark.y[0], mark.z[0]], clock: document.getElementById("clock").textContent,
+                shades: colours.size, points: gd.data[POINTS].x.length, flown: gd.data[FLOWN].x.length,
+                drawn, vehicle: gd.data[VEHICLE].x[0]};
+    """
+    last = flight.summary.steps
+    for moment in (0, last // 2, last):
+        seen = browser.execute_script(move, moment)
+        np.testing.assert_allclose(seen["uav"], flight.positions[moment], atol=1e-5)
+        assert seen["drawn"] == seen["vehicle"], "what is drawn is what is known"
+        assert f"step {moment} / {last}" in seen["clock"]
+        assert seen["flown"] == moment + 1 and seen["points"] > 100 and seen["shades"] > 1
+    assert browser.execute_script("return document.querySelectorAll('#charts svg polyline').length") >= 8
+    assert "no LifeGuard in this run" in browser.find_element("id", "charts").text
+    assert "0.00" not in browser.find_element("id", "facts").text or flight.summary.outcome == "collided"
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert not errors, errors
+
+
+@pytest.mark.slow
+def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
+    flight = small_replay().flights[1]
+    shown = browser.execute_async_script("""
+        const done = arguments[0];
+        choose(1).then(() => {
+          for (const button of document.querySelectorAll("#views button, #layers button")) button.click();
+          const gd = document.getElementById("scene");
+          done({x: gd.data[MARK].x[0], eye: gd.layout.scene.camera.eye, hidden: gd.data[POINTS].visible,
+                task: document.getElementById("facts").textContent});
+        });
+    """)
+    assert shown["x"] == pytest.approx(float(flight.positions[0, 0]), abs=1e-5)
+    assert shown["hidden"] is False and all(np.isfinite(list(shown["eye"].values())))
+    assert f"task{flight.summary.task}" in shown["task"]
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert not errors, errors

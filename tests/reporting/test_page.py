@@ -1,0 +1,201 @@
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from tests.reporting.folders import DOCUMENTED, evaluation, run_folder
+from uavrl.cli.report import main
+from uavrl.reporting.figures import plotly_javascript
+from uavrl.reporting.page import page
+from uavrl.reporting.report import make_report
+
+VOID = {"meta", "input", "br", "link", "img", "hr"}
+
+
+class Reader(HTMLParser):
+    """Collects text and attributes, and checks that every element that is opened is closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.text: list[str] = []
+        self.fetched: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        if tag == "a":
+            self.links.append(values.get("href") or "")
+        else:
+            self.fetched += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "data", "action")]
+        self.fetched += re.findall(r"url\([^)]*\)", values.get("style") or "")
+        if "id" in values:
+            self.ids.append(values["id"] or "")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open and self.open.pop() == tag, tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "style":
+            assert "url(" not in data and "@import" not in data
+        elif self.open and self.open[-1] != "script":
+            self.text.append(data)
+
+
+def read(html: str) -> Reader:
+    reader = Reader()
+    reader.feed(html)
+    reader.close()
+    assert not reader.open
+    return reader
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    for seed in (0, 1):
+        evaluation(run_folder(tmp_path / f"runs/td3_{seed}", "ccaa", seed=seed), 8, 10)
+    run_folder(
+        tmp_path / "runs/plus", "caaa", reward={"name": "navigation"}, backward_reward={"name": "abr_plus"}, seed=0
+    )
+    (run_folder(tmp_path / "runs/bad", "ca") / "episodes.csv").unlink()
+    return tmp_path / "runs"
+
+
+def test_the_page_holds_together_and_fetches_nothing(runs: Path) -> None:
+    html = page(make_report([runs], window=2))
+    reader = read(html)
+    assert reader.fetched == []
+    assert all(link.startswith("#") and link[1:] in reader.ids for link in reader.links)
+    assert len(reader.ids) == len(set(reader.ids))
+    assert html.count(plotly_javascript()[:2000]) == 1
+    assert "default-src 'none'" in html
+
+
+def test_the_page_says_what_the_facts_say(runs: Path) -> None:
+    text = " ".join(" ".join(read(page(make_report([runs], window=2, title="Mine & yours"))).text).split())
+    for expected in (
+        "Mine & yours",
+        "one seed",
+        "episodes.csv is missing, which holds what the run has flown",
+        "Left out",
+        "Steps to 78 %",
+        "82.4 %",
+        "td3_abr_plus · navigation",
+        "4 episodes, not 5,000",
+        "80.0 % 49.0–94.3",
+        "version not recorded",
+        "No pair is tested",
+        "algo:",
+    ):
+        assert expected in text, expected
+
+
+def test_names_from_files_cannot_write_html(tmp_path: Path) -> None:
+    evil = "</script><script>alert(1)</script><img src=x>"
+    folder = run_folder(tmp_path / "<b>run", "ca", reward__name=evil)
+    run_folder(tmp_path / "other", "ca")
+    evaluation(folder, 1, 2, env=evil, valleys=evil)
+    html = page(make_report([tmp_path], window=2, title=evil))
+    assert "<script>alert" not in html and "<img src=x" not in html and "<b>run" not in html
+    assert read(html).fetched == []
+
+
+def test_evaluations_with_missing_or_strange_values(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "run", "ca")
+    evaluation(folder, 1, 2, env=None, valleys=3, path_efficiency="x", median_clearance=None, training_steps=None)
+    content = json.loads((folder / "evaluation.json").read_text())
+    del content["steps_per_arrival"], content["valleys"]
+    (folder / "evaluation_2.json").write_text(json.dumps(content))
+    assert "evaluation_2.json" in page(make_report([tmp_path], window=2))
+
+
+def test_more_groups_than_colours(tmp_path: Path) -> None:
+    for i in range(9):
+        run_folder(tmp_path / f"run{i}", "ca", algo__gamma=0.9 + i / 100)
+    read(page(make_report([tmp_path], window=2)))
+
+
+@pytest.fixture
+def report(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["uavrl-report", *map(str, arguments)])
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_the_command_writes_page_and_facts(
+    runs: Path, tmp_path: Path, report: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = report(runs, "--window", 2)
+    assert code == 0
+    assert out.splitlines()[-1] == "Written to report.html and report.json"
+    assert f"uavrl: {runs / 'bad'} is left out. episodes.csv is missing" in err
+    assert json.loads((tmp_path / "report.json").read_text())["window"] == 2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["report.html", "report.json", "runs"]
+    assert report(runs, "--output", "deep/a.html", "--json", "deep/b.json")[0] == 0
+    assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["a.html", "b.json"]
+
+
+def test_the_command_ends_in_one_sentence(
+    runs: Path, tmp_path: Path, report: Callable[..., tuple[int, str, str]]
+) -> None:
+    output = tmp_path / "page.html"
+    for arguments, expected in (
+        ([tmp_path / "nowhere"], "There is nothing to report"),
+        ([runs, "--threshold", "78"], "The threshold must be a rate"),
+        ([runs, "--window", "0"], "The window must be at least 1"),
+        ([runs, "--json", output], "cannot both go to"),
+        ([runs, "--json", runs], "cannot be written"),
+    ):
+        code, _, err = report(*arguments, "--output", output)
+        assert code == 1 and expected in err.splitlines()[-1] and "Traceback" not in err
+        assert not output.exists()
+
+
+@pytest.mark.parametrize("package", ["plotly", "jinja2"])
+def test_a_missing_package_is_told(
+    package: str, runs: Path, report: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == package] + [package]:
+        monkeypatch.setitem(sys.modules, name, None)
+    code, _, err = report(runs)
+    assert code == 1 and f"needs {package}" in err and "pip install 'uavrl[report]'" in err
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
+def test_a_browser_draws_every_figure(tmp_path: Path) -> None:
+    file = tmp_path / "report.html"
+    file.write_text(page(make_report(DOCUMENTED)))
+    command = [
+        str(CHROMIUM),
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--virtual-time-budget=20000",
+        "--dump-dom",
+    ]
+    found = subprocess.run([*command, file.as_uri()], capture_output=True, text=True, timeout=120, check=True).stdout
+    figures = re.findall(r'id="plot-([a-z_-]+)"[^>]*js-plotly-plot|js-plotly-plot[^>]*id="plot-([a-z_-]+)"', found)
+    assert len(figures) == len(re.findall(r'id="plot-', found)) == 9

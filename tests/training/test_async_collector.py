@@ -1,0 +1,104 @@
+"""Flying in a process of its own: the same bookkeeping as in one process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from tests.training.test_resume import small_config
+from uavrl.errors import UavrlError
+from uavrl.training.async_collector import AsyncCollector
+from uavrl.training.episodes import read_episodes
+from uavrl.training.run import create_run, train
+
+
+class Counter(EnvBase):
+    """Counts to five; what it observes is not of interest. Breaks after ``breaks_after`` steps."""
+
+    def __init__(self, breaks_after: int = 10**9) -> None:
+        super().__init__()
+        self.left = breaks_after
+        self.observation_spec = Composite(observation=Unbounded((1,)))
+        self.action_spec = Bounded(-1000.0, 1000.0, (1,))
+        self.reward_spec = Unbounded((1,))
+        self.count = 0
+
+    def _reset(self, _: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
+        self.count = 0
+        return TensorDict({"observation": torch.zeros(1)})
+
+    def _step(self, data: TensorDictBase) -> TensorDictBase:
+        self.count += 1
+        self.left -= 1
+        if self.left < 0:
+            raise RuntimeError("a propeller came off")
+        done = torch.tensor([self.count == 5])
+        return TensorDict({"observation": torch.zeros(1), "reward": torch.zeros(1), "done": done, "terminated": done})
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
+
+
+class Breaking(Counter):
+    def __init__(self) -> None:
+        super().__init__(breaks_after=23)
+
+
+def policy() -> TensorDictModule:
+    return TensorDictModule(torch.nn.Linear(1, 1), ["observation"], ["action"])
+
+
+def collector(env: type[EnvBase], actor: TensorDictModule) -> AsyncCollector:
+    return AsyncCollector(
+        [env], policy=actor, frames_per_batch=5, total_frames=-1, trajs_per_batch=1, traj_format="cat", device="cpu"
+    )
+
+
+def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
+    actor = policy()
+    flown = collector(Counter, actor)
+    try:
+        actions = []
+        for turn, batch in enumerate(flown):
+            assert batch["next", "done"].flatten().tolist() == [False] * 4 + [True]
+            actions.append(batch["action"][-1].item())
+            with torch.no_grad():
+                actor.module.bias.fill_(100.0 + turn)
+            if turn == 8:
+                break
+        assert all(a >= 100.0 for a in actions[3:])  # what it flies is at most some batches old
+        assert actions[3:] == sorted(actions[3:]) and actions[-1] > actions[3]
+        assert flown.state_dict() == {"frames": 45, "iter": 8}
+    finally:
+        flown.shutdown()
+
+
+def test_a_process_that_dies_ends_the_run_with_a_sentence(capfd: pytest.CaptureFixture[str]) -> None:
+    flown = collector(Breaking, policy())
+    try:
+        with pytest.raises(UavrlError, match="The process that flies has ended"):
+            for _ in flown:
+                pass
+    finally:
+        flown.shutdown(raise_on_error=False)
+    assert "a propeller came off" in capfd.readouterr().err
+
+
+def test_a_run_updates_as_often_as_it_steps_and_can_be_resumed(tmp_path: Path) -> None:
+    overrides = ["collector=async", "trainer.episodes=14"]
+    config = small_config(tmp_path / "run", *overrides)
+    train(config, create_run(config))
+    config.trainer.episodes = 22
+    train(config, tmp_path / "run", resume=True)
+    episodes = read_episodes(tmp_path / "run" / "episodes.csv")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert [e.episode for e in episodes] == list(range(1, 23))
+    assert summary["steps"] == sum(e.steps for e in episodes) == episodes[-1].total_steps
+    assert summary["updates"] == sum(e.steps for e in episodes if e.total_steps >= 40)

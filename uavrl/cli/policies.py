@@ -1,0 +1,128 @@
+"""What evaluation and replay share: whose policy flies, in which environment, and where the result goes."""
+
+from __future__ import annotations
+
+import errno
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from uavrl.configs import to_dataclass
+from uavrl.errors import UavrlError
+
+if TYPE_CHECKING:
+    from uavrl.configs import TrainConfig
+
+
+def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
+    """The run's configuration with what the command line says about environment and sensor.
+
+    ``env=NAME`` replaces the environment, ``env.key=value`` and ``perception.lidar.key=value`` change one value.
+    """
+    result = run_config.copy()
+    keys = [override.split("=", 1)[0] for override in overrides]
+    if "env" in keys:
+        result.env = composed.env
+    for key in keys:
+        if key.startswith(("env.", "perception.lidar.")):
+            OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
+        elif key.split(".")[0] == "perception":
+            raise UavrlError(
+                f"{key} belongs to the policy of the run and cannot change in its evaluation: leave it out."
+            )
+    return result
+
+
+def name_of_output(stem: str, overrides: Sequence[str], plain: Collection[str]) -> str:
+    """A file name without suffix in which all stands that was changed on the command line, except the plain keys.
+
+    Examples:
+        >>> name_of_output("evaluation", ["run=runs/a", "valleys=[100,101]"], ["run"])
+        'evaluation_valleys=100-101'
+    """
+    told = [
+        re.sub(r"[^\w.=-]+", "-", o).replace("=-", "=").strip("-") for o in overrides if o.split("=")[0] not in plain
+    ]
+    return "_".join([stem, *told])
+
+
+def writable(output: Path, key: str = "output") -> Path:
+    """The path itself, found writable before anything is flown; its folder is made.
+
+    Raises:
+        UavrlError: when it cannot be written; ``key`` names the setting that chooses another.
+    """
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        if output.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        partial = output.with_name(output.name + ".partial")
+        partial.touch()
+        partial.unlink()
+    except OSError as error:
+        raise UavrlError(f"{output} cannot be written ({error.strerror}): choose another with {key}=FILE.") from error
+    return output
+
+
+def load_policy(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfig, Any, dict[str, Any]]:
+    """The policy of a run's checkpoint, the newest if none is named.
+
+    Returns:
+        The run's configuration, the policy, and what a result says about them.
+
+    Raises:
+        UavrlError: when the run or the checkpoint is missing or damaged.
+    """
+    from torchrl.checkpoint import Checkpoint
+
+    from uavrl.training.checkpoint import check_checkpoint, read_config, restore
+    from uavrl.training.learner import make_actor
+
+    config = read_config(run_dir)
+    path = checkpoint_path(run_dir, checkpoint)
+    train_config: TrainConfig = to_dataclass(config)
+    metadata = check_checkpoint(path, config)
+    actor = make_actor(train_config.algo, train_config.perception, device)
+    restore(Checkpoint(policy=actor), path, ["policy"])
+    source = {
+        "run": str(run_dir),
+        "checkpoint": path.name,
+        "training_steps": metadata["collected_frames"],
+        "training_episodes": metadata["episodes"],
+    }
+
+    def policy(tensordict: Any) -> Any:
+        acted = actor(tensordict.select("observation").to(device))
+        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
+
+    return config, policy, source
+
+
+def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
+    """The file of the checkpoint named, or of the run's newest.
+
+    Raises:
+        UavrlError: when there is none.
+    """
+    from uavrl.training.checkpoint import latest_checkpoint
+
+    path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
+    if not path.is_file():
+        raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
+    return path
+
+
+def baseline(name: str, flight_level: float) -> Any:
+    """A policy that learns nothing, by its name.
+
+    Raises:
+        UavrlError: for another name than ``straight``.
+    """
+    from uavrl.training.baselines import StraightPolicy
+
+    if name != "straight":
+        raise UavrlError(f"policy must be straight, got {name!r}: to fly a trained policy give run=RUN_FOLDER.")
+    return StraightPolicy(flight_level)

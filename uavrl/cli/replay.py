@@ -1,0 +1,114 @@
+"""``uavrl-replay``: flies a few tasks without noise and shows them in a page, and in a film."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.cli.policies import baseline, checkpoint_path, load_policy, name_of_output, with_overrides, writable
+from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.errors import UavrlError
+
+if TYPE_CHECKING:
+    from uavrl.configs import TrainConfig
+    from uavrl.configs.replay import ReplayConfig
+    from uavrl.training.flight import Replay
+
+register_schemas()
+
+
+@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="replay")
+def main(config: DictConfig) -> None:
+    """Makes one page."""
+    configure_logging()
+    with one_sentence():
+        _replay(config, [override.lstrip("+") for override in HydraConfig.get().overrides.task])
+
+
+def _replay(config: DictConfig, overrides: list[str]) -> None:
+    settings: ReplayConfig = to_dataclass(config)
+    if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
+        raise UavrlError("Give one of run=RUN_FOLDER, policy=straight and flight=FILE.npz, and no two of them.")
+    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
+    from uavrl.reporting.flight_page import needs_plotly, write_page
+    from uavrl.reporting.flight_video import needs_imageio, write_video
+    from uavrl.training.flight import load_replay, save_replay
+
+    needs_plotly()
+    if settings.video:
+        needs_imageio()
+    # All that can be wrong with the input is found before a folder is made or anything is flown.
+    loaded = load_replay(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
+    outputs = _outputs(settings, overrides)
+    shown = loaded() if callable(loaded) else loaded
+    for flight in shown.flights:
+        summary = flight.summary
+        print(
+            f"task {summary.task}: {summary.outcome.replace('_', ' ')} after {summary.steps} steps, path efficiency "
+            f"{summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
+        )
+    write_page(shown, outputs["output"])
+    if settings.data:
+        save_replay(shown, outputs["data"])
+    if settings.video:
+        write_video(shown.flights[0], shown.scenery(shown.flights[0]), outputs["video"], progress=settings.progress)
+    for path in outputs.values():
+        print(f"Written to {path}")
+
+
+def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
+    """Where page, data and film go, found writable before anything is flown."""
+    plain = ("run", "flight", "output", "video", "data", "points", "device", "threads", "progress")
+    folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
+    paths = {"output": Path(settings.output or folder / (name_of_output("replay", overrides, plain) + ".html"))}
+    paths |= {key: Path(path) for key in ("data", "video") if (path := getattr(settings, key))}
+    return {key: writable(path, key) for key, path in paths.items()}
+
+
+def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) -> Callable[[], Replay]:
+    """Loads what flies; the call that it returns flies it."""
+    import torch
+
+    from uavrl.training.factory import make_device
+    from uavrl.training.replay import load_risk, record_flights
+
+    torch.set_num_threads(settings.threads)
+    device = make_device(settings.device)
+    env, perception, reward, risk = settings.env, settings.perception, settings.reward, None
+    source: dict[str, Any]
+    if settings.run is not None:
+        run_dir = Path(settings.run)
+        run_config, policy, source = load_policy(run_dir, settings.checkpoint, device)
+        changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
+        env, perception, reward = changed.env, changed.perception, changed.reward
+        risk = load_risk(changed, checkpoint_path(run_dir, settings.checkpoint), device)
+        source["run"] = run_dir.resolve().name
+    else:
+        policy, source = baseline(str(settings.policy), env.world.flight_level), {"policy": settings.policy}
+    if settings.valleys is not None:
+        env = replace(env, world=replace(env.world, seeds=settings.valleys))
+    return partial(
+        record_flights,
+        env,
+        perception,
+        policy,
+        settings.task_numbers,
+        seed=settings.seed,
+        source={**source, "env": env.name, "seed": settings.seed},
+        reward=reward,
+        risk=risk,
+        max_points=settings.points,
+        progress=settings.progress,
+    )
+
+
+if __name__ == "__main__":
+    main()

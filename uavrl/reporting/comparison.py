@@ -1,0 +1,119 @@
+"""Groups of seeds against each other: interquartile means and tests, for each way of scoring a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from uavrl.reporting.groups import Group
+from uavrl.reporting.statistics import compare, holm, stratified_iqm
+
+TRAINING, EVALUATION = "training", "evaluation"
+_SIGNIFICANT = 0.05
+
+
+def compare_groups(groups: Sequence[Group], window: int) -> list[dict[str, Any]]:
+    """Interquartile means, and tests of each pair of groups that has two seeds or more on either side.
+
+    Args:
+        groups: of the report.
+        window: number of last training episodes that give a seed its score.
+
+    Returns:
+        For each way of scoring (in training; in evaluations that all seeds of all evaluated groups flew alike):
+        ``score``, ``tasks``, the ``iqm`` of each group with its interval, the ``tests`` of each pair, with p values
+        before and after Holm's correction over the pairs, and a ``reading``: how much so many seeds can show.
+    """
+    training = {group.label: np.array([[_success(run, window)] for run in group.runs]) for group in groups}
+    result = [_compare(TRAINING, [f"last {window} training episodes"], training)]
+    conditions, evaluated = _evaluated(groups)
+    if conditions:
+        result.append(_compare(EVALUATION, [_told(condition) for condition in conditions], evaluated))
+    return result
+
+
+def _success(run: Any, window: int) -> float:
+    return float(np.mean([episode.outcome == "arrived" for episode in run.episodes[-window:]]))
+
+
+def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], float]:
+    """Success by what was flown; of two evaluations of the same the one of the longer training counts."""
+    ordered = sorted(evaluations, key=lambda e: _number(e.get("training_steps")))
+    return {
+        tuple(str(e.get(key)) for key in ("env", "valleys", "seed", "episodes", "file")): float(e["success"]["rate"])
+        for e in ordered
+    }
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, int | float) else 0.0
+
+
+def _told(condition: tuple[str, ...]) -> str:
+    env, valleys, seed, episodes, _ = condition
+    return f"{env}, valleys {valleys}, {episodes} tasks of seed {seed}"
+
+
+def _evaluated(groups: Sequence[Group]) -> tuple[list[tuple[str, ...]], dict[str, np.ndarray]]:
+    """The evaluations that every seed of every evaluated group has, and the success of each seed in each."""
+    flown = {group.label: [_conditions(run.evaluations) for run in group.runs] for group in groups}
+    flown = {label: seeds for label, seeds in flown.items() if all(seeds)}
+    if not flown:
+        return [], {}
+    common = set.intersection(*(set(seed) for seeds in flown.values() for seed in seeds))
+    conditions = sorted(common)
+    return conditions, {
+        label: np.array([[seed[c] for c in conditions] for seed in seeds]) for label, seeds in flown.items()
+    }
+
+
+def _compare(score: str, tasks: list[str], scores: dict[str, np.ndarray]) -> dict[str, Any]:
+    several = {label: values for label, values in scores.items() if len(values) >= 2}
+    tests = []
+    for first, second in combinations(several, 2):
+        found = compare(several[first].mean(axis=1).tolist(), several[second].mean(axis=1).tolist())
+        seeds = [len(several[first]), len(several[second])]
+        tests.append({"first": first, "second": second, "seeds": seeds, **asdict(found)})
+    for name in ("welch", "permutation"):
+        known = [test for test in tests if test[name] is not None]
+        for test, corrected in zip(known, holm([test[name] for test in known]), strict=True):
+            test[f"{name}_holm"] = corrected
+        for test in tests:
+            test.setdefault(f"{name}_holm", None)
+    return {
+        "score": score,
+        "tasks": tasks,
+        "iqm": [
+            {"group": label, "seeds": len(values), **asdict(stratified_iqm(values))} for label, values in scores.items()
+        ],
+        "tests": tests,
+        "reading": _reading(tests, [label for label in scores if label not in several], scores),
+    }
+
+
+def _reading(tests: list[dict[str, Any]], one_seed: list[str], scores: dict[str, np.ndarray]) -> list[str]:
+    """How much, or little, the numbers can show."""
+    sentences = []
+    for seeds, least in sorted({(tuple(sorted(test["seeds"])), test["least"]) for test in tests}):
+        told = f"With {seeds[0]} seeds against {seeds[1]} the permutation test can give no p below {least:.2g}"
+        sentences.append(
+            f"{told}: it cannot call any difference significant at 5 %, whatever the seeds do."
+            if least > _SIGNIFICANT
+            else f"{told}, before the correction for {len(tests)} pairs."
+        )
+    if any(2 in test["seeds"] for test in tests):
+        sentences.append(
+            "Two seeds show next to nothing about the spread between seeds: Welch's test then rests on the assumption "
+            "that seeds are spread normally, and the bootstrap interval is no more than the two seeds themselves."
+        )
+    if not tests:
+        sentences.append("No pair is tested: that takes two groups with two seeds or more each.")
+    if one_seed:
+        sentences.append(f"One seed, so neither interval nor test: {', '.join(one_seed)}.")
+    if any(len(values) >= 2 and values.size < 4 for values in scores.values()):
+        sentences.append("Of fewer than four scores the interquartile mean cuts nothing off: it is their mean.")
+    return sentences

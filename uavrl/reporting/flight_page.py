@@ -1,0 +1,163 @@
+"""One page that plays flights back in three dimensions and needs no network."""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uavrl.envs.terrain import HeightField
+from uavrl.errors import UavrlError
+from uavrl.reporting.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, vehicle
+from uavrl.training.flight import RecordedFlight, Replay, Scenery, thinned
+
+POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four characters of three bytes
+
+
+def needs_plotly() -> str:
+    """Returns plotly's JavaScript, which goes into the page.
+
+    Raises:
+        UavrlError: when plotly is not installed.
+    """
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise UavrlError("A replay page needs plotly, which is not installed: pip install 'uavrl[report]'.") from error
+    return get_plotlyjs()
+
+
+def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:
+    """An array as JSON: little-endian bytes in base64.
+
+    Args:
+        values: Any shape; whole numbers become int32, others float32.
+        scale: Worth of one step where int16 is enough.
+
+    Examples:
+        >>> pack(np.array([[1, 2]]))
+        {'type': 'i4', 'shape': [1, 2], 'data': 'AQAAAAIAAAA='}
+    """
+    values = np.asarray(values)
+    if scale is not None:
+        kind, stored = "i2", np.round(values / scale)
+    else:
+        kind, stored = ("i4", values) if np.issubdtype(values.dtype, np.integer) else ("f4", values)
+    data = base64.b64encode(np.ascontiguousarray(stored.astype(f"<{kind}")).tobytes()).decode()
+    return {"type": kind, "shape": list(values.shape), **({} if scale is None else {"scale": scale}), "data": data}
+
+
+def unpack(packed: dict[str, Any]) -> np.ndarray:
+    """What :func:`pack` packed, to within half a step of its scale.
+
+    Examples:
+        >>> unpack(pack(np.array([0.5, -1.0]), scale=0.5)).tolist()
+        [0.5, -1.0]
+    """
+    raw = np.frombuffer(base64.b64decode(packed["data"]), dtype=f"<{packed['type']}").reshape(packed["shape"])
+    return raw * packed["scale"] if "scale" in packed else raw
+
+
+def page_data(replay: Replay) -> dict[str, Any]:
+    """All that the page shows, as JSON.
+
+    Examples:
+        >>> page_data(Replay({"policy": "straight"}, (), {}))["flights"]
+        []
+    """
+    scans = sum(len(flight.times) for flight in replay.flights)
+    most = max(POINT_BYTES // (6 * max(scans, 1)), 20)
+    balls = {scenery.ball for scenery in replay.sceneries.values()} or {4.0}
+    shape = football(min(balls))
+    parts = vehicle()
+    return {
+        "source": replay.source,
+        "colours": {**OUTCOMES, "body": BODY, "plane": PLANE, "goal": GOAL},
+        "vehicle": [
+            {"vertices": pack(part.mesh.vertices), "triangles": pack(part.mesh.faces), "colour": part.colour}
+            for part in parts
+        ],
+        "ball": {name: pack(value) for name, value in shape._asdict().items()},
+        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in replay.sceneries.items()},
+        "flights": [_flight(flight, most) for flight in replay.flights],
+    }
+
+
+def visible_triangles(scenery: Scenery) -> np.ndarray:
+    """Returns which triangles of the obstacles, ``bool [F]``, rise above the ground: their foundations do not."""
+    if not len(scenery.vertices):
+        return np.zeros(0, dtype=bool)
+    size = (float(scenery.size[0]), float(scenery.size[1]))
+    inside = (np.abs(scenery.vertices[:, :2]) < scenery.size / 2).all(1)
+    above = scenery.vertices[:, 2] > HeightField(scenery.heights, size).at(scenery.vertices[:, :2])
+    return (inside & above)[scenery.triangles].any(1)
+
+
+def _scenery(scenery: Scenery) -> dict[str, Any]:
+    values = {field.name: getattr(scenery, field.name) for field in fields(scenery)}
+    shown = visible_triangles(scenery)
+    values |= {"triangles": scenery.triangles[shown], "kinds": scenery.kinds[shown]}
+    data = {name: pack(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}
+    return {**data, "kind_colours": [KINDS.get(kind, OTHER_KIND) for kind in scenery.kind_names]}
+
+
+def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
+    values = {field.name: getattr(flight, field.name) for field in fields(flight)}
+    data = {name: pack(value) for name, value in values.items() if isinstance(value, np.ndarray)}
+    clouds = [thinned(flight.cloud(moment), most) for moment in range(len(flight.times))]
+    points = np.concatenate(clouds)
+    farthest = float(np.abs(points).max(initial=1e-3))
+    summary = flight.summary
+    return {
+        **data,
+        "observations": None,  # the page shows what they are made of
+        "points": pack(points, scale=farthest / 32767),
+        "point_ends": pack(np.cumsum([len(cloud) for cloud in clouds])),
+        "reward_names": list(flight.reward_names),
+        "task": summary.task,
+        "world_seed": summary.world_seed,
+        "outcome": summary.outcome,
+        "steps": summary.steps,
+        "path_efficiency": summary.path_efficiency,
+        "clearance": summary.clearance,
+    }
+
+
+def make_page(replay: Replay) -> str:
+    """The page, with its data, its programs and plotly's inside.
+
+    Raises:
+        UavrlError: when plotly is not installed.
+    """
+    data = json.dumps(page_data(replay), separators=(",", ":")).replace("</", "<\\/")
+    assets = resources.files("uavrl.reporting") / "assets"
+    texts = {name: (assets / name).read_text("utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")}
+    # No fragment holds another one's mark, so the order of the replacements does not matter.
+    page = (assets / "flight.html").read_text("utf-8")
+    for mark, text in {**texts, "plotly.js": needs_plotly(), "data.json": data}.items():
+        before, found, after = page.partition(f"/*{mark}*/")
+        assert found, f"flight.html has no place for {mark}"
+        page = before + text + after
+    return page
+
+
+def write_page(replay: Replay, output: Path) -> None:
+    """Writes the page of some flights.
+
+    Args:
+        replay: The flights.
+        output: The HTML file.
+
+    Raises:
+        UavrlError: when plotly is not installed.
+        OSError: when the file cannot be written.
+    """
+    text = make_page(replay)
+    partial = output.with_name(output.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(output)

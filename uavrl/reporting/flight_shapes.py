@@ -1,0 +1,149 @@
+"""Shapes to draw: the vehicle and the truncated icosahedron around it."""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+from typing import NamedTuple
+
+import numpy as np
+
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
+from uavrl.envs.shapes import loft
+from uavrl.transforms.functional import truncated_icosahedron_faces
+
+ROTOR_RADIUS = 0.14  # m
+OUTCOMES = {"arrived": "#009E73", "collided": "#D55E00", "timed_out": "#56B4E9"}  # colours of Okabe and Ito
+KINDS = {"tree": "#6b8f5e", "rock": "#8f8b84", "pole": "#a08a6a", "arch": "#9a7f72", "overhang": "#7f8794"}
+OTHER_KIND = "#8a8a8a"
+BODY, HEAD, PLANE, GOAL = "#0072B2", "#CC79A7", "#7b3fa0", "#f0c419"
+_PHI = (1 + 5**0.5) / 2
+
+
+class Part(NamedTuple):
+    """A part of one colour.
+
+    Args:
+        mesh: In body axes: x ahead, y left, z up, in m.
+        colour: ``#rrggbb``.
+    """
+
+    mesh: Mesh
+    colour: str
+
+
+class Football(NamedTuple):
+    """The truncated icosahedron as triangles and edges.
+
+    Args:
+        vertices: ``[60, 3]`` in m around the origin.
+        triangles: ``[116, 3]``, fans over the faces.
+        faces: ``[116]``, the face that each triangle belongs to, in the order of the reduction's 32 numbers.
+        edges: ``[90, 2]``.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    faces: np.ndarray
+    edges: np.ndarray
+
+
+def vehicle(airframe: Airframe | None = None) -> list[Part]:
+    """Returns the quadrotor: arms, rotors, LiDAR and a nose that shows the heading.
+
+    Args:
+        airframe: Gives lengths.
+
+    Examples:
+        >>> [len(part.mesh.faces) for part in vehicle()]
+        [136, 168, 128]
+    """
+    frame = airframe or Airframe()
+    arms = [_bar(-direction * frame.arm, direction * frame.arm, 0.025) for direction in np.eye(3)[:2]]
+    rotors = [_disc(np.append(d * frame.arm, 0.04), ROTOR_RADIUS, 0.012, 14) for d in ROTOR_DIRECTIONS]
+    hub = _disc(np.array([0, 0, 0.0]), 0.1, 0.06, 12)
+    lidar = _disc(np.array(frame.lidar_position), frame.lidar_diameter / 2, frame.lidar_height, 14)
+    start = frame.arm + ROTOR_RADIUS
+    rings = [(start, 0.06), (start + 0.01, 0.06), (start + 0.22, 0.002)]
+    nose = loft(np.stack([_ring(r, 12)[:, [2, 0, 1]] + [x, 0, 0.03] for x, r in rings]))
+    return [
+        Part(Mesh.merge([*arms, hub, lidar]), "#22262b"),
+        Part(Mesh.merge(rotors[1:]), BODY),
+        Part(Mesh.merge([rotors[0], nose]), HEAD),
+    ]
+
+
+def _ring(radius: float, sides: int) -> np.ndarray:
+    angle = np.arange(sides) * 2 * np.pi / sides
+    return radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(sides)], -1)
+
+
+def _disc(centre: np.ndarray, radius: float, height: float, sides: int) -> Mesh:
+    return loft(np.stack([_ring(radius, sides) + centre + [0, 0, z] for z in (-height / 2, height / 2)]))
+
+
+def _bar(start: np.ndarray, end: np.ndarray, width: float) -> Mesh:
+    """A square bar between two points."""
+    along = end - start
+    across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+    across /= np.linalg.norm(across)
+    upright = np.cross(across, along) / np.linalg.norm(along)
+    square = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * width / 2
+    ring = square[:, :1] * across + square[:, 1:] * upright
+    return loft(np.stack([ring + start, ring + end]))
+
+
+def cage(radius: float, height: float, width: float = 0.07, sides: int = 24) -> Mesh:
+    """Returns three rings and some bars around a cylinder about the origin, which can be seen through.
+
+    Args:
+        radius: In m.
+        height: In m.
+        width: Of the bars in m.
+        sides: Corners of a ring.
+
+    Examples:
+        >>> mesh = cage(1.0, 7.0)
+        >>> float(mesh.vertices[:, 2].max().round(1))
+        3.5
+    """
+    ring = _ring(radius, sides)
+    after = np.roll(ring, -1, axis=0)
+    levels = [np.array([0.0, 0.0, share * height]) for share in (-0.5, 0.0, 0.5)]
+    bars = [_bar(a + z, b + z, width) for z in levels for a, b in zip(ring, after, strict=True)]
+    bars += [_bar(corner + levels[0], corner + levels[2], width) for corner in ring[:: sides // 8]]
+    return Mesh.merge(bars)
+
+
+def football(radius: float) -> Football:
+    """Returns the truncated icosahedron of a circumradius in m.
+
+    Examples:
+        >>> shape = football(4.0)
+        >>> [part.shape for part in shape]
+        [(60, 3), (116, 3), (116,), (90, 2)]
+    """
+    vertices = np.array(sorted(_vertices()))
+    vertices *= radius / np.linalg.norm(vertices[0])
+    normals = truncated_icosahedron_faces(radius).normals.double().numpy()
+    heights = vertices @ normals.T
+    triangles, faces, edges = [], [], set()
+    for face in range(len(normals)):
+        corners = np.flatnonzero(heights[:, face] > heights[:, face].max() - 1e-3 * radius)
+        spoke = vertices[corners] - vertices[corners].mean(0)
+        side = np.cross(normals[face], spoke[0])
+        around = corners[np.argsort(np.arctan2(spoke @ side, spoke @ spoke[0]))]
+        triangles += [(around[0], a, b) for a, b in pairwise(around[1:])]
+        faces += [face] * (len(around) - 2)
+        edges |= {tuple(sorted(edge)) for edge in zip(around.tolist(), np.roll(around, -1).tolist(), strict=True)}
+    return Football(vertices, np.array(triangles), np.array(faces), np.array(sorted(edges)))
+
+
+def _vertices() -> set[tuple[float, float, float]]:
+    """All cyclic permutations and sign changes of three corners: 60."""
+    found = set()
+    for x, y, z in ((0.0, 1.0, 3 * _PHI), (1.0, 2 + _PHI, 2 * _PHI), (_PHI, 2.0, 2 * _PHI + 1)):
+        for i, j, k in product((1, -1), repeat=3):
+            a, b, c = i * x + 0.0, j * y + 0.0, k * z + 0.0
+            found |= {(a, b, c), (c, a, b), (b, c, a)}
+    return found

@@ -1,0 +1,266 @@
+"""Run folders, read: what is whole becomes a :class:`Run`, what is not is left out with one sentence."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from uavrl.configs import learner, to_dataclass
+from uavrl.configs.registry import ABSENT
+from uavrl.errors import UavrlError
+from uavrl.training.episodes import RATES, Episode, read_episodes
+
+CONFIG, EPISODES, SUMMARY = "config.yaml", "episodes.csv", "summary.json"
+_DEPTH = 4  # of folders that are searched for runs
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run folder.
+
+    Attributes:
+        folder: where it lies, as it was given.
+        name: what it is called in a report.
+        config: its configuration as its file has it.
+        settings: the same with keys that are younger than the run, by their dotted names (see :func:`flatten`).
+        learner: what learns, as :func:`uavrl.configs.learner` names it.
+        seed: of the run.
+        episodes: at least one.
+        planned: number of episodes that the run is to fly.
+        versions: of uavrl and torch, and the commit, where the run recorded them.
+        evaluations: what ``uavrl-evaluate`` left in the folder, each with its ``file``, without single flights.
+        class_sizes: of the trajectory classes that ABR⁺ gave its reward by, where the folder holds its artifact.
+        notes: what is wrong with it, though it can be reported.
+    """
+
+    folder: Path
+    name: str
+    config: dict[str, Any]
+    settings: dict[str, Any]
+    learner: str
+    seed: int
+    episodes: list[Episode]
+    planned: int
+    versions: dict[str, Any] = field(default_factory=dict)
+    evaluations: list[dict[str, Any]] = field(default_factory=list)
+    class_sizes: dict[str, Any] | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has flown all its episodes."""
+        return len(self.episodes) >= self.planned
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A folder that is not reported, and what to do about it."""
+
+    folder: str
+    reason: str
+
+
+def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values of a nested mapping by dotted names; ``None`` and empty mappings are left out.
+
+    Examples:
+        >>> flatten({"algo": {"name": "td3", "fork": None, "hidden": (400, 300)}, "seed": 0})
+        {'algo.name': 'td3', 'algo.hidden': [400, 300], 'seed': 0}
+    """
+    flat: dict[str, Any] = {}
+    for key, value in node.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{name}.")
+        elif value is not None:
+            flat[name] = list(value) if isinstance(value, tuple) else value
+    return flat
+
+
+def find_run_folders(folders: Sequence[Path]) -> tuple[list[Path], list[LeftOut]]:
+    """Run folders among ``folders`` and below them, each once; and those in which there is none.
+
+    A run folder holds ``config.yaml`` or ``episodes.csv``; nothing below it is searched.
+    """
+    found: dict[Path, Path] = {}
+    left_out = []
+    for folder in folders:
+        if not folder.is_dir():
+            left_out.append(LeftOut(str(folder), "There is no such folder: check the path."))
+            continue
+        runs = list(_search(folder, _DEPTH))
+        if not runs:
+            left_out.append(LeftOut(str(folder), "It holds no run: give the folder that uavrl-train printed."))
+        for run in runs:
+            found.setdefault(run.resolve(), run)
+    return list(found.values()), left_out
+
+
+def _search(folder: Path, depth: int) -> Iterator[Path]:
+    if any((folder / name).exists() for name in (CONFIG, EPISODES)):
+        yield folder
+    elif depth:
+        try:
+            children = sorted(child for child in folder.iterdir() if child.is_dir() and child.name[0] != ".")
+        except OSError:
+            return
+        for child in children:
+            yield from _search(child, depth - 1)
+
+
+def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
+    """Reads all runs in and below ``folders``.
+
+    Returns:
+        The runs, in the order of the folders, and what is left out: nothing here raises for a damaged folder.
+    """
+    found, left_out = find_run_folders(folders)
+    names = [folder.resolve().name for folder in found]
+    runs = []
+    for folder, name in zip(found, names, strict=True):
+        unique = name if names.count(name) == 1 else f"{folder.resolve().parent.name}/{name}"
+        try:
+            runs.append(read_run(folder, unique))
+        except (UavrlError, OSError) as error:
+            left_out.append(LeftOut(str(folder), str(error)))
+    return runs, left_out
+
+
+def read_run(folder: Path, name: str | None = None) -> Run:
+    """Reads one run folder.
+
+    Raises:
+        UavrlError: naming the file that is missing or damaged and what to do.
+    """
+    notes: list[str] = []
+    config, loaded = _read_config(folder / CONFIG)
+    episodes = _read_episodes(folder / EPISODES, notes)
+    settings = _settings(loaded, notes)
+    try:
+        seed, planned, label = int(config["seed"]), int(config["trainer"]["episodes"]), learner(loaded)
+    except Exception as error:
+        raise _damaged(folder / CONFIG, f"it has no proper seed, trainer.episodes or algo ({error})") from error
+    return Run(
+        folder=folder,
+        name=name or folder.resolve().name,
+        config=config,
+        settings=settings,
+        learner=label,
+        seed=seed,
+        episodes=episodes,
+        planned=planned,
+        versions=_versions(folder, notes),
+        evaluations=_evaluations(folder, notes),
+        class_sizes=(_json(folder / "artifact" / "artifact.json", notes) or {}).get("class_sizes"),
+        notes=notes,
+    )
+
+
+def _damaged(path: Path, reason: str) -> UavrlError:
+    return UavrlError(f"{path.name} is damaged: {reason}. Mend the file from a copy, or leave the folder out.")
+
+
+def _missing(path: Path, holds: str) -> UavrlError:
+    return UavrlError(f"{path.name} is missing, which holds {holds}: bring it back, or leave the folder out.")
+
+
+def _read_config(path: Path) -> tuple[dict[str, Any], DictConfig]:
+    if not path.is_file():
+        raise _missing(path, "the configuration of the run")
+    try:
+        loaded = OmegaConf.load(path)
+        plain = OmegaConf.to_container(loaded)
+    except Exception as error:  # yaml, OmegaConf and the decoder each have their own
+        raise _damaged(path, " ".join(str(error).split())[:120]) from error
+    groups = ("env", "perception", "reward", "algo", "trainer")
+    if not isinstance(loaded, DictConfig) or not isinstance(plain, dict):
+        raise _damaged(path, "it holds no configuration")
+    for group in groups:
+        if not isinstance(plain.get(group), dict):
+            raise _damaged(path, f"{group} is not in it")
+    return {str(key): value for key, value in plain.items()}, loaded
+
+
+def _settings(config: DictConfig, notes: list[str]) -> dict[str, Any]:
+    """The configuration with today's keys, so that an older run compares with a younger one."""
+    try:
+        return flatten(asdict(to_dataclass(config)))
+    except UavrlError as error:
+        notes.append(f"Its configuration is not one of this version of uavrl ({error}), and compared as it stands.")
+    absent = {group: {"name": name} for group, name in ABSENT.items()}
+    plain = OmegaConf.to_container(OmegaConf.merge(absent, config))
+    return flatten(cast(dict[str, Any], plain))
+
+
+def _read_episodes(path: Path, notes: list[str]) -> list[Episode]:
+    if not path.is_file():
+        raise _missing(path, "what the run has flown")
+    try:
+        episodes = read_episodes(path)
+    except UavrlError as error:
+        raise UavrlError(f"{error} Mend the file from a copy, or leave the folder out.") from error
+    if not episodes:
+        raise UavrlError(f"{path.name} holds no whole episode: wait until the run has flown one.")
+    steps = [e.total_steps for e in episodes]
+    if any(later <= earlier for earlier, later in zip([0, *steps], steps, strict=False)):
+        raise _damaged(path, "total_steps does not grow from row to row")
+    with path.open("rb") as file:
+        file.seek(-1, 2)
+        if file.read() != b"\n":
+            notes.append(f"The last row of {path.name} is cut off and does not count.")
+    return episodes
+
+
+def _json(path: Path, notes: list[str]) -> dict[str, Any] | None:
+    """A json file, or None where it is missing; a damaged one is noted."""
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_bytes())
+    except (ValueError, OSError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        notes.append(f"{path.name} is damaged and was not read.")
+        return None
+    return content
+
+
+def _versions(folder: Path, notes: list[str]) -> dict[str, Any]:
+    """From ``summary.json``, or while the run goes on from its newest checkpoint."""
+    summary = _json(folder / SUMMARY, notes)
+    if summary is not None and isinstance(summary.get("versions"), dict):
+        return {key: value for key, value in summary["versions"].items() if value is not None}
+    for path in sorted((folder / "checkpoints").glob("checkpoint*"), reverse=True):
+        try:
+            with zipfile.ZipFile(path) as archive:
+                metadata = json.loads(archive.read("manifest.json"))["metadata"]
+            return {key: metadata[key] for key in ("uavrl", "commit") if metadata.get(key) is not None}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
+            continue  # being written, or damaged: another one may say it
+    return {}
+
+
+def _evaluations(folder: Path, notes: list[str]) -> list[dict[str, Any]]:
+    found = []
+    for path in sorted(folder.glob("evaluation*.json")):
+        content = _json(path, notes)
+        if content is None:
+            continue
+        try:
+            for name in RATES:
+                rate, low, high = (float(content[name][key]) for key in ("rate", "low", "high"))
+                if not (0 <= low <= rate + 1e-9 and rate <= high + 1e-9 <= 1 + 2e-9):
+                    raise ValueError(name)
+            content = {"file": path.name, "episodes": int(content["episodes"]), **content}
+        except (KeyError, TypeError, ValueError):
+            notes.append(f"{path.name} is not what uavrl-evaluate writes and was not read.")
+            continue
+        content.pop("flights", None)
+        found.append(content)
+    return found

@@ -1,0 +1,56 @@
+"""Flying in one process while another learns."""
+
+from __future__ import annotations
+
+import signal
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.collectors import MultiAsyncCollector
+
+from uavrl.errors import UavrlError
+
+
+class AsyncCollector(MultiAsyncCollector):
+    """TorchRL's asynchronous process collector, as a run needs it: its state is what the learner has been given.
+
+    The worker flies on with the weights of one batch ago while the learner updates. What it flies between two batches
+    depends on when they are asked for, hence no two runs are the same. A resumed run starts new episodes.
+
+    Raises:
+        UavrlError: while iterating, when the worker has died.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, update_at_each_batch=True, init_fn=_prepare_worker, **kwargs)
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Yields one batch after the other."""
+        batches = super().iterator()
+        while True:
+            try:
+                batch = next(batches)
+            except StopIteration:
+                return
+            except RuntimeError as error:
+                raise UavrlError(
+                    "The process that flies has ended, and printed its reason above: mend that, and go on with "
+                    "resume=RUN_FOLDER."
+                ) from error
+            yield batch
+
+    def state_dict(self) -> OrderedDict[str, Any]:
+        """How many frames and batches the learner has been given; open flights are not kept."""
+        return OrderedDict(frames=self._frames, iter=self._iter)
+
+    def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self._frames, self._iter = state_dict["frames"], state_dict["iter"]
+
+
+def _prepare_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the learner's to handle: it closes the worker
+    torch.set_num_threads(1)

@@ -1,0 +1,277 @@
+"""Flies chosen tasks without noise and keeps every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.checkpoint import Checkpoint
+from torchrl.envs import TransformedEnv, step_mdp
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from tqdm import tqdm
+
+from uavrl.configs.schema import EnvConfig, PerceptionConfig, TraditionalRewardConfig, TrainConfig
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
+from uavrl.envs.traffic import plane_mesh
+from uavrl.envs.world import World
+from uavrl.losses import LifeGuard
+from uavrl.training.checkpoint import restore
+from uavrl.training.evaluation import Flight, FlightRecorder, Policy
+from uavrl.training.factory import RewardConfig, make_env
+from uavrl.training.flight import RecordedFlight, Replay, Scenery, thinned
+from uavrl.training.learner import make_actor, make_loss
+from uavrl.transforms.rewards import navigation_reward, traditional_reward
+
+Risk = Callable[[Tensor, Tensor], Tensor]
+_SEEN = ("observation", "faces", "altitude", "heading_deg", "elevation_deg")
+_KEPT = ("position", "velocity", "distance", "clearance", "arrived", "collided", *_SEEN)
+
+
+def reward_terms(config: RewardConfig, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+    """The terms that a reward is the sum of.
+
+    Args:
+        config: The reward.
+        before: ``[*B]`` with what the reward reads before the steps.
+        after: ``[*B]`` after them.
+
+    Returns:
+        ``[*B]`` for each term, by its name.
+
+    Examples:
+        >>> end = TensorDict({"distance": torch.tensor([[1.0]]), "arrived": torch.tensor([[True]]),
+        ...                   "collided": torch.tensor([[False]])}, [1])
+        >>> terms = reward_terms(TraditionalRewardConfig(), TensorDict({"distance": torch.tensor([[1.5]])}, [1]), end)
+        >>> {name: term.tolist() for name, term in terms.items()}
+        {'progress': [0.0], 'arrival': [50.0], 'collision': [0.0]}
+    """
+    arrived, collided = after["arrived"], after["collided"]
+    never = torch.zeros_like(arrived)
+    terms: dict[str, Tensor]
+    if isinstance(config, TraditionalRewardConfig):
+        terms = {"progress": traditional_reward(before["distance"], after["distance"], never, never) * ~arrived}
+    else:
+        terms = {}
+        for place, name in enumerate(("progress", "altitude", "heading", "elevation")):
+            weights = [weight if place == i else 0.0 for i, weight in enumerate(config.weights)]
+            terms[name] = navigation_reward(
+                before["distance"],
+                after["distance"],
+                after["altitude"],
+                after["heading_deg"],
+                after["elevation_deg"],
+                never,
+                never,
+                weights=weights,
+                flight_level=config.flight_level,
+                altitude_term=config.altitude_term,  # type: ignore[arg-type]
+            )
+    terms["arrival"] = config.arrived_reward * arrived.float()
+    terms = {name: term * ~collided for name, term in terms.items()}
+    terms["collision"] = config.collided_reward * collided.float()
+    return {name: term.squeeze(-1) for name, term in terms.items()}
+
+
+def make_scenery(world: World, valley: int, perception: PerceptionConfig, sensor: Sequence[float]) -> Scenery:
+    """The valley with an index, as numbers to draw."""
+    place, config = world.valleys[valley], world.config
+    names = tuple(sorted({obstacle.kind for obstacle in place.obstacles}))
+    meshes = [obstacle.mesh for obstacle in place.obstacles]
+    merged = Mesh.merge([Mesh(np.zeros((0, 3)), np.zeros((0, 3))), *meshes])
+    kinds = [np.full(len(obstacle.mesh.faces), names.index(obstacle.kind)) for obstacle in place.obstacles]
+    plane = plane_mesh(config.plane_wingspan)
+    return Scenery(
+        heights=place.ground.heights,
+        size=np.array(place.ground.size),
+        vertices=merged.vertices,
+        triangles=merged.faces,
+        kinds=np.concatenate([np.zeros(0, dtype=int), *kinds]),
+        kind_names=names,
+        plane_vertices=plane.vertices,
+        plane_triangles=plane.faces,
+        goal=np.array([config.goal_radius, config.goal_height]),
+        ball=perception.radius,
+        statistic=perception.statistic,
+        sensor=np.array(sensor),
+    )
+
+
+@torch.no_grad()
+def record_flight(
+    env: TransformedEnv,
+    policy: Policy,
+    task: int,
+    *,
+    seed: int,
+    reward: RewardConfig | None = None,
+    risk: Risk | None = None,
+    max_points: int = 1500,
+) -> RecordedFlight:
+    """Flies one task to its end, without exploration noise, and keeps every step.
+
+    The traffic starts anew, so that the flight depends on ``seed`` and ``task`` alone.
+
+    Args:
+        env: One navigation environment (``num_uavs=1``) that keeps its ``point_cloud`` and emits ``clearance``.
+        policy: Reads the environment's output, writes ``action``.
+        task: Number of the task, from 0.
+        seed: Seed of the tasks.
+        reward: Whose terms are kept; None keeps the environment's reward.
+        risk: From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
+        max_points: Points kept of each scan.
+
+    Raises:
+        ValueError: For an environment of more than one vehicle.
+    """
+    if env.batch_size != torch.Size([1]):
+        raise ValueError(f"Expected an environment of one vehicle, got {tuple(env.batch_size)}: pass num_uavs=1.")
+    base = env.base_env
+    assert isinstance(base, NavigationEnv)
+    env.set_seed(seed)
+    state = env.reset(task=task)
+    goal = state["goal"][0].numpy()
+    origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.valleys])
+    valley = int(np.linalg.norm(origins - goal, axis=1).argmin())
+    recorder = FlightRecorder(1)
+    moments, steps = [_moment(base, state, valley, max_points)], []
+    ended: list[Flight] = []
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        while not ended:
+            stepped = env.step(policy(state))
+            ended = recorder.step(stepped, stepped["next"])
+            moments.append(_moment(base, stepped["next"], valley, max_points))
+            steps.append(TensorDict({"action": stepped["action"][0], "reward": stepped["next", "reward"][0]}))
+            state = step_mdp(stepped)
+    return _recorded(ended[0], moments, steps, origins[valley], goal, reward, risk)
+
+
+def _moment(base: NavigationEnv, state: TensorDictBase, valley: int, max_points: int) -> dict[str, Any]:
+    """What is to be seen in one valley at one moment, in the world's frame."""
+    cloud = state["point_cloud"][0].numpy()
+    planes = base.world.config.planes
+    return {
+        "state": state.select(*_KEPT)[0].clone(),
+        "attitude": Rotation.from_matrix(base.simulation.rotation[0]).as_quat(),
+        "planes": base.plane_poses()[valley * planes : (valley + 1) * planes],
+        "points": thinned(cloud[np.isfinite(cloud).all(-1)], max_points),
+    }
+
+
+def _recorded(
+    summary: Flight,
+    moments: list[dict[str, Any]],
+    taken: list[TensorDict],
+    origin: np.ndarray,
+    goal: np.ndarray,
+    reward: RewardConfig | None,
+    risk: Risk | None,
+) -> RecordedFlight:
+    states = cast(TensorDict, torch.stack([moment["state"] for moment in moments]))
+    steps = cast(TensorDict, torch.stack(cast(list[Tensor], taken)))
+    terms = {"reward": steps["reward"][:, 0]} if reward is None else reward_terms(reward, states[:-1], states[1:])
+    planes = np.stack([moment["planes"] for moment in moments])
+    return RecordedFlight(
+        summary=summary,
+        times=np.arange(len(moments)) / CONTROL_RATE,
+        positions=states["position"].numpy() - origin.astype(np.float32),
+        attitudes=np.stack([moment["attitude"] for moment in moments]),
+        velocities=states["velocity"].numpy(),
+        goal=goal - origin,
+        observations=states["observation"].numpy(),
+        actions=steps["action"].numpy(),
+        rewards=torch.stack(list(terms.values()), -1).numpy(),
+        reward_names=tuple(terms),
+        distances=states["distance"][:, 0].numpy(),
+        clearances=states["clearance"][:, 0].numpy(),
+        risks=np.zeros(0) if risk is None else risk(states["observation"][:-1], steps["action"]).numpy(),
+        planes=planes - np.append(origin, 0.0),
+        faces=states["faces"].numpy(),
+        points=np.concatenate([moment["points"] for moment in moments]).astype(np.float32),
+        point_ends=np.cumsum([len(moment["points"]) for moment in moments]),
+    )
+
+
+def load_risk(config: TrainConfig, checkpoint: Path, device: torch.device) -> Risk | None:
+    """What the LifeGuard of a run has learned, or None where the run has none.
+
+    Args:
+        config: The run's configuration.
+        checkpoint: A checkpoint that was found good.
+        device: Where to compute.
+
+    Returns:
+        From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
+
+    Raises:
+        UavrlError: When the checkpoint holds another LifeGuard than the configuration.
+    """
+    if config.algo.lifeguard is None:
+        return None
+    actor = make_actor(config.algo, config.perception, device)
+    guard = make_loss(config.algo, actor, config.perception, device)
+    restore(Checkpoint(loss_module=guard), checkpoint, ["loss_module"])
+    assert isinstance(guard, LifeGuard)
+
+    def risk(observations: Tensor, actions: Tensor) -> Tensor:
+        features = torch.cat([observations[..., -guard.observations :], actions], -1).to(device)
+        with torch.no_grad():
+            return guard.classifier(guard.scaler(features)).sigmoid().cpu()
+
+    return risk
+
+
+def record_flights(
+    env_config: EnvConfig,
+    perception: PerceptionConfig,
+    policy: Policy,
+    tasks: Sequence[int],
+    *,
+    seed: int,
+    source: dict[str, Any],
+    reward: RewardConfig | None = None,
+    risk: Risk | None = None,
+    max_points: int = 1500,
+    progress: bool = False,
+) -> Replay:
+    """Flies several tasks, each as :func:`record_flight` does.
+
+    Args:
+        env_config: The task.
+        perception: What the policy sees.
+        policy: Reads the environment's output, writes ``action``.
+        tasks: Numbers of the tasks, from 0.
+        seed: Seed of the tasks.
+        source: Kept with the flights, for a heading.
+        reward: Whose terms are kept.
+        risk: From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
+        max_points: Points kept of each scan.
+        progress: Show a progress line.
+
+    Raises:
+        ValueError: Without tasks.
+    """
+    if not tasks:
+        raise ValueError("Expected at least one task to fly, got none.")
+    env = make_env(env_config, perception, reward, seed=seed, num_uavs=1, measure_clearance=True, keep_cloud=True)
+    try:
+        flights = tuple(
+            record_flight(env, policy, task, seed=seed, reward=reward, risk=risk, max_points=max_points)
+            for task in tqdm(tasks, disable=not progress, unit="flight")
+        )
+        world = env.base_env.world
+        seen = {flight.summary.world_seed for flight in flights}
+        sceneries = {
+            valley.seed: make_scenery(world, i, perception, env_config.airframe.lidar_position)
+            for i, valley in enumerate(world.valleys)
+            if valley.seed in seen
+        }
+    finally:
+        env.close()
+    return Replay(source, flights, sceneries)
