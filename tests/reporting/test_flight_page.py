@@ -172,7 +172,6 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         driver.quit()
 
 
-@pytest.mark.slow
 def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
     flight = small_replay().flights[0]
     move = """
@@ -198,7 +197,6 @@ def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
     assert not errors, errors
 
 
-@pytest.mark.slow
 def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
     flight = small_replay().flights[1]
     shown = browser.execute_async_script("""

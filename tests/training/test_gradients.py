@@ -74,6 +74,16 @@ def test_updates_are_compiled_where_there_is_a_compiler(monkeypatch: pytest.Monk
     assert chosen_execution("eager") == "eager"
 
 
+def test_what_cannot_be_compiled_is_captured(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("no compiler\nand a long story")
+
+    monkeypatch.setattr("torch._inductor.compile", broken)
+    loss = Noisy()
+    check(gradients_of(loss, "compiled"), loss, data())
+    assert "could not be compiled (no compiler): it is captured instead" in caplog.text
+
+
 @pytest.mark.parametrize("execution", ["eager", *RECORDING])
 def test_results_are_those_by_hand_and_detached(execution: Execution) -> None:
     loss = Noisy()

@@ -10,10 +10,10 @@ from torch import Tensor
 
 
 class DirectAdam(torch.optim.Adam):
-    """PyTorch's fused Adam for parameters that all have a gradient at every step: same numbers, same state.
+    """PyTorch's fused Adam for parameters that all have a gradient at every step: same numbers, same ``state_dict``.
 
     ``torch.optim.Adam.step`` regroups its tensors at every call, which costs as much as the update itself when the
-    networks are small. Here they are gathered once.
+    networks are small. Here they are gathered once, and :meth:`descend` takes the place of ``step``.
 
     Args:
         params: the parameters.
@@ -54,6 +54,20 @@ class DirectAdam(torch.optim.Adam):
             amsgrad=False,
             maximize=False,
         )
+
+    def step(self, closure: Any = None) -> None:  # type: ignore[override]
+        """Not for use.
+
+        Raises:
+            TypeError: always.
+        """
+        raise TypeError("DirectAdam takes its gradients as an argument: call descend(gradients).")
+
+    def state_dict(self) -> dict[str, Any]:
+        """What ``torch.optim.Adam`` gives, each parameter with a step count of its own."""
+        saved = super().state_dict()
+        states = {key: {**state, "step": state["step"].clone()} for key, state in saved["state"].items()}
+        return {**saved, "state": states}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what ``state_dict`` gave."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections import OrderedDict
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
-import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import MultiAsyncCollector
 
@@ -25,7 +26,8 @@ class AsyncCollector(MultiAsyncCollector):
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, update_at_each_batch=True, init_fn=_prepare_worker, **kwargs)
+        with _interrupts_ignored():  # Ctrl-C is the learner's to handle: it closes the worker
+            super().__init__(*args, update_at_each_batch=True, **kwargs)
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Yields one batch after the other."""
@@ -51,6 +53,14 @@ class AsyncCollector(MultiAsyncCollector):
         self._frames, self._iter = state_dict["frames"], state_dict["iter"]
 
 
-def _prepare_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the learner's to handle: it closes the worker
-    torch.set_num_threads(1)
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that are started here ignore SIGINT for good."""
+    if threading.current_thread() is not threading.main_thread():  # where Python allows no change
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)

@@ -75,7 +75,7 @@ def reward_terms(config: RewardConfig, before: TensorDictBase, after: TensorDict
             )
     terms["arrival"] = config.arrived_reward * arrived.float()
     terms = {name: term * ~collided for name, term in terms.items()}
-    terms["collision"] = config.collided_reward * collided.float()
+    terms["collision"] = config.collided_reward * collided.float() + 0.0  # no negative zeros
     return {name: term.squeeze(-1) for name, term in terms.items()}
 
 

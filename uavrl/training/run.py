@@ -66,6 +66,7 @@ def create_run(config: DictConfig) -> Path:
             f"The run folder {run_dir} holds a run already: "
             f"go on with it by resume={run_dir}, or choose another run_dir."
         )
+    config.trainer.execution = chosen_execution(config.trainer.execution)  # recorded: it bears on the last digits
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
         with (run_dir / CONFIG).open("x") as file:

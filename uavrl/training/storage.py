@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage
 
@@ -24,11 +25,9 @@ class GatheringStorage(LazyTensorStorage):
 
     def get(self, index: Any) -> Any:
         """The transitions at ``index``, which may be anything that a tensor takes."""
-        if not (self.initialized and isinstance(index, Tensor) and index.ndim == 1 and index.dtype == torch.long):
+        asks_rows = isinstance(index, Tensor) and index.ndim == 1 and index.dtype == torch.long and len(index) > 0
+        holds_rows = self.initialized and isinstance(self._storage, TensorDictBase) and self.ndim == 1
+        if not (asks_rows and holds_rows and 0 <= int(index.min()) <= int(index.max()) < len(self)):
             return super().get(index)
-        if len(index) and not 0 <= int(index.min()) <= int(index.max()) < len(self):
-            raise IndexError(
-                f"Expected indices from 0 to {len(self) - 1}, got {int(index.min())} to {int(index.max())}."
-            )
         rows = index.to(self.device)
         return self._storage._fast_apply(lambda stored: stored.index_select(0, rows), batch_size=[len(index)])

@@ -142,9 +142,10 @@ function traces(flight) {
     marker: { size: 5, color: "#fff", line: { color: "#39424c", width: 2 } } };
   all[FLOWN] = line({ x: [], y: [], z: [], line: { width: 8, color: colour } });
   all[DROP] = line({ x: [], y: [], z: [], line: { width: 2, color: BODY } });
-  all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...manyPlanes(place, flight.planeCount), color: PLANE, flatshading: true });
+  all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...manyPlanes(place, flight.planeCount), color: PLANE, flatshading: true,
+    lighting: { ...light, ambient: 0.9, diffuse: 0.4 } });
   all[VEHICLE] = mesh({ x: [0], y: [0], z: [0], i: vehicle.i, j: vehicle.j, k: vehicle.k, facecolor: vehicle.facecolor,
-    flatshading: true });
+    flatshading: true, lighting: { ...light, ambient: 0.95, diffuse: 0.3 } });
   all[MARK] = { type: "scatter3d", mode: "markers", ...still, x: [], y: [], z: [],
     marker: { size: 9, symbol: "circle-open", color: BODY, line: { width: 2 } } };
   all[POINTS] = { type: "scatter3d", mode: "markers", ...still, x: [], y: [], z: [],
