@@ -82,7 +82,7 @@ def test_the_wheel_holds_the_package_and_its_configuration_alone(unpacked: Path)
     tops = {p.name for p in unpacked.iterdir()}
     assert {t for t in tops if not t.endswith(".dist-info")} == {"uavrl"}
     for folder, packed in ((ROOT / "conf", unpacked / "uavrl/conf"), (ROOT / "uavrl", unpacked / "uavrl")):
-        for suffix in ("*.yaml", "*.py", "py.typed", "artifact.json", "*.safetensors"):
+        for suffix in ("*.yaml", "*.py", "py.typed", "*.json", "*.html", "*.css", "*.js", "*.safetensors"):
             for file in folder.rglob(suffix):
                 assert (packed / file.relative_to(folder)).is_file(), file
     (entry_points,) = unpacked.glob("*.dist-info/entry_points.txt")

@@ -388,7 +388,7 @@ def test_an_evaluation_changes_one_value_of_the_runs_environment_and_says_so_in_
 
 def test_what_the_policy_was_trained_with_cannot_change(run_dir: Path, refused: Callable[..., str]) -> None:
     sentence = refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, "perception.frames=7")
-    assert "perception.frames belongs to the policy" in sentence
+    assert "perception.frames belongs to the run" in sentence
 
 
 def test_ctrl_c_in_the_middle_of_an_update_is_still_ctrl_c(

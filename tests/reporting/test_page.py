@@ -96,6 +96,7 @@ def test_the_page_says_what_the_facts_say(runs: Path) -> None:
         "80.0 % 49.0–94.3",
         "version not recorded",
         "No pair is tested",
+        "“Unlike the thesis” compares the reward's name, LifeGuard's model and the number of episodes, and no other",
         "algo:",
     ):
         assert expected in text, expected
@@ -164,10 +165,20 @@ def test_the_command_ends_in_one_sentence(
         ([runs, "--window", "0"], "The window must be at least 1"),
         ([runs, "--json", output], "cannot both go to"),
         ([runs, "--json", runs], "cannot be written"),
+        ([runs, "--json", "."], ". cannot be written (it is a folder): name a file with --json."),
     ):
         code, _, err = report(*arguments, "--output", output)
         assert code == 1 and expected in err.splitlines()[-1] and "Traceback" not in err
         assert not output.exists()
+
+
+@pytest.mark.parametrize("output", [".", "/", "", ".."])
+def test_a_page_that_would_be_a_folder_is_told(
+    output: str, runs: Path, report: Callable[..., tuple[int, str, str]]
+) -> None:
+    code, _, err = report(runs, "--output", output)
+    expected = f"uavrl: {output or '.'} cannot be written (it is a folder): name a file with --output."
+    assert (code, err.splitlines()) == (1, [expected])
 
 
 @pytest.mark.parametrize("package", ["plotly", "jinja2"])

@@ -103,6 +103,24 @@ def test_evaluations_that_all_seeds_flew_alike_are_compared(tmp_path: Path) -> N
     assert part["iqm"][0]["value"] == pytest.approx(0.7)
 
 
+def test_of_two_evaluations_of_the_same_the_longer_trained_counts(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)
+        evaluation(folder, 8, 10, training_steps=40 + seed)
+        evaluation(folder, 1, 10, "evaluation_checkpoint=early.json", training_steps=20)
+        evaluation(folder, 0, 10, "evaluation_policy=straight.json", policy="straight", valleys=[5])
+        change = "env.max_steps=9_env.world.size=-3"
+        evaluation(folder, 5, 10, f"evaluation_{change}_num=1.json" if seed else f"evaluation_{change}.json")
+    part = by(make_report([tmp_path], window=2).comparisons, "score", "evaluation")
+    same = "static, valleys [0], 10 tasks of seed 20000"
+    assert part["tasks"] == [same, f"{same} with env.max_steps=9, env.world.size=-3"]
+    assert part["iqm"][0]["value"] == pytest.approx((0.8 + 0.5) / 2)
+    assert part["reading"][-1] == (
+        f"In {same}, the checkpoints have not trained equally long: 40 to 41 steps (0 where it is not recorded)."
+    )
+    assert sum("equally long" in sentence for sentence in part["reading"]) == 1
+
+
 def test_the_thesis_has_the_numbers_of_its_figures() -> None:
     def rates(env: str, reward: str) -> dict[str, tuple[float, float | None]]:
         rows = [r for r in thesis()["rates"] if (r["env"], r["reward"]) == (env, reward)]

@@ -3,11 +3,14 @@ from __future__ import annotations
 import json
 import random
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.reporting.folders import DOCUMENTED, evaluation, run_folder
+from uavrl.reporting.page import page
+from uavrl.reporting.report import make_report
 from uavrl.reporting.runs import Run, find_run_folders, read_runs
 
 
@@ -137,6 +140,57 @@ def test_evaluations_are_read_without_their_flights(tmp_path: Path) -> None:
     assert run.notes == [
         "evaluation_bad.json is damaged and was not read.",
         "evaluation_other.json is not what uavrl-evaluate writes and was not read.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("find", "replace"),
+    [
+        ('"episodes": 10', '"episodes": Infinity'),
+        ('"rate": 0.8', '"rate": 1e999'),
+        ('"rate": 0.8', '"rate": "much"'),
+        ('"training_steps": 40', f'"training_steps": {10**400}'),
+    ],
+)
+def test_a_damaged_evaluation_is_noted_and_left_out(tmp_path: Path, find: str, replace: str) -> None:
+    path = evaluation(run_folder(tmp_path / "run", "a"), 8, 10)
+    text = path.read_text()
+    assert text.count(find) == 1
+    path.write_text(text.replace(find, replace))
+    run = only(tmp_path / "run")
+    assert run.evaluations == []
+    assert run.notes == ["evaluation.json is not what uavrl-evaluate writes and was not read."]
+
+
+def test_numbers_of_an_evaluation_that_are_texts_are_read_as_numbers(tmp_path: Path) -> None:
+    path = evaluation(run_folder(tmp_path / "run", "a"), 8, 10, file="another", group="none")
+    text = path.read_text()
+    path.write_text(text.replace('"rate": 0.8', '"rate": "0.8"').replace('"episodes": 10', '"episodes": "10"'))
+    (read,) = only(tmp_path / "run").evaluations
+    assert (read["success"]["rate"], read["episodes"], read["file"]) == (0.8, 10, "evaluation.json")
+    assert "80.0 %" in page(make_report([tmp_path], window=1))
+
+
+def test_a_folder_that_cannot_be_read_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_folder(tmp_path / "run", "a")
+    (tmp_path / "secret").mkdir()
+
+    def refusing(ask: Callable[[Path], bool]) -> Callable[[Path], bool]:
+        def asked(path: Path) -> bool:  # what a folder without permissions does to anyone but root
+            if path.parent.name == "secret":
+                raise PermissionError(13, "Permission denied", str(path))
+            return ask(path)
+
+        return asked
+
+    monkeypatch.setattr(Path, "exists", refusing(Path.exists))
+    monkeypatch.setattr(Path, "is_dir", refusing(Path.is_dir))
+    told = "It cannot be read (Permission denied): check its permissions."
+    found, left_out = find_run_folders([tmp_path, tmp_path / "secret", tmp_path / "secret/below"])
+    assert found == [tmp_path / "run"]
+    assert [(left.folder, left.reason) for left in left_out] == [
+        (str(tmp_path / "secret"), told),
+        (str(tmp_path / "secret/below"), told),
     ]
 
 

@@ -55,6 +55,11 @@ def test_no_permutation_p_is_below_the_least(first: int, second: int) -> None:
     assert found.permutation == pytest.approx(found.least)
 
 
+@pytest.mark.parametrize(("seeds", "least"), [(8, 2 / 12_870), (9, 2 / 48_620), (10, 2 / 10_001)])
+def test_the_permutation_test_is_exact_up_to_nine_against_nine(seeds: int, least: float) -> None:
+    assert compare(list(np.arange(seeds)), list(np.arange(seeds) + 100.0)).least == pytest.approx(least)
+
+
 def test_seeds_that_do_not_vary_have_no_t_test() -> None:
     found = compare([0.5, 0.5], [0.5, 0.5])
     assert (found.difference, found.welch, found.permutation) == (0.0, None, 1.0)

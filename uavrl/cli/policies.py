@@ -29,10 +29,8 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     for key in keys:
         if key.startswith(("env.", "perception.lidar.")):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
-        elif key.split(".")[0] == "perception":
-            raise UavrlError(
-                f"{key} belongs to the policy of the run and cannot change in its evaluation: leave it out."
-            )
+        elif key.split(".")[0] in ("perception", "reward"):
+            raise UavrlError(f"{key} belongs to the run and cannot change when its policy flies: leave it out.")
     return result
 
 

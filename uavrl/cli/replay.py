@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from uavrl.training.flight import Replay
 
 register_schemas()
+VIDEO_SUFFIXES = (".mp4", ".mkv", ".webm", ".avi", ".mov")
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="replay")
@@ -69,6 +70,8 @@ def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
     plain = ("run", "flight", "output", "video", "data", "points", "device", "threads", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
     paths = {"output": Path(settings.output or folder / (name_of_output("replay", overrides, plain) + ".html"))}
+    if settings.video and Path(settings.video).suffix.lower() not in VIDEO_SUFFIXES:
+        raise UavrlError(f"video must end in {', '.join(VIDEO_SUFFIXES)}, got {settings.video}.")
     paths |= {key: Path(path) for key in ("data", "video") if (path := getattr(settings, key))}
     return {key: writable(path, key) for key, path in paths.items()}
 

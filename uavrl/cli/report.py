@@ -34,6 +34,9 @@ def _report(args: argparse.Namespace) -> None:
     from uavrl.reporting.page import page
     from uavrl.reporting.report import make_report
 
+    for option, path in (("--output", args.output), ("--json", args.json)):
+        if path is not None and (not path.name or path.is_dir()):
+            raise UavrlError(f"{path} cannot be written (it is a folder): name a file with {option}.")
     facts = args.json or args.output.with_suffix(".json")
     if facts.resolve() == args.output.resolve():
         raise UavrlError(f"Page and facts cannot both go to {facts}: name another file with --json.")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,8 @@ from uavrl.reporting.statistics import compare, holm, stratified_iqm
 
 TRAINING, EVALUATION = "training", "evaluation"
 _SIGNIFICANT = 0.05
+# A change of environment or sensor in the name that uavrl-evaluate gives its file, up to the next one.
+_CHANGE = re.compile(r"_((?:env|perception)\.[a-z0-9_.]+=.*?)(?=_[a-z][a-z0-9_.]*=|$)")
 
 
 def compare_groups(groups: Sequence[Group], window: int) -> list[dict[str, Any]]:
@@ -30,9 +34,11 @@ def compare_groups(groups: Sequence[Group], window: int) -> list[dict[str, Any]]
     """
     training = {group.label: np.array([[_success(run, window)] for run in group.runs]) for group in groups}
     result = [_compare(TRAINING, [f"last {window} training episodes"], training)]
-    conditions, evaluated = _evaluated(groups)
+    conditions, evaluated, steps = _evaluated(groups)
     if conditions:
-        result.append(_compare(EVALUATION, [_told(condition) for condition in conditions], evaluated))
+        part = _compare(EVALUATION, [_told(condition) for condition in conditions], evaluated)
+        part["reading"] += _trained_differently(conditions, steps)
+        result.append(part)
     return result
 
 
@@ -40,13 +46,25 @@ def _success(run: Any, window: int) -> float:
     return float(np.mean([episode.outcome == "arrived" for episode in run.episodes[-window:]]))
 
 
-def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], float]:
-    """Success by what was flown; of two evaluations of the same the one of the longer training counts."""
-    ordered = sorted(evaluations, key=lambda e: _number(e.get("training_steps")))
+def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], tuple[float, float]]:
+    """Success and training steps by what was flown; of two evaluations of the same the longer trained counts.
+
+    The same is what agrees in environment, valleys, seed, number of tasks, and changes of environment and sensor. The
+    last are recorded nowhere but in the name that ``uavrl-evaluate`` gives the file; the rest of the name is ignored.
+    What a policy that learns nothing flew (``policy=straight``) is none of the run's.
+    """
+    learned = [evaluation for evaluation in evaluations if "policy" not in evaluation]
     return {
-        tuple(str(e.get(key)) for key in ("env", "valleys", "seed", "episodes", "file")): float(e["success"]["rate"])
-        for e in ordered
+        (*(str(e.get(key)) for key in ("env", "valleys", "seed", "episodes")), _changes(str(e["file"]))): (
+            float(e["success"]["rate"]),
+            _number(e.get("training_steps")),
+        )
+        for e in sorted(learned, key=lambda e: _number(e.get("training_steps")))
     }
+
+
+def _changes(file: str) -> str:
+    return ", ".join(sorted(_CHANGE.findall(Path(file).stem)))
 
 
 def _number(value: Any) -> float:
@@ -54,21 +72,36 @@ def _number(value: Any) -> float:
 
 
 def _told(condition: tuple[str, ...]) -> str:
-    env, valleys, seed, episodes, _ = condition
-    return f"{env}, valleys {valleys}, {episodes} tasks of seed {seed}"
+    env, valleys, seed, episodes, changes = condition
+    return f"{env}, valleys {valleys}, {episodes} tasks of seed {seed}{changes and f' with {changes}'}"
 
 
-def _evaluated(groups: Sequence[Group]) -> tuple[list[tuple[str, ...]], dict[str, np.ndarray]]:
-    """The evaluations that every seed of every evaluated group has, and the success of each seed in each."""
+def _trained_differently(conditions: list[tuple[str, ...]], steps: np.ndarray) -> list[str]:
+    """A sentence for each condition, if any, in which checkpoints of different age flew; ``steps`` by condition."""
+    return [
+        f"In {_told(condition)}, the checkpoints have not trained equally long: {min(row):,.0f} to {max(row):,.0f} "
+        f"steps (0 where it is not recorded)."
+        for condition, row in zip(conditions, steps, strict=True)
+        if min(row) != max(row)
+    ]
+
+
+def _evaluated(groups: Sequence[Group]) -> tuple[list[tuple[str, ...]], dict[str, np.ndarray], np.ndarray]:
+    """The evaluations that every seed of every evaluated group has.
+
+    Returns:
+        What was flown, the success ``[seeds, conditions]`` of each group, and the training steps
+        ``[conditions, seeds]`` of all groups together.
+    """
     flown = {group.label: [_conditions(run.evaluations) for run in group.runs] for group in groups}
     flown = {label: seeds for label, seeds in flown.items() if all(seeds)}
     if not flown:
-        return [], {}
+        return [], {}, np.zeros((0, 0))
     common = set.intersection(*(set(seed) for seeds in flown.values() for seed in seeds))
     conditions = sorted(common)
-    return conditions, {
-        label: np.array([[seed[c] for c in conditions] for seed in seeds]) for label, seeds in flown.items()
-    }
+    success = {label: np.array([[seed[c][0] for c in conditions] for seed in seeds]) for label, seeds in flown.items()}
+    steps = [[seed[c][1] for seeds in flown.values() for seed in seeds] for c in conditions]
+    return conditions, success, np.array(steps)
 
 
 def _compare(score: str, tasks: list[str], scores: dict[str, np.ndarray]) -> dict[str, Any]:

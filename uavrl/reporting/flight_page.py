@@ -134,7 +134,7 @@ def make_page(replay: Replay) -> str:
     Raises:
         UavrlError: when plotly is not installed.
     """
-    data = json.dumps(page_data(replay), separators=(",", ":")).replace("</", "<\\/")
+    data = json.dumps(page_data(replay), separators=(",", ":")).replace("<", "\\u003c")
     assets = resources.files("uavrl.reporting") / "assets"
     texts = {name: (assets / name).read_text("utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")}
     # No fragment holds another one's mark, so the order of the replacements does not matter.

@@ -129,7 +129,7 @@ def make_report(
             for group in groups
         },
         evaluations=[
-            {"run": run.name, "group": group.label, "run_seed": run.seed, "run_steps": _steps(run), **evaluation}
+            {**evaluation, "run": run.name, "group": group.label, "run_seed": run.seed, "run_steps": _steps(run)}
             for group in groups
             for run in group.runs
             for evaluation in run.evaluations

@@ -89,29 +89,43 @@ def find_run_folders(folders: Sequence[Path]) -> tuple[list[Path], list[LeftOut]
     A run folder holds ``config.yaml`` or ``episodes.csv``; nothing below it is searched.
     """
     found: dict[Path, Path] = {}
-    left_out = []
+    left_out: list[LeftOut] = []
     for folder in folders:
-        if not folder.is_dir():
+        unreadable: list[LeftOut] = []
+        try:
+            exists = folder.is_dir()
+        except OSError as error:
+            left_out.append(_unreadable(folder, error))
+            continue
+        if not exists:
             left_out.append(LeftOut(str(folder), "There is no such folder: check the path."))
             continue
-        runs = list(_search(folder, _DEPTH))
-        if not runs:
+        runs = list(_search(folder, _DEPTH, unreadable))
+        left_out += [left for left in unreadable if left not in left_out]
+        if not runs and not unreadable:
             left_out.append(LeftOut(str(folder), "It holds no run: give the folder that uavrl-train printed."))
         for run in runs:
             found.setdefault(run.resolve(), run)
     return list(found.values()), left_out
 
 
-def _search(folder: Path, depth: int) -> Iterator[Path]:
-    if any((folder / name).exists() for name in (CONFIG, EPISODES)):
+def _search(folder: Path, depth: int, unreadable: list[LeftOut]) -> Iterator[Path]:
+    children: list[Path] = []
+    try:
+        is_run = any((folder / name).exists() for name in (CONFIG, EPISODES))
+        if depth and not is_run:
+            children = sorted(child for child in folder.iterdir() if child.name[0] != "." and child.is_dir())
+    except OSError as error:
+        unreadable.append(_unreadable(folder, error))
+        return
+    if is_run:
         yield folder
-    elif depth:
-        try:
-            children = sorted(child for child in folder.iterdir() if child.is_dir() and child.name[0] != ".")
-        except OSError:
-            return
-        for child in children:
-            yield from _search(child, depth - 1)
+    for child in children:
+        yield from _search(child, depth - 1, unreadable)
+
+
+def _unreadable(folder: Path, error: OSError) -> LeftOut:
+    return LeftOut(str(folder), f"It cannot be read ({error.strerror or error}): check its permissions.")
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
@@ -253,14 +267,21 @@ def _evaluations(folder: Path, notes: list[str]) -> list[dict[str, Any]]:
         if content is None:
             continue
         try:
-            for name in RATES:
-                rate, low, high = (float(content[name][key]) for key in ("rate", "low", "high"))
-                if not (0 <= low <= rate + 1e-9 and rate <= high + 1e-9 <= 1 + 2e-9):
-                    raise ValueError(name)
-            content = {"file": path.name, "episodes": int(content["episodes"]), **content}
-        except (KeyError, TypeError, ValueError):
+            rates = {name: _rate(content[name]) for name in RATES}
+            episodes = int(content["episodes"])
+            for value in content.values():
+                if isinstance(value, int):
+                    float(value)  # some are too large for a float, and could not be shown
+        except (KeyError, TypeError, ValueError, OverflowError):
             notes.append(f"{path.name} is not what uavrl-evaluate writes and was not read.")
             continue
         content.pop("flights", None)
-        found.append(content)
+        found.append({**content, "file": path.name, "episodes": episodes, **rates})
     return found
+
+
+def _rate(content: dict[str, Any]) -> dict[str, float]:
+    rate, low, high = (float(content[key]) for key in ("rate", "low", "high"))
+    if not (0 <= low <= rate + 1e-9 and rate <= high + 1e-9 <= 1 + 2e-9):
+        raise ValueError("It is no rate with its interval.")
+    return {"rate": rate, "low": low, "high": high}

@@ -28,8 +28,9 @@ def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
     """Which row of the thesis a group stands beside.
 
     Returns:
-        The row's learner and reward, and in which settings the group is not what the thesis describes; or one
-        sentence that says why it has no such row.
+        The row's learner and reward, and what of these is not the thesis's: the name of the reward beside a backward
+        reward, LifeGuard's model, the number of episodes. No other setting is compared. Or one sentence that says why
+        the group has no such row.
     """
     run = group.runs[0]
     reward, backward = (str(run.settings.get(f"{name}.name", "none")) for name in ("reward", "backward_reward"))

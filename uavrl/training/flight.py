@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -180,7 +181,7 @@ def load_replay(path: Path) -> Replay:
             tuple(_flight(arrays, about, f"flight{i}") for i in range(about["flights"])),
             {seed: _scenery(arrays, about, f"scenery{seed}") for seed in about["sceneries"]},
         )
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
         raise UavrlError(
             f"{path} holds no flights, or is damaged ({error}): write it again with data=FILE.npz."
         ) from error
