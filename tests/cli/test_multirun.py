@@ -1,30 +1,104 @@
-"""``-m`` trains one run for each combination of values, each in a folder of its own."""
+"""``-m`` trains one run for each combination of values, each in a folder of its own, and none twice."""
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from omegaconf import OmegaConf
 
-from tests.cli.test_bad_input import TINY
+from tests.cli.test_bad_input import TINY, content, in_process
+from uavrl.cli import train as train_command
 
 
-def test_each_value_of_a_sweep_gets_its_own_run(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "uavrl.cli.train", "-m", "seed=0,1", *TINY, f"run_dir={tmp_path / 'run'}"]
-    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert result.returncode == 0, result.stderr
-    runs = sorted(p.parent for p in tmp_path.glob("*/config.yaml"))
-    assert [run.name for run in runs] == ["run_0", "run_1"]
-    assert [OmegaConf.load(run / "config.yaml").seed for run in runs] == [0, 1]
-    assert [OmegaConf.load(run / "config.yaml").run_dir for run in runs] == [str(run) for run in runs]
-    summaries = [json.loads((run / "summary.json").read_text()) for run in runs]
+def runs_in(folder: Path) -> dict[int, Path]:
+    """The run folders below a folder by their seed."""
+    return {int(OmegaConf.load(path).seed): path.parent for path in folder.glob("*/config.yaml")}
+
+
+def sweep(folder: Path, *arguments: str) -> int:
+    """A sweep below a folder, in this process."""
+    return in_process(
+        train_command.main, "-m", *TINY, f"run_dir={folder / 'run'}", f"hydra.sweep.dir={folder / 'sweep'}", *arguments
+    )
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("swept")
+    assert sweep(folder, "seed=0,1") == 0
+    return folder
+
+
+def test_each_value_of_a_sweep_gets_its_own_run(swept: Path) -> None:
+    runs = runs_in(swept)
+    assert sorted(runs) == [0, 1]
+    assert [OmegaConf.load(runs[seed] / "config.yaml").run_dir for seed in (0, 1)] == [str(runs[0]), str(runs[1])]
+    summaries = [json.loads((runs[seed] / "summary.json").read_text()) for seed in (0, 1)]
     assert [s["seed"] for s in summaries] == [0, 1]
     assert [s["episodes"] for s in summaries] == [4, 4]
     assert summaries[0]["mean_return"] != summaries[1]["mean_return"]
-    for run in runs:
-        assert f"Run folder: {run}" in result.stdout
+    for run in runs.values():
         assert list((run / "checkpoints").glob("checkpoint*"))
         assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 4
+
+
+def test_a_sweep_started_again_trains_what_is_missing_alone(swept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {seed: content(run) for seed, run in runs_in(swept).items() if seed in (0, 1)}
+    capsys.readouterr()
+    assert sweep(swept, "seed=0,1,2") == 0
+    printed = capsys.readouterr().out
+    assert printed.count("Finished before: ") == 2
+    assert printed.count("Run folder: ") == 1
+    runs = runs_in(swept)
+    assert sorted(runs) == [0, 1, 2]
+    assert {seed: content(runs[seed]) for seed in (0, 1)} == before
+
+
+def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_checkpoint(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in (runs_in(swept)[seed] for seed in (0, 1)):
+        shutil.copytree(run, tmp_path / run.name)
+    runs = runs_in(tmp_path)
+    first_rows = (runs[0] / "episodes.csv").read_text()
+    for checkpoint in (runs[1] / "checkpoints").glob("*"):
+        checkpoint.unlink()
+    capsys.readouterr()
+    assert sweep(tmp_path, "seed=0,1", "trainer.episodes=6") == 0
+    printed = capsys.readouterr().out
+    assert f"Resuming {runs[0]}" in printed
+    assert f"Run folder: {runs[1]}" in printed
+    assert runs_in(tmp_path) == runs
+    assert (runs[0] / "episodes.csv").read_text().startswith(first_rows)
+    for run in runs.values():
+        assert json.loads((run / "summary.json").read_text())["episodes"] == 6
+        assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 6
+
+
+def test_a_damaged_summary_is_written_again(swept: Path, tmp_path: Path) -> None:
+    run = runs_in(swept)[0]
+    summary = Path(shutil.copytree(run, tmp_path / run.name)) / "summary.json"
+    whole = summary.read_text()
+    summary.write_text(whole[:20])
+    assert sweep(tmp_path, "seed=0") == 0
+    assert json.loads(summary.read_text())["episodes"] == 4
+
+
+def test_joblib_flies_the_other_runs_when_one_fails(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        *("-m", "uavrl.cli.train", "-m", *TINY, f"run_dir={tmp_path / 'run'}", "backward_reward=abr"),
+        *("perception.frames=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"),
+    ]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, timeout=120)
+    assert result.returncode == 1
+    assert "perception.frames must be at least 2, got 1" in result.stderr
+    assert "a run of the sweep failed, see above" in result.stderr
+    assert "Traceback" not in result.stderr
+    (run,) = runs_in(tmp_path).values()
+    assert json.loads((run / "summary.json").read_text())["episodes"] == 4

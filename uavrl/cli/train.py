@@ -7,14 +7,14 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence, was_interrupted
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
 
 register_schemas()
-_FAILED: list[str] = []
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")
@@ -27,30 +27,46 @@ def _main(config: DictConfig) -> None:
         return
     try:
         with one_sentence():
-            _train(config)
+            _train_in_sweep(config)
     except SystemExit as end:
         if end.code == CTRL_C:
             raise
-        _FAILED.append(str(config.run_dir))
+        # Hydra waits for the other runs, whatever launched them, and then ends with this sentence and exit code 1.
+        raise CompactHydraException(f"uavrl: a run of the sweep failed, see above: {config.run_dir}") from None
 
 
 def _train(config: DictConfig) -> None:
     to_dataclass(config)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
-    from uavrl.training.run import create_run, resume_config, train
+    from uavrl.training.run import create_run, resume_config
 
-    hydra_config = HydraConfig.get()
-    resume = config.resume is not None
-    if resume:
-        run_dir = Path(str(config.resume))
-        changed = [o.split("=", 1)[0].lstrip("+~") for o in hydra_config.overrides.task]
-        config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-        print(f"Resuming {run_dir}")
+    if config.resume is None:
+        _fly(config, create_run(config), resume=False)
+        return
+    run_dir = Path(str(config.resume))
+    changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
+    _fly(resume_config(run_dir, config, [key for key in changed if key != "resume"]), run_dir, resume=True)
+
+
+def _train_in_sweep(config: DictConfig) -> None:
+    """Trains a combination unless an earlier sweep has: then it goes on with it, or skips it where it is finished."""
+    to_dataclass(config)
+    from uavrl.training.run import create_run
+    from uavrl.training.sweep import take_place
+
+    place = take_place(config)
+    if place == "finished":
+        print(f"Finished before: {config.run_dir}")
+    elif place == "begun":
+        _fly(config, Path(config.run_dir), resume=True)
     else:
-        if hydra_config.mode == RunMode.MULTIRUN:
-            OmegaConf.update(config, "run_dir", f"{config.run_dir}_{hydra_config.job.num}")
-        run_dir = create_run(config)
-        print(f"Run folder: {run_dir}")
+        _fly(config, create_run(config), resume=False)
+
+
+def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
+    from uavrl.training.run import train
+
+    print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}")
     try:
         summary = train(config, run_dir, resume=resume)
     except BaseException as error:
@@ -62,10 +78,8 @@ def _train(config: DictConfig) -> None:
 
 
 def main() -> None:
-    """Entry point: trains, and exits with 1 where a run of a sweep failed."""
+    """Entry point."""
     _main()
-    if _FAILED:
-        raise SystemExit(f"uavrl: {len(_FAILED)} runs of the sweep failed, see above.")
 
 
 if __name__ == "__main__":

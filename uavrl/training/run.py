@@ -136,10 +136,7 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
         trainer = _build(settings, config, run_dir)
     except BaseException:
         if not resume:
-            for name in (CONFIG, EPISODES):  # nothing to resume: the folder is free for another try
-                (run_dir / name).unlink(missing_ok=True)
-            for name in (STATES_FOLDER, ARTIFACT):
-                shutil.rmtree(run_dir / name, ignore_errors=True)
+            free(run_dir)
         raise
     try:
         if checkpoint is not None:
@@ -164,6 +161,14 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
     finally:
         trainer.progress.close()
         trainer.shutdown()
+
+
+def free(run_dir: Path) -> None:
+    """Makes a folder whose run never reached its first checkpoint free for another try."""
+    for name in (CONFIG, EPISODES):
+        (run_dir / name).unlink(missing_ok=True)
+    for name in (STATES_FOLDER, ARTIFACT):
+        shutil.rmtree(run_dir / name, ignore_errors=True)
 
 
 def seed_everything(seed: int) -> None:

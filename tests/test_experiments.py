@@ -1,0 +1,95 @@
+"""The experiments fly what the thesis's figures and tables tell."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib.resources import files
+from itertools import product
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from uavrl.configs import TrainConfig, conf_dir, learner, register_schemas, to_dataclass
+
+EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("*.yaml"))
+SCHEMES = sorted(path.stem for path in (conf_dir() / "scheme").glob("*.yaml"))
+THESIS = json.loads((files("uavrl.reporting") / "thesis.json").read_text())
+REWARDS = {("traditional", "none"): "TR", ("navigation", "abr"): "ABR", ("navigation", "abr_plus"): "ABR⁺"}
+
+
+def composed(*overrides: str, with_hydra: bool = False) -> Any:
+    register_schemas()
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return compose("config", list(overrides), return_hydra_config=with_hydra)
+
+
+@cache
+def combinations(experiment: str) -> list[tuple[Any, TrainConfig]]:
+    """Every run of an experiment, as Hydra's sweeper makes them."""
+    runs = []
+    hydra = composed(f"experiment={experiment}", with_hydra=True).hydra
+    params = hydra.sweeper.params or {}
+    assert (str(hydra.mode) == "RunMode.MULTIRUN") == bool(params)
+    for values in product(*(str(choices).split(",") for choices in params.values())):
+        overrides = [f"{key}={value}" for key, value in zip(params, values, strict=True)]
+        config = composed(f"experiment={experiment}", *overrides)
+        runs.append((config, to_dataclass(config)))
+    return runs
+
+
+def cell(config: Any, settings: TrainConfig) -> tuple[str, str, str]:
+    """Where a run stands in the thesis's tables: environment, learner and reward."""
+    reward = REWARDS[(settings.reward.name, settings.backward_reward.name)]
+    bare = OmegaConf.merge(config, {"backward_reward": {"name": "none"}})
+    assert isinstance(bare, type(config))
+    return settings.env.name, learner(bare), reward
+
+
+def in_thesis(table: str, *sources: str) -> set[tuple[str, str, str]]:
+    rows = [row for row in THESIS[table] if any(source in row["source"] for source in sources)]
+    return {(row["env"], row["learner"], row["reward"]) for row in rows}
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_an_experiments_runs_differ_in_name_and_are_the_thesis_length(experiment: str) -> None:
+    runs = combinations(experiment)
+    folders = [config.run_dir for config, _ in runs]
+    assert len(set(folders)) == len(folders)
+    assert all(folder.startswith(f"runs/{experiment}/") for folder in folders)
+    assert {settings.trainer.episodes for _, settings in runs} == {THESIS["episodes"]}
+
+
+@pytest.mark.parametrize(
+    ("experiment", "table", "source", "beside"),
+    [
+        ("figure_4_3", "rates", "4.3", set()),
+        ("figure_4_4", "rates", "4.4", set()),
+        ("figure_4_5", "rates", "4.5", {("dynamic", "td3_fork", "TR"), ("dynamic", "td3_lg", "TR")}),
+        ("table_4_2", "steps_to", "4.2", set()),
+    ],
+)
+def test_an_experiment_flies_every_cell_of_its_figure(
+    experiment: str, table: str, source: str, beside: set[tuple[str, str, str]]
+) -> None:
+    flown = {cell(*run) for run in combinations(experiment)}
+    assert flown - beside == in_thesis(table, f"Figure {source}", f"Figures {source}", f"Table {source}", f", {source}")
+    assert beside <= flown
+
+
+def test_the_states_of_figure_4_2_are_kept() -> None:
+    ((_, settings),) = combinations("figure_4_2")
+    assert settings.trainer.record_states
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_scheme_changes_what_is_paid_alone(scheme: str) -> None:
+    before, after = (OmegaConf.to_container(composed(*chosen), resolve=True) for chosen in ([], [f"scheme={scheme}"]))
+    assert isinstance(before, dict)
+    assert isinstance(after, dict)
+    changed = {key for key in before | after if before.get(key) != after.get(key)} - {"run_dir"}
+    assert changed <= {"reward", "backward_reward"}
+    assert bool(changed) == (scheme != "prize")  # the default pays the prize
+    assert (after["reward"]["name"] == "navigation_prize") == scheme.endswith("prize")

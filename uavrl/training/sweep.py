@@ -1,0 +1,44 @@
+"""The combinations of a sweep: each has a folder of its own, and is found there when the sweep is started again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+from omegaconf import DictConfig, OmegaConf
+
+from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, fingerprint
+from uavrl.training.gradients import chosen_execution
+from uavrl.training.run import SUMMARY, free, locked
+
+NAME_DIGITS = 6
+
+
+def take_place(config: DictConfig) -> Literal["new", "begun", "finished"]:
+    """Ends ``config.run_dir`` in the configuration's fingerprint, and says how far a run has come there.
+
+    What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint: a sweep that is
+    started again for more episodes goes on with its runs. A folder without a checkpoint is freed.
+
+    Raises:
+        UavrlError: when another process trains there.
+    """
+    config.trainer.execution = chosen_execution(config.trainer.execution)
+    run_dir = Path(f"{config.run_dir}_{fingerprint(config)[:NAME_DIGITS]}")
+    OmegaConf.update(config, "run_dir", str(run_dir))
+    if not (run_dir / CONFIG).exists():
+        return "new"
+    if not any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+        with locked(run_dir):
+            free(run_dir)
+        return "new"
+    return "finished" if _episodes(run_dir) >= config.trainer.episodes else "begun"
+
+
+def _episodes(run_dir: Path) -> int:
+    """The episodes of a summary; 0 where there is none, or a damaged one, which the end of the run writes anew."""
+    try:
+        return int(json.loads((run_dir / SUMMARY).read_text())["episodes"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0
