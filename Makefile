@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: train test test-slow lint bench setup clean
+.PHONY: train demo test test-slow lint bench setup clean
 
 setup: $(READY)
 
@@ -17,6 +17,10 @@ $(READY): pyproject.toml constraints.txt
 
 train: $(READY)
 	$(BIN)/uavrl-train $(ARGS)
+
+demo: $(READY)
+	$(BIN)/uavrl-replay policy=static tasks=[0,1,2,3] output=demo.html
+	@echo "Open demo.html in a browser."
 
 test: $(READY) lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)

@@ -104,9 +104,9 @@ def test_flights_in_a_file_make_the_same_page_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "Give one of run=RUN_FOLDER, policy=straight and flight=FILE.npz"),
+        ([], "Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz"),
         (["policy=straight", "run=x"], "and no two of them"),
-        (["policy=clever"], "policy must be straight, got 'clever'"),
+        (["policy=clever"], "policy must be one of straight"),
         (["policy=straight", "task=-1"], "task must be a number from 0, got -1"),
         (["policy=straight", "tasks=[0,-2]"], "tasks must be a list of different numbers from 0"),
         (["policy=straight", "tasks=[1,1]"], "tasks must be a list of different numbers from 0"),

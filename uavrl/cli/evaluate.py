@@ -12,9 +12,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uavrl.cli.errors import configure_logging, one_sentence
-from uavrl.cli.policies import baseline, load_policy, name_of_output, with_overrides, writable
+from uavrl.cli.policies import baseline, load_policy, name_of_output, policy_folder, with_overrides, writable
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
-from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
     from uavrl.configs import EvaluateConfig, TrainConfig
@@ -32,8 +31,7 @@ def main(config: DictConfig) -> None:
 
 def _evaluate(config: DictConfig, overrides: list[str]) -> None:
     settings: EvaluateConfig = to_dataclass(config)
-    if (settings.run is None) == (settings.policy is None):
-        raise UavrlError("Give either run=RUN_FOLDER or policy=straight, and not both.")
+    folder = policy_folder(settings.run, settings.policy)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
@@ -43,8 +41,9 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
     torch.set_num_threads(settings.threads)
     device = make_device(settings.device)
     env_config, perception = settings.env, settings.perception
-    if settings.run is not None:
-        run_config, policy, source = load_policy(Path(settings.run), settings.checkpoint, device)
+    if folder is not None:
+        run_config, policy, source = load_policy(folder, settings.checkpoint, device)
+        source["run"] = settings.run or f"policy={settings.policy}"
         changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
         env_config, perception = changed.env, changed.perception
     else:

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
+import uavrl
 from uavrl.configs import to_dataclass
 from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
     from uavrl.configs import TrainConfig
+
+PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
 
 
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
@@ -65,8 +68,31 @@ def writable(output: Path, key: str = "output") -> Path:
     return output
 
 
+def packaged_policies() -> list[str]:
+    """The names of the policies that come with the package.
+
+    Examples:
+        >>> "static" in packaged_policies()
+        True
+    """
+    return sorted(path.parent.name for path in PACKAGED.glob("*/policy.json"))
+
+
+def policy_folder(run: str | None, policy: str | None) -> Path | None:
+    """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline.
+
+    Raises:
+        UavrlError: unless exactly one of the two is given.
+    """
+    if (run is None) == (policy is None):
+        raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
+    if run is not None:
+        return Path(run)
+    return PACKAGED / str(policy) if policy in packaged_policies() else None
+
+
 def load_policy(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfig, Any, dict[str, Any]]:
-    """The policy of a run's checkpoint, the newest if none is named.
+    """The policy of a run or of a folder that ``uavrl-export`` wrote, ready to fly.
 
     Returns:
         The run's configuration, the policy, and what a result says about them.
@@ -74,29 +100,46 @@ def load_policy(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[Dic
     Raises:
         UavrlError: when the run or the checkpoint is missing or damaged.
     """
-    from torchrl.checkpoint import Checkpoint
-
-    from uavrl.training.checkpoint import check_checkpoint, read_config, restore
-    from uavrl.training.learner import make_actor
-
-    config = read_config(run_dir)
-    path = checkpoint_path(run_dir, checkpoint)
-    train_config: TrainConfig = to_dataclass(config)
-    metadata = check_checkpoint(path, config)
-    actor = make_actor(train_config.algo, train_config.perception, device)
-    restore(Checkpoint(policy=actor), path, ["policy"])
-    source = {
-        "run": str(run_dir),
-        "checkpoint": path.name,
-        "training_steps": metadata["collected_frames"],
-        "training_episodes": metadata["episodes"],
-    }
+    config, actor, about = load_actor(run_dir, checkpoint, device)
 
     def policy(tensordict: Any) -> Any:
         acted = actor(tensordict.select("observation").to(device))
         return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
 
-    return config, policy, source
+    told = ("checkpoint", "training_steps", "training_episodes", "commit")
+    return config, policy, {"run": str(run_dir), **{key: about[key] for key in told if key in about}}
+
+
+def load_actor(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfig, Any, dict[str, Any]]:
+    """The policy's module, from the checkpoint named, else from a policy on its own, else from the newest checkpoint.
+
+    Returns:
+        The run's configuration, the module, and where it comes from.
+
+    Raises:
+        UavrlError: when the run or the checkpoint is missing or damaged.
+    """
+    from torchrl.checkpoint import Checkpoint
+
+    from uavrl.training.checkpoint import check_checkpoint, read_config, restore
+    from uavrl.training.exported import is_exported, load_exported
+    from uavrl.training.learner import make_actor
+
+    config = read_config(run_dir)
+    train_config: TrainConfig = to_dataclass(config)
+    actor = make_actor(train_config.algo, train_config.perception, device)
+    if checkpoint is None and is_exported(run_dir):
+        return config, actor, load_exported(run_dir, actor)
+    path = checkpoint_path(run_dir, checkpoint)
+    metadata = check_checkpoint(path, config)
+    restore(Checkpoint(policy=actor), path, ["policy"])
+    about = {
+        "checkpoint": path.name,
+        "training_steps": metadata["collected_frames"],
+        "training_episodes": metadata["episodes"],
+        "commit": metadata.get("commit"),
+    }
+    return config, actor, about
 
 
 def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
@@ -122,5 +165,6 @@ def baseline(name: str, flight_level: float) -> Any:
     from uavrl.training.baselines import StraightPolicy
 
     if name != "straight":
-        raise UavrlError(f"policy must be straight, got {name!r}: to fly a trained policy give run=RUN_FOLDER.")
+        names = ", ".join(["straight", *packaged_policies()])
+        raise UavrlError(f"policy must be one of {names}, got {name!r}: to fly your own give run=RUN_FOLDER.")
     return StraightPolicy(flight_level)

@@ -13,7 +13,15 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uavrl.cli.errors import configure_logging, one_sentence
-from uavrl.cli.policies import baseline, checkpoint_path, load_policy, name_of_output, with_overrides, writable
+from uavrl.cli.policies import (
+    baseline,
+    checkpoint_path,
+    load_policy,
+    name_of_output,
+    policy_folder,
+    with_overrides,
+    writable,
+)
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
 from uavrl.errors import UavrlError
 
@@ -37,7 +45,7 @@ def main(config: DictConfig) -> None:
 def _replay(config: DictConfig, overrides: list[str]) -> None:
     settings: ReplayConfig = to_dataclass(config)
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
-        raise UavrlError("Give one of run=RUN_FOLDER, policy=straight and flight=FILE.npz, and no two of them.")
+        raise UavrlError("Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz, and no two of them.")
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.reporting.flight_page import needs_plotly, write_page
     from uavrl.reporting.flight_video import needs_imageio, write_video
@@ -80,6 +88,7 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     """Loads what flies; the call that it returns flies it."""
     import torch
 
+    from uavrl.training.exported import is_exported
     from uavrl.training.factory import make_device
     from uavrl.training.replay import load_risk, record_flights
 
@@ -87,13 +96,14 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     device = make_device(settings.device)
     env, perception, reward, risk = settings.env, settings.perception, settings.reward, None
     source: dict[str, Any]
-    if settings.run is not None:
-        run_dir = Path(settings.run)
-        run_config, policy, source = load_policy(run_dir, settings.checkpoint, device)
+    folder = policy_folder(settings.run, settings.policy)
+    if folder is not None:
+        run_config, policy, source = load_policy(folder, settings.checkpoint, device)
         changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
         env, perception, reward = changed.env, changed.perception, changed.reward
-        risk = load_risk(changed, checkpoint_path(run_dir, settings.checkpoint), device)
-        source["run"] = run_dir.resolve().name
+        if settings.checkpoint is not None or not is_exported(folder):  # LifeGuard is not exported
+            risk = load_risk(changed, checkpoint_path(folder, settings.checkpoint), device)
+        source["run"] = folder.resolve().name
     else:
         policy, source = baseline(str(settings.policy), env.world.flight_level), {"policy": settings.policy}
     if settings.valleys is not None:

@@ -1,0 +1,103 @@
+"""A policy on its own flies as its run does, and damaged ones are refused in a sentence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from tests.cli.test_bad_input import SMALL_EVALUATION, TINY, content, in_process
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import export as export_command
+from uavrl.cli import replay as replay_command
+from uavrl.cli import train as train_command
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run_dir = tmp_path_factory.mktemp("runs") / "run"
+    assert in_process(train_command.main, *TINY, f"run_dir={run_dir}") == 0
+    return run_dir
+
+
+@pytest.fixture
+def policy(run_dir: Path, tmp_path: Path) -> Path:
+    assert in_process(export_command.main, str(run_dir), "--output", str(tmp_path / "policy")) == 0
+    return tmp_path / "policy"
+
+
+def test_it_flies_as_its_run_does(run_dir: Path, policy: Path, tmp_path: Path) -> None:
+    results = []
+    for folder in (run_dir, policy):
+        output = tmp_path / f"{folder.name}.json"
+        arguments = [f"run={folder}", f"output={output}", *SMALL_EVALUATION]
+        assert in_process(evaluate_command.main, *arguments) == 0
+        results.append(json.loads(output.read_text()))
+    assert results[0]["flights"] == results[1]["flights"]
+    assert results[0]["training_steps"] == results[1]["training_steps"] > 0
+    assert sum(len(file) for file in content(policy).values()) < 50_000
+    assert str(run_dir) not in (policy / "config.yaml").read_text()
+    assert OmegaConf.load(policy / "config.yaml").algo == OmegaConf.load(run_dir / "config.yaml").algo
+
+
+def test_it_can_be_replayed(policy: Path) -> None:
+    assert in_process(replay_command.main, f"run={policy}", "points=10", "progress=false") == 0
+    assert "policy" in (policy / "replay.html").read_text()
+
+
+def test_an_unknown_run_a_taken_folder_and_a_policy_on_its_own_are_refused(
+    run_dir: Path, policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = content(policy)
+    for arguments, said in [
+        ([str(tmp_path / "nothing"), "--output", str(tmp_path / "new")], "Expected a run folder"),
+        ([str(run_dir), "--output", str(policy)], "holds a policy or a run already"),
+        ([str(run_dir), "--output", str(run_dir)], "holds a policy or a run already"),
+        ([str(policy), "--output", str(tmp_path / "new")], "holds a policy on its own already"),
+        ([str(run_dir), "--output", str(tmp_path / "new"), "--checkpoint", "none.zip"], "Expected a checkpoint"),
+    ]:
+        assert in_process(export_command.main, *arguments) == 1
+        assert said in capsys.readouterr().err
+    assert content(policy) == before
+    assert not (tmp_path / "new").exists()
+
+
+def _flip_a_bit(folder: Path) -> None:
+    content = bytearray((folder / "policy.safetensors").read_bytes())
+    content[-1] ^= 1
+    (folder / "policy.safetensors").write_bytes(content)
+
+
+def _cut_off(folder: Path) -> None:
+    (folder / "policy.json").write_text((folder / "policy.json").read_text()[:40])
+
+
+def _of_another_shape(folder: Path) -> None:
+    config = OmegaConf.load(folder / "config.yaml")
+    config.algo.hidden = [9]
+    OmegaConf.save(config, folder / "config.yaml")
+
+
+def _of_the_future(folder: Path) -> None:
+    about = json.loads((folder / "policy.json").read_text())
+    (folder / "policy.json").write_text(json.dumps({**about, "version": 99}))
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (_flip_a_bit, "policy.safetensors is damaged"),
+        (_cut_off, "cannot be read"),
+        (_of_another_shape, "are of another policy than its config.yaml describes"),
+        (_of_the_future, "is not a policy that this version of uavrl reads"),
+    ],
+)
+def test_a_damaged_policy_is_refused(
+    policy: Path, damage: Callable[[Path], None], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage(policy)
+    assert in_process(evaluate_command.main, f"run={policy}", *SMALL_EVALUATION) == 1
+    assert said in capsys.readouterr().err

@@ -1,0 +1,51 @@
+"""The packaged policies still fly as well as their evaluation says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from uavrl.cli.policies import PACKAGED, load_policy, packaged_policies
+from uavrl.configs import to_dataclass
+from uavrl.training.episodes import wilson
+from uavrl.training.evaluation import fly
+from uavrl.training.factory import make_env
+
+TASKS = 50
+
+
+def evaluation(name: str, file: str = "evaluation.json") -> dict[str, Any]:
+    return json.loads((PACKAGED / name / file).read_text())
+
+
+def test_one_is_packaged() -> None:
+    assert "static" in packaged_policies()
+
+
+@pytest.mark.parametrize("name", packaged_policies())
+def test_its_evaluation_is_of_this_policy(name: str) -> None:
+    about = json.loads((PACKAGED / name / "policy.json").read_text())
+    for file in Path(PACKAGED / name).glob("evaluation*.json"):
+        result = evaluation(name, file.name)
+        assert result["checkpoint"] == about["checkpoint"]
+        assert result["training_steps"] == about["training_steps"]
+        assert result["episodes"] == len(result["flights"]) == 500
+
+
+@pytest.mark.parametrize("name", packaged_policies())
+def test_it_succeeds_as_often_as_its_evaluation_states(name: str) -> None:
+    stated = evaluation(name)
+    config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
+    settings = to_dataclass(config)
+    env = make_env(settings.env, settings.perception, seed=stated["seed"], num_uavs=8, measure_clearance=True)
+    try:
+        flights = fly(env, policy, TASKS)
+    finally:
+        env.close()
+    arrived = sum(flight.outcome == "arrived" for flight in flights)
+    interval = wilson(sum(flight["outcome"] == "arrived" for flight in stated["flights"][:TASKS]), TASKS)
+    assert interval["low"] <= arrived / TASKS <= interval["high"]

@@ -1,0 +1,40 @@
+"""``uavrl-export``: the policy of a run on its own, small enough to give away."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from uavrl.cli.errors import one_sentence
+from uavrl.errors import UavrlError
+
+
+def main() -> None:
+    """Writes weights and configuration; evaluation and replay take the folder as ``run=``."""
+    parser = argparse.ArgumentParser(
+        prog="uavrl-export",
+        description="Writes the policy of a run, with its configuration and without optimisers and replay buffer, to a "
+        "folder that uavrl-evaluate and uavrl-replay take as run=FOLDER.",
+    )
+    parser.add_argument("run", type=Path, metavar="RUN_FOLDER", help="a run that uavrl-train made")
+    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="where the policy goes")
+    parser.add_argument("--checkpoint", default=None, metavar="FILE", help="a checkpoint (default: the run's newest)")
+    with one_sentence():
+        _export(parser.parse_args())
+
+
+def _export(args: argparse.Namespace) -> None:
+    # Imported here: --help answers without loading torch.
+    from uavrl.cli.policies import load_actor
+    from uavrl.training.exported import export_policy, is_exported
+
+    if is_exported(args.run):
+        raise UavrlError(f"{args.run} holds a policy on its own already: copy the folder.")
+    config, actor, about = load_actor(args.run, args.checkpoint, "cpu")
+    export_policy(actor, config, {**about, "run": args.run.resolve().name}, args.output)
+    print(f"Written to {args.output}")
+    print(f"Evaluate with: uavrl-evaluate run={args.output}")
+
+
+if __name__ == "__main__":
+    main()
