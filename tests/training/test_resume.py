@@ -12,10 +12,12 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import tensordict
 import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
+from uavrl.buffers import FrameStorage
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder, read_recording
@@ -73,7 +75,7 @@ def contents(checkpoint: Path) -> dict[str, bytes]:
     Left out: the manifest (times), the logger (paths), the collector (its count of trajectory ids goes on where a
     resumed process numbers its first ones; its policy is compared as such) and the order of keys in the data's index.
     """
-    left_out = ("manifest.json", "-logger/", "-collector/", "storage/meta.json", "storage/next/meta.json")
+    left_out = ("manifest.json", "-logger/", "-collector/", "transitions/meta.json", "transitions/next/meta.json")
     with zipfile.ZipFile(checkpoint) as archive:
         names = [n for n in archive.namelist() if not any(part in n for part in left_out)]
         return {name: archive.read(name) for name in names}
@@ -216,6 +218,25 @@ def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) ->
         file.write("17,9,arri")
     train(small_config(cut, "trainer.episodes=16", *overrides), cut, resume=True)
     assert_same_run(whole, cut)
+
+
+def test_a_run_goes_on_from_a_checkpoint_that_holds_whole_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    overrides = ["buffer=prioritized", "buffer.capacity=90"]  # overwritten a few times
+    for name in ("whole", "old"):
+        config = small_config(tmp_path / name, "trainer.episodes=16", *overrides)
+        with monkeypatch.context() as patch:
+            if name == "old":  # up to version 0.1
+                patch.setattr(FrameStorage, "dumps", lambda s, path: tensordict.save(s.get(slice(0, len(s))), path))
+            train(config, create_run(config))
+        train(small_config(tmp_path / name, "trainer.episodes=24", *overrides), tmp_path / name, resume=True)
+    assert read_episodes(tmp_path / "whole/episodes.csv")[-1].total_steps > 180
+    whole, old = (contents(rotation(tmp_path / name).latest()) for name in ("whole", "old"))
+    # The frames lie in another order, the transitions that they make are the same: as many as fit.
+    differing = {name.partition("/storage/")[2] for name in whole if whole[name] != old.get(name)}
+    assert differing <= {"frames.memmap", "meta.json", "transitions/first_frame.memmap"}
+    assert (tmp_path / "whole/episodes.csv").read_bytes() == (tmp_path / "old/episodes.csv").read_bytes()
 
 
 def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
