@@ -17,7 +17,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl.buffers import FrameStorage
+from uavrl.buffers import GatheringStorage
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder, read_recording
@@ -61,6 +61,9 @@ ABR = [  # some goals are so near that random flights arrive; one class for near
     "env.world.goal_radius=12",
     "env.max_steps=40",
 ]
+
+
+POSITIONS = ("frames.memmap", "first_frame.memmap")
 
 
 def small_config(run_dir: Path, *overrides: str) -> DictConfig:
@@ -220,23 +223,39 @@ def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) ->
     assert_same_run(whole, cut)
 
 
-def test_a_run_goes_on_from_a_checkpoint_that_holds_whole_states(
+class WholeStates(GatheringStorage):
+    """Where transitions lay up to version 0.1."""
+
+    def __init__(self, capacity: int, frames: int, device: str) -> None:
+        super().__init__(capacity, device=device)
+
+    def dumps(self, path: Path) -> None:
+        tensordict.save(self.get(slice(0, len(self))), path)
+
+
+def test_states_kept_frame_by_frame_teach_the_same_and_older_checkpoints_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    overrides = ["buffer=prioritized", "buffer.capacity=90"]  # overwritten a few times
-    for name in ("whole", "old"):
-        config = small_config(tmp_path / name, "trainer.episodes=16", *overrides)
+    small = ["buffer=prioritized", "buffer.capacity=70"]  # overwritten before and after the resumption
+    for name in ("frames", "whole"):
+        config = small_config(tmp_path / name, "trainer.episodes=10", *small)
         with monkeypatch.context() as patch:
-            if name == "old":  # up to version 0.1
-                patch.setattr(FrameStorage, "dumps", lambda s, path: tensordict.save(s.get(slice(0, len(s))), path))
+            if name == "whole":
+                patch.setattr("uavrl.training.factory.FrameStorage", WholeStates)
             train(config, create_run(config))
-        train(small_config(tmp_path / name, "trainer.episodes=24", *overrides), tmp_path / name, resume=True)
-    assert read_episodes(tmp_path / "whole/episodes.csv")[-1].total_steps > 180
-    whole, old = (contents(rotation(tmp_path / name).latest()) for name in ("whole", "old"))
-    # The frames lie in another order, the transitions that they make are the same: as many as fit.
-    differing = {name.partition("/storage/")[2] for name in whole if whole[name] != old.get(name)}
-    assert differing <= {"frames.memmap", "meta.json", "transitions/first_frame.memmap"}
-    assert (tmp_path / "whole/episodes.csv").read_bytes() == (tmp_path / "old/episodes.csv").read_bytes()
+    for episodes in (10, 14):
+        if episodes == 14:
+            for name in ("frames", "whole"):
+                train(small_config(tmp_path / name, "trainer.episodes=14", *small), tmp_path / name, resume=True)
+        assert (tmp_path / "frames/episodes.csv").read_bytes() == (tmp_path / "whole/episodes.csv").read_bytes()
+        frames, whole = (contents(rotation(tmp_path / name).latest()) for name in ("frames", "whole"))
+        learned = [name for name in frames if "/storage/" not in name]
+        assert len(learned) > 30
+        assert not [name for name in learned if frames[name] != whole[name]]
+    # By now both lie frame by frame; the numbers of the frames may differ.
+    same = [name for name in frames if name.endswith(".memmap") and name.rpartition("/")[2] not in POSITIONS]
+    assert len([name for name in same if "/storage/" in name]) >= 8
+    assert not [name for name in same if frames[name] != whole[name]]
 
 
 def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
