@@ -34,7 +34,7 @@ lint: $(READY)
 	$(BIN)/mypy
 
 bench: $(READY)
-	for name in lidar env update train; do $(BIN)/python benchmarks/$$name.py || exit 1; done
+	for name in lidar env update buffer train; do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 clean:
 	rm -rf $(VENV)

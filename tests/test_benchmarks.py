@@ -58,6 +58,17 @@ def test_the_training_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     assert all(100 < row["peak_rss_mib"] < 10_000 for row in numbers["rows"].values())
 
 
+@pytest.mark.slow
+def test_the_buffer_benchmark_writes_its_ratios(tmp_path: Path) -> None:
+    numbers = written_by("buffer.py", tmp_path, "--transitions", "50000", "--repeats", "3")
+    rows = numbers["rows"]
+    ours, torchrl = rows["uavrl"], rows["TorchRL's LazyTensorStorage"]
+    assert numbers["memory_vs_torchrl"] == pytest.approx(ours["bytes_per_transition"] / torchrl["bytes_per_transition"])
+    assert numbers["memory_vs_torchrl"] < 0.35
+    assert numbers["memory_vs_sb3"] < 0.35
+    assert numbers["sample_vs_torchrl"] == pytest.approx(ours["sample_ms"] / torchrl["sample_ms"])
+
+
 def test_pybullets_rays_see_what_the_lidar_sees(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     from pybullet_rays import PyBulletLidar

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import TensorDictReplayBuffer
 
+from uavrl.buffers import FrameStorage
 from uavrl.pretraining import StateRecorder
 from uavrl.training.checkpoint import BufferState, rotation
 
@@ -49,9 +50,9 @@ def transitions(states: np.ndarray, outcome: str) -> TensorDict:
     )
 
 
-def checkpoint_run(run_dir: Path, episodes: list[np.ndarray], capacity: int = 10_000) -> Path:
+def checkpoint_run(run_dir: Path, episodes: list[np.ndarray], capacity: int = 10_000, frames: int = 1) -> Path:
     """A run folder with a checkpoint whose replay buffer saw these episodes."""
-    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=4)
+    buffer = TensorDictReplayBuffer(storage=FrameStorage(capacity, frames), batch_size=4)
     for i, states in enumerate(episodes):
         buffer.extend(transitions(states, OUTCOMES[i % 3]))
     run_dir.mkdir(parents=True)

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tensordict
 
 from tests.pretraining.synthetic import OUTCOMES, checkpoint_run, record, walk
+from uavrl.buffers import FrameStorage
 from uavrl.errors import UavrlError
 from uavrl.pretraining.from_run import open_source, read_run
 
@@ -45,6 +47,23 @@ def test_of_a_buffer_that_overwrote_its_oldest_transitions_whole_episodes_are_le
     assert kept >= capacity or kept == sum(map(len, written))  # one more would not have fitted
 
 
+def test_the_states_of_a_run_may_be_stacked(tmp_path: Path) -> None:
+    flown = [np.arange(10 * i, 10 * i + steps + 3, dtype=np.float32)[:, None] for i, steps in enumerate((5, 1, 8))]
+    written = [np.lib.stride_tricks.sliding_window_view(f[:, 0], 3).copy() for f in flown]  # one state more than steps
+    checkpoint_run(tmp_path / "run", [states[:-1] for states in written], frames=3)  # each next state is one higher
+    assert np.array_equal(read_run(tmp_path / "run").states, np.concatenate([states[:-1] for states in written]))
+
+
+def test_checkpoints_that_hold_whole_states_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def dumps(storage: FrameStorage, path: Path) -> None:  # as version 0.1 did
+        tensordict.save(storage.get(slice(0, len(storage))), path)
+
+    monkeypatch.setattr(FrameStorage, "dumps", dumps)
+    written = episodes()
+    checkpoint_run(tmp_path / "run", written)
+    assert np.array_equal(read_run(tmp_path / "run").states, np.concatenate(written))
+
+
 def test_a_recording_is_preferred_to_the_buffer(tmp_path: Path) -> None:
     checkpoint_run(tmp_path / "run", episodes())
     written = record(tmp_path / "run" / "states", episodes=3)
@@ -64,7 +83,7 @@ def test_a_missing_run_or_checkpoint_is_named(tmp_path: Path) -> None:
 def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
     path = checkpoint_run(tmp_path / "run", episodes())
     content = path.read_bytes()
-    start = content.index(np.concatenate(episodes())[:4].tobytes())
+    start = content.index(episodes()[0][0].tobytes())
     path.write_bytes(content[:start] + b"\x07" + content[start + 1 :])
     with pytest.raises(UavrlError, match=r"cannot be read .*Bad CRC"):
         read_run(tmp_path / "run")

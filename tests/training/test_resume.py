@@ -9,13 +9,17 @@ import subprocess
 import sys
 import time
 import zipfile
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
+import tensordict
 import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
+from uavrl.buffers import GatheringStorage
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder, read_recording
@@ -58,7 +62,12 @@ ABR = [  # some goals are so near that random flights arrive; one class for near
     "backward_reward.threshold=0.1",
     "env.world.goal_radius=12",
     "env.max_steps=40",
+    "trainer.episodes=20",  # none of the first 16 arrives
 ]
+
+
+SIXTEEN = ["trainer.episodes=16", "logger.interval=1"]
+POSITIONS = ("frames.memmap", "first_frame.memmap")
 
 
 def small_config(run_dir: Path, *overrides: str) -> DictConfig:
@@ -73,7 +82,7 @@ def contents(checkpoint: Path) -> dict[str, bytes]:
     Left out: the manifest (times), the logger (paths), the collector (its count of trajectory ids goes on where a
     resumed process numbers its first ones; its policy is compared as such) and the order of keys in the data's index.
     """
-    left_out = ("manifest.json", "-logger/", "-collector/", "storage/meta.json", "storage/next/meta.json")
+    left_out = ("manifest.json", "-logger/", "-collector/", "transitions/meta.json", "transitions/next/meta.json")
     with zipfile.ZipFile(checkpoint) as archive:
         names = [n for n in archive.namelist() if not any(part in n for part in left_out)]
         return {name: archive.read(name) for name in names}
@@ -88,30 +97,22 @@ def assert_same_run(one: Path, other: Path) -> None:
     assert len(last[0]) > 30
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        [],
-        ["buffer=prioritized"],
-        ["algo=ddpg"],
-        FORK_AND_LIFEGUARD,
-        SAC,
-        ABR,
-        ["env=dynamic", "perception.lidar.dropout=0.1"],
-    ],
-)
-def test_two_runs_are_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
-    for name in ("one", "other"):
-        config = small_config(tmp_path / name, "trainer.episodes=14", *overrides)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[list[str]], Path]:
+    """Gives the folder of a run of 16 episodes that was never stopped; each is trained once."""
+
+    @cache
+    def trained(overrides: tuple[str, ...]) -> Path:
+        config = small_config(tmp_path_factory.mktemp("whole") / "run", *SIXTEEN, *overrides)
         train(config, create_run(config))
-    assert_same_run(tmp_path / "one", tmp_path / "other")
+        return Path(config.run_dir)
+
+    return lambda overrides: trained(tuple(overrides))
 
 
-def test_the_enhancers_have_their_say_in_these_runs(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=14", "logger.interval=1", *FORK_AND_LIFEGUARD)
-    train(config, create_run(config))
+def test_the_enhancers_have_their_say_in_these_runs(whole: Callable[[list[str]], Path]) -> None:
     for name in ("lifeguard_active", "lifeguard_penalty", "fork_gate", "fork_weight"):
-        (log,) = (tmp_path / "run/logs").rglob(f"{name}.csv")
+        (log,) = (whole(FORK_AND_LIFEGUARD) / "logs").rglob(f"{name}.csv")
         assert max(float(line.split(",")[-1]) for line in log.read_text().splitlines()) > 0, name
 
 
@@ -120,11 +121,10 @@ def last_values(run_dir: Path, *names: str) -> list[float]:
     return [float(log.read_text().splitlines()[-1].split(",")[-1]) for log in logs]
 
 
-def test_flights_that_arrive_are_paid_again(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=20", "logger.interval=1", *ABR)
-    train(config, create_run(config))
-    episodes, extra, values = last_values(tmp_path / "run", "backward_episodes", "backward_extra", "backward_values")
-    arrived = sum(episode.outcome == "arrived" for episode in read_episodes(tmp_path / "run/episodes.csv"))
+def test_flights_that_arrive_are_paid_again(whole: Callable[[list[str]], Path]) -> None:
+    run = whole(ABR)
+    episodes, extra, values = last_values(run, "backward_episodes", "backward_extra", "backward_values")
+    arrived = sum(episode.outcome == "arrived" for episode in read_episodes(run / "episodes.csv"))
     assert episodes == arrived > 1
     assert extra > 0 and values > 1
 
@@ -193,19 +193,31 @@ def test_abr_takes_states_of_any_number_of_frames_but_one(tmp_path: Path) -> Non
         train(config, create_run(config))
 
 
-def test_another_seed_gives_another_run(tmp_path: Path) -> None:
-    for seed in (0, 1):
-        config = small_config(tmp_path / str(seed), "trainer.episodes=4", f"seed={seed}")
-        train(config, create_run(config))
-    assert (tmp_path / "0/episodes.csv").read_bytes() != (tmp_path / "1/episodes.csv").read_bytes()
+def test_another_seed_gives_another_run(tmp_path: Path, whole: Callable[[list[str]], Path]) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=4", "seed=1")
+    train(config, create_run(config))
+    assert read_episodes(tmp_path / "run/episodes.csv") != read_episodes(whole([]) / "episodes.csv")[:4]
 
 
-@pytest.mark.parametrize("overrides", [[], ["buffer=prioritized"], ["env=dynamic"], FORK_AND_LIFEGUARD, SAC, ABR])
-def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    for run_dir in (whole, cut):
-        config = small_config(run_dir, "trainer.episodes=16", *overrides)
-        train(config, create_run(config))
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        [],
+        ["buffer=prioritized"],
+        ["algo=ddpg"],
+        FORK_AND_LIFEGUARD,
+        SAC,
+        ABR,
+        ["env=dynamic", "perception.lidar.dropout=0.1"],
+    ],
+)
+def test_two_runs_are_bit_identical_and_so_is_a_resumed_one(
+    tmp_path: Path, whole: Callable[[list[str]], Path], overrides: list[str]
+) -> None:
+    cut = tmp_path / "cut"
+    config = small_config(cut, *SIXTEEN, *overrides)
+    train(config, create_run(config))
+    assert_same_run(whole(overrides), cut)
     # Go back: as if the process had been killed after the second checkpoint, with rows written since.
     checkpoints = rotation(cut).checkpoints()
     assert len(checkpoints) >= 4
@@ -214,8 +226,43 @@ def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) ->
     (cut / "summary.json").unlink()
     with (cut / "episodes.csv").open("a") as file:
         file.write("17,9,arri")
-    train(small_config(cut, "trainer.episodes=16", *overrides), cut, resume=True)
-    assert_same_run(whole, cut)
+    train(small_config(cut, *SIXTEEN, *overrides), cut, resume=True)
+    assert_same_run(whole(overrides), cut)
+
+
+class WholeStates(GatheringStorage):
+    """Where transitions lay up to version 0.1."""
+
+    def __init__(self, capacity: int, frames: int, device: str) -> None:
+        super().__init__(capacity, device=device)
+
+    def dumps(self, path: Path) -> None:
+        tensordict.save(self.get(slice(0, len(self))), path)
+
+
+def test_states_kept_frame_by_frame_teach_the_same_and_older_checkpoints_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = ["buffer=prioritized", "buffer.capacity=70"]  # overwritten before and after the resumption
+    for name in ("frames", "whole"):
+        config = small_config(tmp_path / name, "trainer.episodes=10", *small)
+        with monkeypatch.context() as patch:
+            if name == "whole":
+                patch.setattr("uavrl.training.factory.FrameStorage", WholeStates)
+            train(config, create_run(config))
+    for episodes in (10, 14):
+        if episodes == 14:
+            for name in ("frames", "whole"):
+                train(small_config(tmp_path / name, "trainer.episodes=14", *small), tmp_path / name, resume=True)
+        assert (tmp_path / "frames/episodes.csv").read_bytes() == (tmp_path / "whole/episodes.csv").read_bytes()
+        frames, whole = (contents(rotation(tmp_path / name).latest()) for name in ("frames", "whole"))
+        learned = [name for name in frames if "/storage/" not in name]
+        assert len(learned) > 30
+        assert not [name for name in learned if frames[name] != whole[name]]
+    # By now both lie frame by frame; the numbers of the frames may differ.
+    same = [name for name in frames if name.endswith(".memmap") and name.rpartition("/")[2] not in POSITIONS]
+    assert len([name for name in same if "/storage/" in name]) >= 8
+    assert not [name for name in same if frames[name] != whole[name]]
 
 
 def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:

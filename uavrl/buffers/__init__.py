@@ -1,7 +1,18 @@
-"""What happens to data on its way into a replay buffer. It needs torch, tensordict, torchrl and sortedcontainers."""
+"""What happens to data on its way into a replay buffer, and how it lies there.
+
+It needs torch, tensordict, torchrl and sortedcontainers.
+"""
 
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
 from uavrl.buffers.functional import backward_reward
 from uavrl.buffers.history import TrajectoryHistory
+from uavrl.buffers.storage import FrameStorage, GatheringStorage
 
-__all__ = ["BackwardReward", "StateClassifier", "TrajectoryHistory", "backward_reward"]
+__all__ = [
+    "BackwardReward",
+    "FrameStorage",
+    "GatheringStorage",
+    "StateClassifier",
+    "TrajectoryHistory",
+    "backward_reward",
+]

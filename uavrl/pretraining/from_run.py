@@ -72,9 +72,10 @@ def read_checkpoint(path: Path, capacity: int) -> Recording:
             prefix = json.loads(archive.read("manifest.json"))["components"]["replay_data"]["path"]
             length = json.loads(archive.read(f"{prefix}/length.json"))
             cursor = json.loads(archive.read(f"{prefix}/writer/metadata.json"))["cursor"] if length else 0
-            states = _read(archive, f"{prefix}/storage", "observation", length)
+            states = _read_states(archive, f"{prefix}/storage", length)
+            folder = _transitions(archive, f"{prefix}/storage")
             done, terminated, arrived = (
-                _read(archive, f"{prefix}/storage/next", key, length).reshape(length).astype(bool)
+                _read(archive, f"{folder}/next", key, length).reshape(length).astype(bool)
                 for key in ("done", "terminated", "arrived")
             )
     except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError) as error:
@@ -96,13 +97,30 @@ def read_checkpoint(path: Path, capacity: int) -> Recording:
     return Recording(found.states, found.episode, outcomes, f"{path.parent.parent.name}/{path.name}")
 
 
-def _read(archive: zipfile.ZipFile, folder: str, key: str, length: int) -> np.ndarray:
-    """One tensor of the storage, ``[length, width]``, as its ``meta.json`` describes it."""
+def _transitions(archive: zipfile.ZipFile, folder: str) -> str:
+    """Where the transitions lie; up to version 0.1 that is the storage itself, which held every state whole."""
+    return f"{folder}/transitions" if f"{folder}/transitions/meta.json" in archive.namelist() else folder
+
+
+def _read_states(archive: zipfile.ZipFile, folder: str, length: int) -> np.ndarray:
+    """The states ``[length, F * W]`` from a storage's frames (:class:`uavrl.buffers.FrameStorage`)."""
+    transitions = _transitions(archive, folder)
+    if transitions == folder:
+        return _read(archive, folder, "observation", length)
+    frames, first = _read(archive, folder, "frames"), _read(archive, transitions, "first_frame", length)
+    numbers = first[:, None] + np.arange(int(_read(archive, folder, "stacked")))
+    if not 0 <= numbers.min() <= numbers.max() < len(frames):
+        raise ValueError(f"expected {numbers.max() + 1} frames, found {len(frames)}")
+    return frames[numbers].reshape(length, -1)
+
+
+def _read(archive: zipfile.ZipFile, folder: str, key: str, length: int | None = None) -> np.ndarray:
+    """One tensor of the storage, with ``length`` rows if that is given, as its ``meta.json`` describes it."""
     if length == 0:
         return np.zeros((0, 1), np.float32)
     about: dict[str, Any] = json.loads(archive.read(f"{folder}/meta.json"))[key]
-    dtype = {"torch.float32": "<f4", "torch.float64": "<f8", "torch.bool": "?"}[about["dtype"]]
+    dtype = {"torch.float32": "<f4", "torch.float64": "<f8", "torch.bool": "?", "torch.int64": "<i8"}[about["dtype"]]
     values = np.frombuffer(archive.read(f"{folder}/{key}.memmap"), dtype).reshape(about["shape"])
-    if len(values) != length or values.ndim != 2:
+    if length is not None and len(values) != length:
         raise ValueError(f"expected {length} rows of {key}, found the shape {list(values.shape)}")
     return values.astype("<f4", copy=False) if values.dtype.kind == "f" else values

@@ -32,7 +32,7 @@ FREE_KEYS = (
 
 
 class BufferState:
-    """Dumps the filled part of a replay buffer instead of its whole capacity."""
+    """Dumps the filled part of a replay buffer with a :class:`~uavrl.buffers.FrameStorage`, not its whole capacity."""
 
     def __init__(self, buffer: ReplayBuffer) -> None:
         self.buffer = buffer
@@ -42,7 +42,7 @@ class BufferState:
         path = Path(path)
         (path / "length.json").write_text(json.dumps(len(self.buffer)))
         if len(self.buffer):
-            tensordict.save(self.buffer.storage.get(slice(0, len(self.buffer))), path / "storage")
+            self.buffer.storage.dumps(path / "storage")
             self.buffer.writer.dumps(path / "writer")
             self.buffer.sampler.dumps(path / "sampler")
 
@@ -51,10 +51,14 @@ class BufferState:
         path = Path(path)
         length = json.loads((path / "length.json").read_text())
         if length:
-            data = tensordict.load(path / "storage").clone()
-            self.buffer.storage.set(torch.arange(length), data)
             self.buffer.writer.loads(path / "writer")
             self.buffer.sampler.loads(path / "sampler")
+            saved = tensordict.load(path / "storage")
+            if saved.get("frames", None) is not None:
+                self.buffer.storage.load_state_dict(saved)
+            else:  # up to version 0.1 checkpoints held every state as it was sampled
+                oldest_first = (torch.arange(length) + self.buffer.writer._cursor) % length
+                self.buffer.storage.set(oldest_first, saved[oldest_first].clone())
 
 
 class RecordingState:

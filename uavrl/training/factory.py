@@ -14,7 +14,7 @@ from torchrl.data import Bounded, PrioritizedSampler, RandomSampler, TensorDictR
 from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
-from uavrl.buffers import BackwardReward
+from uavrl.buffers import BackwardReward, FrameStorage
 from uavrl.configs.schema import (
     ABRConfig,
     ABRPlusConfig,
@@ -33,7 +33,6 @@ from uavrl.models import OneShotClassifier, TrajectoryClassifier
 from uavrl.models.trajectory_classifier import packaged_artifact
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.learner import ACTIONS, state_width
-from uavrl.training.storage import GatheringStorage
 from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
 from uavrl.transforms.functional import Statistic
 
@@ -159,9 +158,13 @@ def make_backward_reward(
 
 
 def make_buffer(
-    config: UniformBufferConfig, device: torch.device, backward_reward: BackwardReward | None = None
+    config: UniformBufferConfig,
+    device: torch.device,
+    backward_reward: BackwardReward | None = None,
+    *,
+    frames: int = 1,
 ) -> TensorDictReplayBuffer:
-    """The replay buffer, uniform or prioritised (Eq. 2.17–2.18)."""
+    """The replay buffer, uniform or prioritised (Eq. 2.17–2.18), of states that ``frames`` stacked frames make."""
     sampler = (
         PrioritizedSampler(config.capacity, config.alpha, config.beta)
         if isinstance(config, PrioritizedBufferConfig)
@@ -170,7 +173,7 @@ def make_buffer(
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
     transforms = [transform for transform in (backward_reward, move) if transform is not None]
     return TensorDictReplayBuffer(
-        storage=GatheringStorage(config.capacity, device="cpu"),
+        storage=FrameStorage(config.capacity, frames, device="cpu"),
         sampler=sampler,
         priority_key="td_error",
         transform=Compose(*transforms) if transforms else None,

@@ -185,7 +185,7 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     actor = make_actor(settings.algo, settings.perception, device)
     loss = make_loss(settings.algo, actor, settings.perception, device)
     backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
-    buffer = make_buffer(settings.buffer, device, backward_reward)
+    buffer = make_buffer(settings.buffer, device, backward_reward, frames=settings.perception.frames)
     return NavigationTrainer(
         collector=make_collector(settings, env, actor, device),
         loss=loss,
