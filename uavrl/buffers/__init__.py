@@ -1,7 +1,8 @@
 """What happens to data on its way into a replay buffer. It needs torch, tensordict, torchrl and sortedcontainers."""
 
+from uavrl.buffers.admission import FailureBias, is_admitted
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
 from uavrl.buffers.functional import backward_reward
 from uavrl.buffers.history import TrajectoryHistory
 
-__all__ = ["BackwardReward", "StateClassifier", "TrajectoryHistory", "backward_reward"]
+__all__ = ["BackwardReward", "FailureBias", "StateClassifier", "TrajectoryHistory", "backward_reward", "is_admitted"]

@@ -78,12 +78,13 @@ def load_policy(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[Dic
 
     from uavrl.training.checkpoint import check_checkpoint, read_config, restore
     from uavrl.training.learner import make_actor
+    from uavrl.training.spaces import make_spaces
 
     config = read_config(run_dir)
     path = checkpoint_path(run_dir, checkpoint)
     train_config: TrainConfig = to_dataclass(config)
     metadata = check_checkpoint(path, config)
-    actor = make_actor(train_config.algo, train_config.perception, device)
+    actor = make_actor(train_config.algo, make_spaces(train_config.env, train_config.perception), device)
     restore(Checkpoint(policy=actor), path, ["policy"])
     source = {
         "run": str(run_dir),

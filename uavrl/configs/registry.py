@@ -11,9 +11,11 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from uavrl.configs.checks import require, require_one_of
 from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
 from uavrl.configs.replay import ReplayConfig
-from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig, require, require_one_of
+from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig
+from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
 
 # What a run did whose configuration is older than the group.
@@ -32,6 +34,7 @@ def conf_dir() -> Path:
 def register_schemas() -> None:
     """Puts every dataclass into Hydra's ConfigStore; yaml files name theirs as ``<group>/<name>_schema``."""
     OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
+    OmegaConf.register_new_resolver("on_walker", _on_walker, replace=True)
     OmegaConf.register_new_resolver("learner", lambda *, _root_: learner(_root_), replace=True)
     ConfigStore.__deepcopy__ = _shared  # type: ignore[attr-defined]
     store = ConfigStore.instance()
@@ -52,6 +55,11 @@ def _shared(store: ConfigStore, _: dict[int, Any]) -> ConfigStore:
 def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:
     """``${with_lifeguard:A,B}`` is A where the algorithm has a LifeGuard, else B."""
     return without if OmegaConf.select(_root_, "algo.lifeguard") is None else value
+
+
+def _on_walker(choice: str, otherwise: str, *, _root_: DictConfig) -> str:
+    """``${on_walker:A,B}`` in a defaults list, where the root holds the groups' choices: A for the walker, else B."""
+    return choice if GROUPS["env"].get(str(_root_.env)) is BipedalConfig else otherwise
 
 
 def learner(config: DictConfig) -> str:
