@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -61,10 +62,10 @@ ABR = [  # some goals are so near that random flights arrive; one class for near
 ]
 
 
-def small_config(run_dir: Path, *overrides: str) -> DictConfig:
+def small_config(run_dir: Path, *overrides: str, base: Sequence[str] = SMALL) -> DictConfig:
     register_schemas()
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("config", [f"run_dir={run_dir}", *SMALL, *overrides])
+        return compose("config", [f"run_dir={run_dir}", *base, *overrides])
 
 
 def contents(checkpoint: Path) -> dict[str, bytes]:

@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.cli.policies import baseline, checkpoint_path, load_policy, name_of_output, with_overrides, writable
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
@@ -92,6 +93,11 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
         run_config, policy, source = load_policy(run_dir, settings.checkpoint, device)
         changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
         env, perception, reward = changed.env, changed.perception, changed.reward
+        if isinstance(env, BipedalConfig):
+            raise UavrlError(
+                f"uavrl-replay shows flights in the valley, and {run_dir} is a run of {env.name}: see how it does with "
+                f"uavrl-evaluate run={run_dir}."
+            )
         risk = load_risk(changed, checkpoint_path(run_dir, settings.checkpoint), device)
         source["run"] = run_dir.resolve().name
     else:

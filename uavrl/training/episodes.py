@@ -106,9 +106,7 @@ def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Epi
         total_steps: steps of training with this episode.
     """
     first, last = trajectory[0], trajectory[-1]["next"]
-    nowhere = torch.zeros(3)
-    start_x, start_y, start_z = first.get("position", nowhere).tolist()
-    goal_x, goal_y, goal_z = first.get("goal", nowhere).tolist()
+    (start_x, start_y, start_z), (goal_x, goal_y, goal_z) = _place(first, "position"), _place(first, "goal")
     rewards = trajectory["next", "reward"].double().sum()
     return Episode(
         episode=episode,
@@ -125,6 +123,11 @@ def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Epi
         world_seed=int(first.get("world_seed", 0)),
         task=int(first["task"].item()),
     )
+
+
+def _place(state: TensorDictBase, key: str) -> list[float]:
+    place = state.get(key, None)
+    return [0.0, 0.0, 0.0] if place is None else place.tolist()
 
 
 def read_episodes(path: Path) -> list[Episode]:
