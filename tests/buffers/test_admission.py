@@ -88,3 +88,12 @@ def test_after_an_episode_that_is_left_out_come_a_few_updates_without_the_actor(
         replay.extend(episode)
         told.append((len(buffer), trainer.optim_steps_per_batch, trainer.optimization_stepper.actor_learns))
     assert told == [(5, 5, True), (5, 7, False), (8, 3, True)]
+
+
+def test_nothing_is_learned_from_an_empty_buffer() -> None:
+    replay = EpisodeReplay(
+        ReplayBuffer(storage=LazyTensorStorage(9)), 2, admission=FailureBias(), updates_when_left_out=7
+    )
+    replay._trainer = FakeTrainer()
+    replay.extend(walk(False, 300.0))
+    assert replay._trainer.optim_steps_per_batch == 0

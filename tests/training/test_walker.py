@@ -5,17 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import torch
-from tensordict import TensorDict
-from torchrl.checkpoint import Checkpoint
-from torchrl.data import LazyTensorStorage, ReplayBuffer
+from omegaconf import DictConfig
 
 from tests.training.test_resume import assert_same_run, small_config
-from uavrl.buffers import FailureBias
 from uavrl.training.checkpoint import rotation
-from uavrl.training.episodes import read_episodes, summarize
+from uavrl.training.episodes import read_episodes
 from uavrl.training.run import create_run, train
-from uavrl.training.trainer import EpisodeReplay
 
 WALKER = [
     "env=bipedal_hardcore",
@@ -40,7 +35,7 @@ LIFEGUARD = [
 FORK = ["algo=td3_fork_walker", "algo.fork.threshold=10", "algo.fork.system_hidden=[16]"]
 
 
-def walker_config(run_dir: Path, *overrides: str):
+def walker_config(run_dir: Path, *overrides: str) -> DictConfig:
     return small_config(run_dir, *overrides, base=WALKER)
 
 

@@ -43,6 +43,8 @@ class BipedalEnv(GymWrapper):
         (24, False)
     """
 
+    _env: gymnasium.Env
+
     def __init__(self, max_steps: int = 2000, seed: int = 0, **kwargs: Any) -> None:
         self.__dict__.update(_max_steps=max_steps, _courses_seed=seed, _next_task=0, _task=0)
         super().__init__(_make(max_steps), **kwargs)

@@ -46,7 +46,7 @@ from uavrl.transforms import (
 )
 from uavrl.transforms.functional import Statistic
 
-RewardConfig = NavigationRewardConfig | TraditionalRewardConfig | WalkerRewardConfig
+RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
 
 
 def make_device(name: str) -> torch.device:
@@ -67,7 +67,7 @@ def make_device(name: str) -> torch.device:
     return device
 
 
-def make_reward(config: RewardConfig) -> Transform:
+def make_reward(config: RewardConfig | WalkerRewardConfig) -> Transform:
     """The reward transform that the configuration names."""
     if isinstance(config, NavigationRewardConfig):
         return NavigationReward(
@@ -102,7 +102,7 @@ def make_transforms(
 def make_env(
     env: EnvConfig | BipedalConfig,
     perception: PerceptionConfig | NoPerceptionConfig,
-    reward: RewardConfig | None = None,
+    reward: RewardConfig | WalkerRewardConfig | None = None,
     *,
     seed: int = 0,
     num_uavs: int | None = None,
@@ -116,7 +116,7 @@ def make_env(
     if isinstance(env, BipedalConfig):
         rewards = [] if reward is None else [make_reward(reward)]
         return TransformedEnv(BipedalEnv(env.max_steps, seed), Compose(RewardSum(), *rewards))
-    assert isinstance(perception, PerceptionConfig)
+    assert isinstance(perception, PerceptionConfig) and not isinstance(reward, WalkerRewardConfig)
     base = NavigationEnv(
         num_uavs or env.num_uavs,
         world=env.world,

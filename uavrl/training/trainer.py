@@ -85,7 +85,9 @@ class EpisodeReplay(TrainerHookBase):
             batch = torch.cat(stored) if stored else batch[:0]
         if len(batch):
             self.buffer.extend(batch.select(*STORED_KEYS))
-        self._owed += len(batch) * self.updates_per_step if len(batch) else self.updates_when_left_out
+            self._owed += len(batch) * self.updates_per_step
+        elif len(self.buffer):
+            self._owed += self.updates_when_left_out
         self._trainer.optim_steps_per_batch = self._to_draw = int(self._owed)
         self._owed -= int(self._owed)
 

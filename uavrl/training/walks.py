@@ -12,8 +12,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import trange
 
-from uavrl.training.evaluation import Policy, outcome_rates, rate_lines
 from uavrl.training.episodes import outcome
+from uavrl.training.evaluation import Policy, outcome_rates, rate_lines
 
 
 @dataclass(frozen=True)
