@@ -221,6 +221,7 @@ def test_the_walker_brings_its_observation_its_reward_and_its_buffer() -> None:
     [
         (["env=bipedal_hardcore", "perception=truncated_icosahedron"], "perception must be none with env=bipedal_hard"),
         (["env=bipedal_hardcore", "reward=traditional"], "reward must be walker with env=bipedal_hardcore"),
+        (["env=bipedal_hardcore", "reward=navigation"], "reward must be walker with env=bipedal_hardcore"),
         (["env=bipedal_hardcore", "backward_reward=abr"], "backward_reward must be none with env=bipedal_hardcore"),
         (["reward=walker"], "reward must be navigation or navigation_prize or traditional with env=static"),
         (["perception=none"], "perception must be truncated_icosahedron with env=static"),

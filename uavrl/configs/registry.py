@@ -15,7 +15,7 @@ from uavrl.configs.checks import require, require_one_of
 from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
 from uavrl.configs.replay import ReplayConfig
 from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig
-from uavrl.configs.walker import BipedalConfig
+from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
 from uavrl.errors import UavrlError
 
 # What a run did whose configuration is older than the group.
@@ -85,6 +85,8 @@ def to_dataclass(config: DictConfig) -> Any:
     try:
         if OmegaConf.get_type(config) is dict:
             config = _with_types(config)
+        if OmegaConf.get_type(config) is TrainConfig:
+            _check_environment(config)
         for key, value in _leaves(OmegaConf.to_container(config, resolve=True)):
             require(not isinstance(value, float) or math.isfinite(value), key, "a finite number", value)
         return OmegaConf.to_object(config)
@@ -94,6 +96,17 @@ def to_dataclass(config: DictConfig) -> Any:
         place = getattr(error, "full_key", None)
         where, reason = f" at {place}" if place else "", str(error).splitlines()[0]
         raise UavrlError(f"The configuration does not hold together{where}: {reason}") from error
+
+
+def _check_environment(config: DictConfig) -> None:
+    """The walker brings its observation and its reward; those of the valley mean nothing to it, and vice versa."""
+    names = {group: config[group].name for group in ("env", "perception", "reward", "backward_reward")}
+    walker, env = GROUPS["env"].get(names["env"]) is BipedalConfig, f"with env={names['env']}"
+    for group, own in (("perception", NoPerceptionConfig), ("reward", WalkerRewardConfig)):
+        fitting = [name for name, schema in GROUPS[group].items() if (schema is own) == walker]
+        require(names[group] in fitting, group, f"{' or '.join(fitting)} {env}", names[group])
+    backward = names["backward_reward"]
+    require(not walker or backward == "none", "backward_reward", f"none {env}: it pays flights", backward)
 
 
 def _with_types(config: DictConfig) -> DictConfig:

@@ -361,17 +361,6 @@ class TrainConfig:
             require(bool(names), group, f"one of {', '.join(GROUPS[group])}", chosen)
             expected = f"{' or '.join(map(repr, names))} (choose by {group}=NAME)"
             require(chosen.name in names, f"{group}.name", expected, chosen.name)
-        self._check_environment()
-
-    def _check_environment(self) -> None:
-        """The walker brings its observation and its reward; those of the valley mean nothing to it, and vice versa."""
-        walker, env = isinstance(self.env, BipedalConfig), f"with env={self.env.name}"
-        for group, own in (("perception", NoPerceptionConfig), ("reward", WalkerRewardConfig)):
-            fitting = [name for name, schema in GROUPS[group].items() if (schema is own) == walker]
-            chosen = getattr(self, group).name
-            require(chosen in fitting, group, f"{' or '.join(fitting)} {env}", chosen)
-        backward = self.backward_reward.name
-        require(not walker or backward == "none", "backward_reward", f"none {env}: it pays flights", backward)
 
 
 @dataclass
