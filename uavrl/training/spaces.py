@@ -9,6 +9,8 @@ import torch
 from torchrl.data import Bounded
 
 from uavrl.configs.walker import BipedalConfig
+from uavrl.envs import bipedal
+from uavrl.envs.navigation import ACTION_LIMIT
 
 FACES, GOAL_NUMBERS = 32, 3  # of the reduced scan; altitude and two angles
 
@@ -48,9 +50,5 @@ def make_spaces(env: Any, perception: Any) -> Spaces:
         Spaces(observation=35, frames=3, actions=4, limit=2.0)
     """
     if isinstance(env, BipedalConfig):
-        from uavrl.envs import bipedal
-
         return Spaces(bipedal.OBSERVATIONS, 1, bipedal.ACTIONS, bipedal.ACTION_LIMIT)
-    from uavrl.envs.navigation import ACTION_LIMIT
-
     return Spaces(FACES + GOAL_NUMBERS, perception.frames, 4, ACTION_LIMIT)
