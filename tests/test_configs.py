@@ -52,7 +52,7 @@ from uavrl.transforms import (
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
 FILES = [file for file in FILES if file[0] != "pretrain"]  # tests/pretraining/test_config.py has these
 CHOICES = [file for file in FILES if file[0] != "enhancer"]  # an enhancer is part of an algorithm
-WALKERS = {("perception", "none"), ("reward", "walker")}  # they go with the walker alone
+WALKERS = {("perception", "none"), ("reward", "walker"), ("buffer", "failure_biased")}  # they go with the walker alone
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
 
@@ -224,6 +224,7 @@ def test_the_walker_brings_its_observation_its_reward_and_its_buffer() -> None:
         (["env=bipedal_hardcore", "reward=navigation"], "reward must be walker with env=bipedal_hardcore"),
         (["env=bipedal_hardcore", "backward_reward=abr"], "backward_reward must be none with env=bipedal_hardcore"),
         (["reward=walker"], "reward must be navigation or navigation_prize or traditional with env=static"),
+        (["buffer=failure_biased"], "buffer must be uniform or prioritized with env=static"),
         (["perception=none"], "perception must be truncated_icosahedron with env=static"),
     ],
 )

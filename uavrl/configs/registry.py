@@ -100,12 +100,13 @@ def to_dataclass(config: DictConfig) -> Any:
 
 def _check_environment(config: DictConfig) -> None:
     """The walker brings its observation and its reward; those of the valley mean nothing to it, and vice versa."""
-    names = {group: config[group].name for group in ("env", "perception", "reward", "backward_reward")}
+    names = {group: config[group].name for group in ("env", "perception", "reward", "buffer", "backward_reward")}
     walker, env = GROUPS["env"].get(names["env"]) is BipedalConfig, f"with env={names['env']}"
     for group, own in (("perception", NoPerceptionConfig), ("reward", WalkerRewardConfig)):
         fitting = [name for name, schema in GROUPS[group].items() if (schema is own) == walker]
         require(names[group] in fitting, group, f"{' or '.join(fitting)} {env}", names[group])
-    backward = names["backward_reward"]
+    buffer, backward = names["buffer"], names["backward_reward"]
+    require(walker or buffer != "failure_biased", "buffer", f"uniform or prioritized {env}", buffer)
     require(not walker or backward == "none", "backward_reward", f"none {env}: it pays flights", backward)
 
 
