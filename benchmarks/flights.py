@@ -15,6 +15,7 @@ from torchrl.collectors import BaseCollector
 from uavrl.configs import TrainConfig
 from uavrl.training.factory import make_collector, make_env
 from uavrl.training.learner import make_actor
+from uavrl.training.spaces import make_spaces
 
 CPU = torch.device("cpu")
 ALWAYS_RANDOM = 2**40  # steps
@@ -30,7 +31,7 @@ def settings(uavs: int, **world: Any) -> TrainConfig:
 def flights(config: TrainConfig) -> BaseCollector:
     """The collector of whole flights that a training has."""
     env = make_env(config.env, config.perception, config.reward, seed=config.seed)
-    return make_collector(config, env, make_actor(config.algo, config.perception, CPU), CPU)
+    return make_collector(config, env, make_actor(config.algo, make_spaces(config.env, config.perception), CPU), CPU)
 
 
 def flying(collector: BaseCollector, steps: int) -> Row:

@@ -1,6 +1,7 @@
 """Draws the learning curves of runs and prints when they pass a success rate.
 
 python examples/learning_curves.py runs/a runs/b --output curves.png
+python examples/learning_curves.py runs/walker --window 100 --reference docs/data/bipedal/reference.json
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from uavrl.reporting.learning_curves import moving_rates, plot, steps_to
+from uavrl.reporting.learning_curves import moving_rates, plot, plot_returns, read_returns, steps_to
 from uavrl.training.episodes import Episode, read_episodes
 
 
@@ -26,6 +27,7 @@ def main() -> None:
     parser.add_argument("--threshold", type=float, default=0.6)
     parser.add_argument("--window", type=int, default=500)
     parser.add_argument("--until", type=int, default=None, help="leave out episodes after this many steps")
+    parser.add_argument("--reference", type=Path, help="draw returns over episodes beside those of a JSON file")
     args = parser.parse_args()
     runs = {}
     for run in args.runs:
@@ -41,7 +43,10 @@ def main() -> None:
         last += f"{mean_return(episodes[-args.window :], 'timed_out'):>11}"
         reached = steps_to(episodes, args.threshold, args.window)
         print(f"{name:<28}{len(episodes):>9,}{steps[-1]:>9,}{last}   {'–' if reached is None else f'{reached:,}'}")
-    plot(runs, args.output, args.window)
+    if args.reference is None:
+        plot(runs, args.output, args.window)
+    else:
+        plot_returns(runs, read_returns(args.reference), args.output, args.window)
     print(f"Drawn to {args.output}")
 
 

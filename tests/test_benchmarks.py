@@ -69,6 +69,14 @@ def test_the_buffer_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     assert numbers["sample_vs_torchrl"] == pytest.approx(ours["sample_ms"] / torchrl["sample_ms"])
 
 
+@pytest.mark.slow
+def test_the_walkers_benchmark_writes_its_shares(tmp_path: Path) -> None:
+    numbers = written_by("walker.py", tmp_path, "trainer.execution=captured", "env.max_steps=100", "--steps", "50")
+    assert sum(numbers["shares"].values()) == pytest.approx(1)
+    assert {"updates", "environment"} < set(numbers["shares"])
+    assert numbers["steps"] >= 50 and numbers["steps_per_second"] > 0
+
+
 def test_pybullets_rays_see_what_the_lidar_sees(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     from pybullet_rays import PyBulletLidar

@@ -14,7 +14,7 @@ import yaml
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from uavrl.buffers import BackwardReward
+from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, learner, register_schemas, to_dataclass
 from uavrl.configs.schema import (
     GROUPS,
@@ -22,6 +22,7 @@ from uavrl.configs.schema import (
     ABRPlusConfig,
     DDPGConfig,
     EnvConfig,
+    FailureBiasedBufferConfig,
     ForkConfig,
     LifeGuardConfig,
     LoggerConfig,
@@ -32,18 +33,27 @@ from uavrl.configs.schema import (
     TD3Config,
     TraditionalRewardConfig,
 )
+from uavrl.configs.walker import BipedalConfig, WalkerRewardConfig
+from uavrl.envs.bipedal import BipedalEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.losses import DDPGLoss, Fork, LifeGuard, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, OneShotClassifier, RewardNet, SystemNet
 from uavrl.training.stepper import ActorCriticStepper
-from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
+from uavrl.transforms import (
+    NavigationObservation,
+    NavigationReward,
+    TraditionalReward,
+    TruncatedIcosahedron,
+    WalkerReward,
+)
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
 # tests/pretraining/test_config.py has the first, tests/test_experiments.py the others
 FILES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experiment")]
 CHOICES = [file for file in FILES if file[0] != "enhancer"]  # an enhancer is part of an algorithm
+WALKERS = {("perception", "none"), ("reward", "walker"), ("buffer", "failure_biased")}  # they go with the walker alone
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
 
@@ -55,6 +65,11 @@ def composed(name: str = "config", *overrides: str) -> Any:
 
 def settings(name: str = "config", *overrides: str) -> Any:
     return to_dataclass(composed(name, *overrides))
+
+
+def choosing(group: str, name: str) -> list[str]:
+    """The overrides that choose a group's member, with the environment that it needs."""
+    return [f"{group}={name}", *(["env=bipedal_hardcore"] if (group, name) in WALKERS else [])]
 
 
 def plain(value: Any) -> Any:
@@ -97,7 +112,7 @@ def test_every_yaml_of_a_group_has_a_schema_and_every_schema_a_yaml() -> None:
 
 @pytest.mark.parametrize(("group", "name"), CHOICES)
 def test_every_choice_composes_for_training(group: str, name: str) -> None:
-    config = settings("config", f"{group}={name}")
+    config = settings("config", *choosing(group, name))
     assert isinstance(config, TrainConfig)
     assert type(getattr(config, group)) is GROUPS[group][name]
     assert getattr(getattr(config, group), "name", name) == name
@@ -135,9 +150,11 @@ ENHANCED = {
     "td3_fork_lg": ("td3", {"fork", "lifeguard"}),
     "ddpg_lg": ("ddpg", {"lifeguard"}),
     "sac_lg": ("sac", {"lifeguard"}),
+    "td3_lg_walker": ("td3_walker", {"lifeguard"}),
 }
 # What these change of another choice is tested below.
 DERIVED = [("env", "dynamic"), ("reward", "navigation_prize"), *(("algo", name) for name in ENHANCED)]
+DERIVED += [("algo", "td3_walker"), ("algo", "td3_fork_walker")]
 
 
 @pytest.mark.parametrize(("group", "name"), [choice for choice in CHOICES if choice not in DERIVED])
@@ -146,15 +163,16 @@ def test_yaml_holds_every_field_and_the_default_of_the_dataclass(group: str, nam
     del written["defaults"]
     default = GROUPS[group][name]()
     assert set(keys(written)) == set(all_fields(default))
-    resolved = plain(asdict(getattr(settings("config", f"{group}={name}"), group)))
+    resolved = plain(asdict(getattr(settings("config", *choosing(group, name)), group)))
     expected = plain(asdict(default))
     if "name" in expected:
         expected["name"] = name
     assert resolved == expected
 
 
-@pytest.mark.parametrize(("name", "schema"), GROUPS["enhancer"].items())
-def test_an_enhancers_yaml_holds_every_field_and_the_default_of_the_dataclass(name: str, schema: type) -> None:
+@pytest.mark.parametrize("name", ["fork", "lifeguard"])
+def test_an_enhancers_yaml_holds_every_field_and_the_default_of_the_dataclass(name: str) -> None:
+    schema = GROUPS["enhancer"][name]
     written = yaml.safe_load((conf_dir() / "enhancer" / f"{name}.yaml").read_text())
     del written["defaults"]
     assert plain(written) == plain(asdict(schema()))
@@ -171,6 +189,51 @@ def test_an_enhanced_algorithm_is_its_base_with_the_enhancers(name: str) -> None
     assert enhanced == plain_base
 
 
+def changes(algo: str, base: str) -> dict[str, Any]:
+    """The values of an algorithm that are not those of another."""
+    one, other = (asdict(settings("config", f"algo={name}").algo) for name in (algo, base))
+    return plain({key: value for key, value in one.items() if value != other[key]})
+
+
+def test_the_walkers_td3_has_the_numbers_of_the_published_code() -> None:
+    assert changes("td3_walker", "td3") == {"name": "td3_walker", "actor_lr": 1e-3}
+    assert changes("td3_fork_walker", "td3_fork") == {
+        "name": "td3_fork_walker",
+        "tau": 0.02,
+        "actor_lr": 3e-4,
+        "critic_lr": 3e-4,
+        "hidden": [256, 256],
+        "fork": plain(asdict(ForkConfig(variant="bipedal", threshold=0.02, max_reward=300.0, base_weight=1.0))),
+    }
+
+
+def test_the_walker_brings_its_observation_its_reward_and_its_buffer() -> None:
+    def names(*overrides: str) -> list[str]:
+        config = settings("config", *overrides)
+        return [config.perception.name, config.reward.name, config.buffer.name]
+
+    assert names("env=bipedal_hardcore") == ["none", "walker", "failure_biased"]
+    assert names("env=bipedal_hardcore", "buffer=uniform") == ["none", "walker", "uniform"]
+    assert names("env=dynamic") == ["truncated_icosahedron", "navigation_prize", "uniform"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["env=bipedal_hardcore", "perception=truncated_icosahedron"], "perception must be none with env=bipedal_hard"),
+        (["env=bipedal_hardcore", "reward=traditional"], "reward must be walker with env=bipedal_hardcore"),
+        (["env=bipedal_hardcore", "reward=navigation"], "reward must be walker with env=bipedal_hardcore"),
+        (["env=bipedal_hardcore", "backward_reward=abr"], "backward_reward must be none with env=bipedal_hardcore"),
+        (["reward=walker"], "reward must be navigation or navigation_prize or traditional with env=static"),
+        (["buffer=failure_biased"], "buffer must be uniform or prioritized with env=static"),
+        (["perception=none"], "perception must be truncated_icosahedron with env=static"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -> None:
+    with pytest.raises(UavrlError, match=told):
+        settings("config", *overrides)
+
+
 def test_enhancers_attach_to_any_algorithm_by_override() -> None:
     algo = settings("config", "algo=ddpg", "+enhancer@algo.fork=fork", "+enhancer@algo.lifeguard=lifeguard").algo
     assert plain(asdict(algo.fork)) == plain(asdict(ForkConfig()))
@@ -185,6 +248,7 @@ def test_enhancers_attach_to_any_algorithm_by_override() -> None:
         (["algo=td3_fork_lg", "algo.lifeguard.model=mlp"], "td3_fork_lg_mlp"),
         (["algo=td3_lg", "algo.lifeguard=null"], "td3"),
         (["algo=ddpg", "+enhancer@algo.fork=fork", "backward_reward=abr"], "ddpg_fork_abr"),
+        (["algo=td3_fork_walker"], "td3_fork"),
     ],
 )
 def test_run_folders_are_named_for_what_learns(overrides: list[str], name: str) -> None:
@@ -256,6 +320,9 @@ CONSTRUCTORS = [
     (ABRPlusConfig(), [BackwardReward.__init__]),
     (PerceptionConfig(), [TruncatedIcosahedron.__init__, NavigationObservation.__init__]),
     (EnvConfig(), [NavigationEnv.__init__]),
+    (BipedalConfig(), [BipedalEnv.__init__]),
+    (WalkerRewardConfig(), [WalkerReward.__init__]),
+    (FailureBiasedBufferConfig(), [FailureBias.__init__]),
 ]
 COVERED = {  # keys of the dataclass that a constructor takes under the same name
     "navigation": {"weights", "flight_level", "collided_reward", "arrived_reward", "altitude_term"},
@@ -266,6 +333,9 @@ COVERED = {  # keys of the dataclass that a constructor takes under the same nam
     "abr_plus": {"multiplier"},
     "truncated_icosahedron": {"radius", "statistic", "angles"},
     "static": {"num_uavs", "max_steps", "goal_angle"},
+    "bipedal_hardcore": {"max_steps"},
+    "walker": {"fall_reward", "scale"},
+    "failure_biased": {"success_return", "probability", "falls_per_success"},
 }
 
 
@@ -403,6 +473,7 @@ BACKWARD_OUT_OF_RANGE = [
     ("abr_plus", "multiplier", "-0.2"),
 ]
 ENHANCER_OUT_OF_RANGE = [
+    ("fork.variant", "walker"),
     ("fork.system_hidden", "[]"),
     ("fork.reward_hidden", "[0]"),
     ("fork.model_lr", "0"),
@@ -442,6 +513,22 @@ def test_values_of_enhancers_out_of_range_are_refused_by_name(key: str, value: s
 def test_values_of_the_backward_reward_out_of_range_are_refused_by_name(name: str, key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"backward_reward\.{key} must be"):
         settings("config", f"backward_reward={name}", f"backward_reward.{key}={value}")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("env.max_steps", "0"),
+        ("reward.scale", "0"),
+        ("buffer.capacity", "0"),
+        ("buffer.probability", "1.5"),
+        ("buffer.falls_per_success", "-1"),
+        ("buffer.updates_when_left_out", "-1"),
+    ],
+)
+def test_values_of_the_walker_out_of_range_are_refused_by_name(key: str, value: str) -> None:
+    with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be"):
+        settings("config", "env=bipedal_hardcore", f"{key}={value}")
 
 
 @pytest.mark.parametrize("key", ["temperature_lr", "gamma"])
@@ -486,7 +573,7 @@ def test_evaluation_refuses_values_out_of_range_by_name(key: str, value: str) ->
 
 
 def test_a_group_left_out_is_refused_by_name() -> None:
-    with pytest.raises(UavrlError, match="reward must be one of navigation, navigation_prize, traditional"):
+    with pytest.raises(UavrlError, match="reward must be one of navigation, navigation_prize, traditional, walker"):
         TrainConfig()
 
 

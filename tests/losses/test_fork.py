@@ -328,6 +328,15 @@ def test_weight_follows_the_mean_of_the_last_returns() -> None:
     assert seen == pytest.approx([0.5, 0.3, 0.5, 0.4, 0.0, 0.0])  # means 4, 0, 2, 10, 21 of 10
 
 
+def test_returns_are_those_that_reward_sum_counted_before_rewards_were_scaled() -> None:
+    walks = [episode([5.0, 10.0]), episode([15.0, -5.0])]
+    for walk, counted in zip(walks, ([1.0, 3.0], [3.0, -97.0]), strict=True):
+        walk["next", "episode_reward"] = torch.tensor(counted)[:, None]
+    loss = small()
+    loss.observe(torch.cat(walks))
+    assert loss.returns.stored.tolist() == [3.0, -97.0]
+
+
 def test_several_episodes_at_once_are_as_good_as_one_after_the_other() -> None:
     flights = [episode([1.0, 2.0]), episode([3.0]), episode([0.5, 0.0, 1.0])]
     together, alone = small(), small()

@@ -2,7 +2,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uavrl.reporting.learning_curves import moving_rates, plot, steps_to
+import pytest
+
+from uavrl.errors import UavrlError
+from uavrl.reporting.learning_curves import moving_rates, plot, plot_returns, read_returns, steps_to
 from uavrl.training.episodes import Episode
 
 
@@ -29,3 +32,26 @@ def test_a_threshold_counts_only_over_a_full_window() -> None:
 def test_the_plot_is_drawn(tmp_path: Path) -> None:
     plot({"one": episodes("caaat")}, tmp_path / "curves.png", window=3)
     assert (tmp_path / "curves.png").stat().st_size > 5000
+
+
+REFERENCE = Path(__file__).resolve().parents[2] / "docs/data/bipedal/reference.json"
+
+
+def test_the_reference_curves_of_the_walker_are_whole() -> None:
+    references = read_returns(REFERENCE)
+    assert {name: len(returns) for name, returns in references.items()} == {"td3_fork": 3594, "td3_lg": 5000}
+    assert references["td3_fork"][0] == -97.74
+
+
+def test_returns_are_drawn_beside_references(tmp_path: Path) -> None:
+    alone, beside = tmp_path / "alone.png", tmp_path / "beside.png"
+    plot_returns({"ours": episodes("caaat")}, {}, alone, window=3)
+    plot_returns({"ours": episodes("caaat")}, read_returns(REFERENCE), beside, window=100)
+    assert 5000 < alone.stat().st_size < beside.stat().st_size
+
+
+@pytest.mark.parametrize("content", ["", "[1, 2]", '{"td3": {"returns": [1.0]}}'])
+def test_what_holds_no_returns_is_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / "reference.json").write_text(content)
+    with pytest.raises(UavrlError, match="a list episode_return"):
+        read_returns(tmp_path / "reference.json")

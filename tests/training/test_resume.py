@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -70,10 +70,10 @@ SIXTEEN = ["trainer.episodes=16", "logger.interval=1"]
 POSITIONS = ("frames.memmap", "first_frame.memmap")
 
 
-def small_config(run_dir: Path, *overrides: str) -> DictConfig:
+def small_config(run_dir: Path, *overrides: str, base: Sequence[str] = SMALL) -> DictConfig:
     register_schemas()
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("config", [f"run_dir={run_dir}", *SMALL, *overrides])
+        return compose("config", [f"run_dir={run_dir}", *base, *overrides])
 
 
 def contents(checkpoint: Path) -> dict[str, bytes]:

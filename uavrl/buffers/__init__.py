@@ -3,6 +3,7 @@
 It needs torch, tensordict, torchrl and sortedcontainers.
 """
 
+from uavrl.buffers.admission import FailureBias, is_admitted
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
 from uavrl.buffers.functional import backward_reward
 from uavrl.buffers.history import TrajectoryHistory
@@ -10,9 +11,11 @@ from uavrl.buffers.storage import FrameStorage, GatheringStorage
 
 __all__ = [
     "BackwardReward",
+    "FailureBias",
     "FrameStorage",
     "GatheringStorage",
     "StateClassifier",
     "TrajectoryHistory",
     "backward_reward",
+    "is_admitted",
 ]

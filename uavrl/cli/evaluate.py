@@ -14,6 +14,8 @@ from omegaconf import DictConfig
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.cli.policies import baseline, load_policy, name_of_output, policy_folder, with_overrides, writable
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.configs.walker import BipedalConfig
+from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
     from uavrl.configs import EvaluateConfig, TrainConfig
@@ -35,8 +37,7 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
-    from uavrl.training.evaluation import fly, summarize_flights, table
-    from uavrl.training.factory import make_device, make_env
+    from uavrl.training.factory import make_device
 
     torch.set_num_threads(settings.threads)
     device = make_device(settings.device)
@@ -47,34 +48,60 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
         changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
         env_config, perception = changed.env, changed.perception
     else:
+        _only_in_the_valley(env_config, "policy")
         policy, source = baseline(str(settings.policy), env_config.world.flight_level), {"policy": settings.policy}
     output = _output(settings, overrides)
     if settings.valleys is not None:
+        _only_in_the_valley(env_config, "valleys")
         env_config = replace(env_config, world=replace(env_config.world, seeds=settings.valleys))
-    env = make_env(
-        env_config,
-        perception,
-        seed=settings.seed,
-        num_uavs=min(settings.num_uavs, settings.episodes),
-        measure_clearance=True,
-    )
+    told = {"seed": settings.seed, "env": env_config.name}
+    if isinstance(env_config, BipedalConfig):
+        result, text = _walk(settings, env_config, perception, policy, {**told, **source})
+    else:
+        told["valleys"] = list(env_config.world.seeds)
+        result, text = _fly(settings, env_config, perception, policy, {**told, **source})
+    partial = output.with_name(output.name + ".partial")
+    partial.write_text(json.dumps(result, indent=1) + "\n")
+    partial.replace(output)
+    print(text)
+    print(f"Written to {output}")
+
+
+def _only_in_the_valley(env: Any, key: str) -> None:
+    if isinstance(env, BipedalConfig):
+        raise UavrlError(f"{key} is for the valley, and the environment is {env.name}: leave {key} out.")
+
+
+def _fly(
+    settings: EvaluateConfig, env_config: Any, perception: Any, policy: Any, told: dict[str, Any]
+) -> tuple[dict[str, Any], str]:
+    """What goes into the file, and onto the screen."""
+    from uavrl.training.evaluation import fly, summarize_flights, table
+    from uavrl.training.factory import make_env
+
+    count = min(settings.num_uavs, settings.episodes)
+    env = make_env(env_config, perception, seed=settings.seed, num_uavs=count, measure_clearance=True)
     try:
         flights = fly(env, policy, settings.episodes, progress=settings.progress)
     finally:
         env.close()
-    result: dict[str, Any] = {
-        **summarize_flights(flights),
-        "seed": settings.seed,
-        "env": env_config.name,
-        "valleys": list(env_config.world.seeds),
-        **source,
-        "flights": [asdict(flight) for flight in flights],
-    }
-    partial = output.with_name(output.name + ".partial")
-    partial.write_text(json.dumps(result, indent=1) + "\n")
-    partial.replace(output)
-    print(table(result))
-    print(f"Written to {output}")
+    result = summarize_flights(flights)
+    return {**result, **told, "flights": [asdict(flight) for flight in flights]}, table(result)
+
+
+def _walk(
+    settings: EvaluateConfig, env_config: Any, perception: Any, policy: Any, told: dict[str, Any]
+) -> tuple[dict[str, Any], str]:
+    from uavrl.training.factory import make_env
+    from uavrl.training.walks import summarize_walks, walk, walk_table
+
+    env = make_env(env_config, perception, seed=settings.seed)
+    try:
+        walks = walk(env, policy, settings.episodes, progress=settings.progress)
+    finally:
+        env.close()
+    result = summarize_walks(walks)
+    return {**result, **told, "flights": [asdict(each) for each in walks]}, walk_table(result)
 
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:

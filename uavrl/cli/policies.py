@@ -124,10 +124,11 @@ def load_actor(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[Dict
     from uavrl.training.checkpoint import check_checkpoint, read_config, restore
     from uavrl.training.exported import is_exported, load_exported
     from uavrl.training.learner import make_actor
+    from uavrl.training.spaces import make_spaces
 
     config = read_config(run_dir)
     train_config: TrainConfig = to_dataclass(config)
-    actor = make_actor(train_config.algo, train_config.perception, device)
+    actor = make_actor(train_config.algo, make_spaces(train_config.env, train_config.perception), device)
     if checkpoint is None and is_exported(run_dir):
         return config, actor, load_exported(run_dir, actor)
     path = checkpoint_path(run_dir, checkpoint)

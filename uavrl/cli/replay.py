@@ -23,6 +23,7 @@ from uavrl.cli.policies import (
     writable,
 )
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
@@ -101,6 +102,11 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
         run_config, policy, source = load_policy(folder, settings.checkpoint, device)
         changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
         env, perception, reward = changed.env, changed.perception, changed.reward
+        if isinstance(env, BipedalConfig):
+            raise UavrlError(
+                f"uavrl-replay shows flights in the valley, and {folder} is a run of {env.name}: see how it does with "
+                f"uavrl-evaluate run={folder}."
+            )
         if settings.checkpoint is not None or not is_exported(folder):  # LifeGuard is not exported
             risk = load_risk(changed, checkpoint_path(folder, settings.checkpoint), device)
         source["run"] = folder.resolve().name

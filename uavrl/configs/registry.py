@@ -11,9 +11,11 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from uavrl.configs.checks import require, require_one_of
 from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
 from uavrl.configs.replay import ReplayConfig
-from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig, require, require_one_of
+from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig
+from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
 from uavrl.errors import UavrlError
 
 # What a run did whose configuration is older than the group.
@@ -32,6 +34,7 @@ def conf_dir() -> Path:
 def register_schemas() -> None:
     """Puts every dataclass into Hydra's ConfigStore; yaml files name theirs as ``<group>/<name>_schema``."""
     OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
+    OmegaConf.register_new_resolver("on_walker", _on_walker, replace=True)
     OmegaConf.register_new_resolver("learner", lambda *, _root_: learner(_root_), replace=True)
     ConfigStore.__deepcopy__ = _shared  # type: ignore[attr-defined]
     store = ConfigStore.instance()
@@ -52,6 +55,11 @@ def _shared(store: ConfigStore, _: dict[int, Any]) -> ConfigStore:
 def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:
     """``${with_lifeguard:A,B}`` is A where the algorithm has a LifeGuard, else B."""
     return without if OmegaConf.select(_root_, "algo.lifeguard") is None else value
+
+
+def _on_walker(choice: str, otherwise: str, *, _root_: DictConfig) -> str:
+    """``${on_walker:A,B}`` in a defaults list, where the root holds the groups' choices: A for the walker, else B."""
+    return choice if GROUPS["env"].get(str(_root_.env)) is BipedalConfig else otherwise
 
 
 def learner(config: DictConfig) -> str:
@@ -77,6 +85,8 @@ def to_dataclass(config: DictConfig) -> Any:
     try:
         if OmegaConf.get_type(config) is dict:
             config = _with_types(config)
+        if OmegaConf.get_type(config) is TrainConfig:
+            _check_environment(config)
         for key, value in _leaves(OmegaConf.to_container(config, resolve=True)):
             require(not isinstance(value, float) or math.isfinite(value), key, "a finite number", value)
         return OmegaConf.to_object(config)
@@ -86,6 +96,18 @@ def to_dataclass(config: DictConfig) -> Any:
         place = getattr(error, "full_key", None)
         where, reason = f" at {place}" if place else "", str(error).splitlines()[0]
         raise UavrlError(f"The configuration does not hold together{where}: {reason}") from error
+
+
+def _check_environment(config: DictConfig) -> None:
+    """The walker brings its observation and its reward; those of the valley mean nothing to it, and vice versa."""
+    names = {group: config[group].name for group in ("env", "perception", "reward", "buffer", "backward_reward")}
+    walker, env = GROUPS["env"].get(names["env"]) is BipedalConfig, f"with env={names['env']}"
+    for group, own in (("perception", NoPerceptionConfig), ("reward", WalkerRewardConfig)):
+        fitting = [name for name, schema in GROUPS[group].items() if (schema is own) == walker]
+        require(names[group] in fitting, group, f"{' or '.join(fitting)} {env}", names[group])
+    buffer, backward = names["buffer"], names["backward_reward"]
+    require(walker or buffer != "failure_biased", "buffer", f"uniform or prioritized {env}", buffer)
+    require(not walker or backward == "none", "backward_reward", f"none {env}: it pays flights", backward)
 
 
 def _with_types(config: DictConfig) -> DictConfig:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from uavrl.configs.schema import EnvConfig, PerceptionConfig, require
+from uavrl.configs.checks import require
+from uavrl.configs.schema import EnvConfig, PerceptionConfig
 
 MOST_FLIGHTS = 50  # in one page
 

@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from uavrl.configs.checks import require, require_one_of, require_widths
+from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.world import WorldConfig
-from uavrl.errors import UavrlError
-
-
-def require(condition: bool, key: str, expected: str, value: Any) -> None:
-    """Raises one clear sentence unless ``condition`` holds."""
-    if not condition:
-        raise UavrlError(
-            f"{key} must be {expected}, got {value!r}: change it in the configuration or on the command line."
-        )
-
-
-def require_one_of(value: str, key: str, choices: Sequence[str]) -> None:
-    """Raises one clear sentence unless ``value`` is one of ``choices``."""
-    require(value in choices, key, f"one of {', '.join(choices)}", value)
-
-
-def require_widths(widths: Sequence[int], key: str) -> None:
-    """Raises one clear sentence unless ``widths`` are those of hidden layers."""
-    require(len(widths) > 0 and min(widths) >= 1, key, "one or more widths above 0", list(widths))
 
 
 @dataclass
@@ -102,8 +84,9 @@ class NavigationRewardConfig:
 
 @dataclass
 class ForkConfig:
-    """conf/enhancer/fork.yaml."""
+    """conf/enhancer/fork.yaml and fork_walker.yaml."""
 
+    variant: str = "fork"
     system_hidden: tuple[int, ...] = (400, 300)
     reward_hidden: tuple[int, ...] = (256, 256)
     model_lr: float = 3e-4
@@ -115,6 +98,7 @@ class ForkConfig:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
+        require_one_of(self.variant, "algo.fork.variant", ("fork", "bipedal"))
         require_widths(self.system_hidden, "algo.fork.system_hidden")
         require_widths(self.reward_hidden, "algo.fork.reward_hidden")
         for key in ("model_lr", "threshold", "max_reward"):
@@ -245,6 +229,24 @@ class PrioritizedBufferConfig(UniformBufferConfig):
 
 
 @dataclass
+class FailureBiasedBufferConfig(UniformBufferConfig):
+    """conf/buffer/failure_biased.yaml."""
+
+    name: str = "failure_biased"
+    success_return: float = 250.0
+    probability: float = 0.5
+    falls_per_success: int = 10
+    updates_when_left_out: int = 100
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        super().__post_init__()
+        require(0 <= self.probability <= 1, "buffer.probability", "in [0, 1]", self.probability)
+        for key in ("falls_per_success", "updates_when_left_out"):
+            require(getattr(self, key) >= 0, f"buffer.{key}", "at least 0", getattr(self, key))
+
+
+@dataclass
 class NoBackwardRewardConfig:
     """conf/backward_reward/none.yaml."""
 
@@ -336,8 +338,8 @@ class LoggerConfig:
 class TrainConfig:
     """conf/config.yaml: one training run."""
 
-    env: EnvConfig = field(default_factory=EnvConfig)
-    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    env: Any = None
+    perception: Any = None
     reward: Any = None
     algo: Any = None
     buffer: Any = None
@@ -367,8 +369,8 @@ class EvaluateConfig:
 
     run: str | None = None
     policy: str | None = None
-    env: EnvConfig = field(default_factory=EnvConfig)
-    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+    env: Any = None
+    perception: Any = None
     episodes: int = 500
     seed: int = 20_000
     valleys: tuple[int, ...] | None = None
@@ -391,25 +393,33 @@ class EvaluateConfig:
 
 
 GROUPS: dict[str, dict[str, type]] = {
-    "env": {"static": EnvConfig, "dynamic": EnvConfig},
-    "perception": {"truncated_icosahedron": PerceptionConfig},
+    "env": {"static": EnvConfig, "dynamic": EnvConfig, "bipedal_hardcore": BipedalConfig},
+    "perception": {"truncated_icosahedron": PerceptionConfig, "none": NoPerceptionConfig},
     "reward": {
         "navigation": NavigationRewardConfig,
         "navigation_prize": NavigationRewardConfig,
         "traditional": TraditionalRewardConfig,
+        "walker": WalkerRewardConfig,
     },
     "algo": {
         "td3": TD3Config,
         "td3_fork": TD3Config,
         "td3_lg": TD3Config,
         "td3_fork_lg": TD3Config,
+        "td3_walker": TD3Config,
+        "td3_fork_walker": TD3Config,
+        "td3_lg_walker": TD3Config,
         "ddpg": DDPGConfig,
         "ddpg_lg": DDPGConfig,
         "sac": SACConfig,
         "sac_lg": SACConfig,
     },
-    "enhancer": {"fork": ForkConfig, "lifeguard": LifeGuardConfig},
-    "buffer": {"uniform": UniformBufferConfig, "prioritized": PrioritizedBufferConfig},
+    "enhancer": {"fork": ForkConfig, "fork_walker": ForkConfig, "lifeguard": LifeGuardConfig},
+    "buffer": {
+        "uniform": UniformBufferConfig,
+        "prioritized": PrioritizedBufferConfig,
+        "failure_biased": FailureBiasedBufferConfig,
+    },
     "backward_reward": {"none": NoBackwardRewardConfig, "abr": ABRConfig, "abr_plus": ABRPlusConfig},
     "collector": {"sync": CollectorConfig, "async": CollectorConfig},
     "trainer": {"default": TrainerConfig},
@@ -417,4 +427,4 @@ GROUPS: dict[str, dict[str, type]] = {
 }
 
 # The groups whose choices have dataclasses of their own.
-CHOSEN_GROUPS = ("reward", "algo", "buffer", "backward_reward")
+CHOSEN_GROUPS = ("reward", "algo", "buffer", "backward_reward", "env", "perception")

@@ -1,4 +1,4 @@
-"""Environments: the valley, its quadrotors, their LiDAR and the navigation task."""
+"""Environments: the valley, its quadrotors, their LiDAR and the navigation task; and the bipedal walker."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from uavrl.envs.bipedal import BipedalEnv
     from uavrl.envs.lidar import Lidar, LidarConfig
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.envs.quadrotor import Aerodynamics, Airframe
@@ -14,13 +15,14 @@ if TYPE_CHECKING:
 _MODULES = {
     "Aerodynamics": "quadrotor",
     "Airframe": "quadrotor",
+    "BipedalEnv": "bipedal",
     "Lidar": "lidar",
     "LidarConfig": "lidar",
     "NavigationEnv": "navigation",
     "World": "world",
     "WorldConfig": "world",
 }
-__all__ = ["Aerodynamics", "Airframe", "Lidar", "LidarConfig", "NavigationEnv", "World", "WorldConfig"]
+__all__ = ["Aerodynamics", "Airframe", "BipedalEnv", "Lidar", "LidarConfig", "NavigationEnv", "World", "WorldConfig"]
 
 
 def __getattr__(name: str) -> Any:

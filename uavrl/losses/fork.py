@@ -82,12 +82,17 @@ class Fork(Enhancer):
 
     @dataclass
     class _AcceptedKeys(Enhancer._AcceptedKeys):
-        """The keys that FORK reads of a transition; ``observation`` is first what the actor reads."""
+        """The keys that FORK reads of a transition; ``observation`` is first what the actor reads.
+
+        ``episode_reward`` is what TorchRL's ``RewardSum`` writes under ``"next"``: where it is there, it gives the
+        returns of :meth:`Fork.observe`, which are then those from before another transform changed the rewards.
+        """
 
         observation: NestedKey = "observation"
         action: NestedKey = "action"
         reward: NestedKey = "reward"
         done: NestedKey = "done"
+        episode_reward: NestedKey = "episode_reward"
 
     default_keys = _AcceptedKeys
 
@@ -307,9 +312,16 @@ class Fork(Enhancer):
             first = len(self.returns) == 0
             self.observed_low.copy_(low if first else torch.minimum(self.observed_low, low))
             self.observed_high.copy_(high if first else torch.maximum(self.observed_high, high))
-        episode = done.cumsum(0) - done.long()
-        self.returns.push(rewards.new_zeros(int(done.sum())).index_add(0, episode, rewards))
+        self.returns.push(self._episode_returns(episodes, rewards, done))
         self.weight.copy_(fork_weight(self.returns.stored, self.max_reward, self.base_weight))
+
+    def _episode_returns(self, episodes: TensorDictBase, rewards: Tensor, done: Tensor) -> Tensor:
+        """``[E]``: what ``RewardSum`` counted, or the sums of the rewards."""
+        counted = episodes.get(unravel_key(("next", self.tensor_keys.episode_reward)), None)
+        if counted is not None:
+            return counted.reshape(-1)[done]
+        episode = done.cumsum(0) - done.long()
+        return rewards.new_zeros(int(done.sum())).index_add(0, episode, rewards)
 
     def _check_episodes(self, episodes: TensorDictBase, states: Tensor, rewards: Tensor, done: Tensor) -> None:
         width = self.observed_low.shape[0]

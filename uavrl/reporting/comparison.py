@@ -72,8 +72,15 @@ def _number(value: Any) -> float:
 
 
 def _told(condition: tuple[str, ...]) -> str:
+    """What was flown, for a person.
+
+    Examples:
+        >>> _told(("static", "[0]", "20000", "500", "")), _told(("bipedal_hardcore", "None", "20000", "100", ""))
+        ('static, valleys [0], 500 tasks of seed 20000', 'bipedal_hardcore, 100 tasks of seed 20000')
+    """
     env, valleys, seed, episodes, changes = condition
-    return f"{env}, valleys {valleys}, {episodes} tasks of seed {seed}{changes and f' with {changes}'}"
+    place = env if valleys == str(None) else f"{env}, valleys {valleys}"  # the walker has none
+    return f"{place}, {episodes} tasks of seed {seed}{changes and f' with {changes}'}"
 
 
 def _trained_differently(conditions: list[tuple[str, ...]], steps: np.ndarray) -> list[str]:

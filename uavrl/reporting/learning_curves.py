@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from uavrl.errors import UavrlError
 from uavrl.training.episodes import OUTCOMES, RATES, Episode
 
 POINTS = 240  # of a curve: enough for a screen
@@ -126,5 +129,52 @@ def plot(runs: dict[str, Sequence[Episode]], output: Path, window: int = 500) ->
         axis.grid(alpha=0.3)
     axes[0].set_ylabel(f"% of the last {window} episodes")
     axes[-1].legend(loc="upper right")
+    figure.savefig(output, dpi=110)
+    plt.close(figure)
+
+
+def read_returns(path: Path) -> dict[str, list[float]]:
+    """Episode returns that others published, by name.
+
+    Args:
+        path: a JSON file such as ``docs/data/bipedal/reference.json``: for each name a list ``episode_return``.
+
+    Raises:
+        UavrlError: when the file is missing or holds something else.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        curves = {name: entry["episode_return"] for name, entry in content.items() if isinstance(entry, dict)}
+        return {name: [float(value) for value in returns] for name, returns in curves.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UavrlError(
+            f"Expected a JSON file of names with a list episode_return each in {path}, it cannot be read ({error})."
+        ) from error
+
+
+def plot_returns(
+    runs: dict[str, Sequence[Episode]], references: dict[str, Sequence[float]], output: Path, window: int = 100
+) -> None:
+    """Draws the mean return of the last ``window`` episodes over episodes, runs in colour and references in grey.
+
+    Args:
+        runs: episodes of each run.
+        references: episode returns by name (:func:`read_returns`).
+        output: the picture.
+        window: number of episodes.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(8, 4.2), layout="constrained")
+    for (label, returns), grey in zip(references.items(), itertools.cycle(("0.35", "0.65")), strict=False):
+        axis.plot(moving_mean(returns, window), label=f"{label} (reference)", color=grey, linewidth=1.5)
+    for label, episodes in runs.items():
+        axis.plot(moving_mean([e.episode_return for e in episodes], window), label=label, linewidth=1.5)
+    axis.set(xlabel="episodes", ylabel=f"mean return of the last {window} episodes")
+    axis.grid(alpha=0.3)
+    axis.legend(loc="lower right")
     figure.savefig(output, dpi=110)
     plt.close(figure)

@@ -22,6 +22,7 @@ from uavrl.reporting.thesis import class_sizes, counterpart, thesis
 from uavrl.training.episodes import RATES, Episode, wilson
 
 FORMAT = 1  # of the JSON file
+_TITLES = {"bipedal_hardcore": "Training runs of the hard-core bipedal walker"}
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def make_report(
     env = str(groups[0].runs[0].settings.get("env.name"))
     rows = [_group_facts(group, window, threshold) for group in groups]
     return Report(
-        title=title or f"Training runs in the {env} valley",
+        title=title or _TITLES.get(env, f"Training runs in the {env} valley"),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=uavrl.__version__,
         window=window,

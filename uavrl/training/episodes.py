@@ -21,7 +21,10 @@ RATES = {"success": "arrived", "collision": "collided", "time_out": "timed_out"}
 
 @dataclass(frozen=True)
 class Episode:
-    """One flown episode; lengths in metres."""
+    """One flown episode; lengths in metres. Places are 0 where the environment has none.
+
+    The return is the one that the environment gave, where a transform scaled the rewards that are learned from.
+    """
 
     episode: int
     total_steps: int
@@ -102,13 +105,14 @@ def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Epi
         episode: its number, from 1.
         total_steps: steps of training with this episode.
     """
-    first = trajectory[0]
-    (start_x, start_y, start_z), (goal_x, goal_y, goal_z) = first["position"].tolist(), first["goal"].tolist()
+    first, last = trajectory[0], trajectory[-1]["next"]
+    (start_x, start_y, start_z), (goal_x, goal_y, goal_z) = _place(first, "position"), _place(first, "goal")
+    rewards = trajectory["next", "reward"].double().sum()
     return Episode(
         episode=episode,
         total_steps=total_steps,
-        outcome=outcome(trajectory[-1]["next"]),
-        episode_return=trajectory["next", "reward"].double().sum().item(),
+        outcome=outcome(last),
+        episode_return=float(last.get("episode_reward", rewards)),
         steps=len(trajectory),
         start_x=start_x,
         start_y=start_y,
@@ -116,9 +120,14 @@ def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Epi
         goal_x=goal_x,
         goal_y=goal_y,
         goal_z=goal_z,
-        world_seed=int(first["world_seed"].item()),
+        world_seed=int(first.get("world_seed", 0)),
         task=int(first["task"].item()),
     )
+
+
+def _place(state: TensorDictBase, key: str) -> list[float]:
+    place = state.get(key, None)
+    return [0.0, 0.0, 0.0] if place is None else place.tolist()
 
 
 def read_episodes(path: Path) -> list[Episode]:

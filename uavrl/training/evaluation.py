@@ -106,6 +106,27 @@ def fly(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False) 
     return [flights[task] for task in range(episodes)]
 
 
+def outcome_rates(outcomes: Sequence[str]) -> dict[str, Any]:
+    """The number of episodes, and success, collision and time-out rates with Wilson 95 % intervals.
+
+    Raises:
+        ValueError: without episodes.
+    """
+    if not outcomes:
+        raise ValueError("Expected at least one flight to summarise, got none.")
+    rates = {name: wilson(outcomes.count(ending), len(outcomes)) for name, ending in RATES.items()}
+    return {"episodes": len(outcomes), **rates}
+
+
+def rate_lines(result: dict[str, Any]) -> list[str]:
+    """The rates as lines of a table."""
+    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {result['episodes']} episodes"]
+    for name in RATES:
+        rate = result[name]
+        lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
+    return lines
+
+
 def summarize_flights(flights: Sequence[Flight]) -> dict[str, Any]:
     """Rates with Wilson 95 % intervals, path efficiency, clearance and steps.
 
@@ -121,11 +142,7 @@ def summarize_flights(flights: Sequence[Flight]) -> dict[str, Any]:
         >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"]
         (0.5, 0.9, 75.0)
     """
-    if not flights:
-        raise ValueError("Expected at least one flight to summarise, got none.")
-    result: dict[str, Any] = {"episodes": len(flights)}
-    for name, ending in RATES.items():
-        result[name] = wilson(sum(f.outcome == ending for f in flights), len(flights))
+    result = outcome_rates([f.outcome for f in flights])
     arrived = [f for f in flights if f.outcome == "arrived"]
     clearances = [f.clearance for f in arrived]
     result["path_efficiency"] = float(np.mean([f.path_efficiency for f in arrived])) if arrived else None
@@ -138,10 +155,7 @@ def summarize_flights(flights: Sequence[Flight]) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """The summary as text for a person."""
-    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {result['episodes']} episodes"]
-    for name in RATES:
-        rate = result[name]
-        lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
+    lines = rate_lines(result)
     labels = {
         "path_efficiency": "path efficiency (straight / flown, arrivals)",
         "median_clearance": "minimum clearance, median over arrivals [m]",

@@ -10,15 +10,16 @@ from typing import Any, cast
 import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import BaseCollector, Collector
-from torchrl.data import Bounded, PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
-from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
+from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
+from torchrl.envs import CatFrames, Compose, EnvBase, RewardSum, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
-from uavrl.buffers import BackwardReward, FrameStorage
+from uavrl.buffers import BackwardReward, FailureBias, FrameStorage
 from uavrl.configs.schema import (
     ABRConfig,
     ABRPlusConfig,
     EnvConfig,
+    FailureBiasedBufferConfig,
     NavigationRewardConfig,
     NoBackwardRewardConfig,
     PerceptionConfig,
@@ -27,13 +28,21 @@ from uavrl.configs.schema import (
     TrainConfig,
     UniformBufferConfig,
 )
-from uavrl.envs.navigation import ACTION_LIMIT, GoalAngle, NavigationEnv
+from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
+from uavrl.envs.bipedal import BipedalEnv
+from uavrl.envs.navigation import GoalAngle, NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.models import OneShotClassifier, TrajectoryClassifier
 from uavrl.models.trajectory_classifier import packaged_artifact
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.learner import ACTIONS, state_width
-from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
+from uavrl.training.spaces import make_spaces
+from uavrl.transforms import (
+    NavigationObservation,
+    NavigationReward,
+    TraditionalReward,
+    TruncatedIcosahedron,
+    WalkerReward,
+)
 from uavrl.transforms.functional import Statistic
 
 RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
@@ -57,7 +66,7 @@ def make_device(name: str) -> torch.device:
     return device
 
 
-def make_reward(config: RewardConfig) -> Transform:
+def make_reward(config: RewardConfig | WalkerRewardConfig) -> Transform:
     """The reward transform that the configuration names."""
     if isinstance(config, NavigationRewardConfig):
         return NavigationReward(
@@ -67,6 +76,8 @@ def make_reward(config: RewardConfig) -> Transform:
             config.arrived_reward,
             config.altitude_term,  # type: ignore[arg-type]
         )
+    if isinstance(config, WalkerRewardConfig):
+        return WalkerReward(config.fall_reward, config.scale)
     return TraditionalReward(config.arrived_reward, config.collided_reward)
 
 
@@ -88,16 +99,23 @@ def make_transforms(
 
 
 def make_env(
-    env: EnvConfig,
-    perception: PerceptionConfig,
-    reward: RewardConfig | None = None,
+    env: EnvConfig | BipedalConfig,
+    perception: PerceptionConfig | NoPerceptionConfig,
+    reward: RewardConfig | WalkerRewardConfig | None = None,
     *,
     seed: int = 0,
     num_uavs: int | None = None,
     measure_clearance: bool = False,
     keep_cloud: bool = False,
 ) -> TransformedEnv:
-    """The navigation environment with everything between the raw scan and the policy's state."""
+    """The environment with everything between what it emits and what the policy and the learner read.
+
+    The walker takes none of the keyword arguments but the seed: it walks alone.
+    """
+    if isinstance(env, BipedalConfig):
+        rewards = [] if reward is None else [make_reward(reward)]
+        return TransformedEnv(BipedalEnv(env.max_steps, seed), Compose(RewardSum(), *rewards))
+    assert isinstance(perception, PerceptionConfig) and not isinstance(reward, WalkerRewardConfig)
     base = NavigationEnv(
         num_uavs or env.num_uavs,
         world=env.world,
@@ -146,10 +164,11 @@ def make_backward_reward(
             TrajectoryClassifier.load(source)
             shutil.copytree(source, kept)
         classifier = TrajectoryClassifier.load(kept)
-        if classifier.inputs != state_width(perception):
+        width = make_spaces(None, perception).state
+        if classifier.inputs != width:
             raise UavrlError(
                 f"The artifact {config.artifact} classifies states of {classifier.inputs} numbers, these have "
-                f"{state_width(perception)}: make one with uavrl-pretrain from a run with perception.frames="
+                f"{width}: make one with uavrl-pretrain from a run with perception.frames="
                 f"{perception.frames}."
             )
     else:
@@ -180,6 +199,13 @@ def make_buffer(
     )
 
 
+def make_admission(config: UniformBufferConfig, seed: int) -> FailureBias | None:
+    """What decides which episodes are stored, or None where all are."""
+    if not isinstance(config, FailureBiasedBufferConfig):
+        return None
+    return FailureBias(config.success_return, config.probability, config.falls_per_success, seed)
+
+
 def make_collector(
     config: TrainConfig, env: EnvBase | Callable[[], EnvBase], actor: TensorDictModuleBase, device: torch.device
 ) -> BaseCollector:
@@ -191,9 +217,10 @@ def make_collector(
         actor: the policy without noise.
         device: where the policy lives.
     """
-    sigma = config.algo.exploration_noise * ACTION_LIMIT
+    spaces = make_spaces(config.env, config.perception)
+    sigma = config.algo.exploration_noise * spaces.limit
     noise = AdditiveGaussianModule(
-        spec=Bounded(-ACTION_LIMIT, ACTION_LIMIT, (ACTIONS,), device=device),
+        spec=spaces.action_spec(device),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,
@@ -201,7 +228,7 @@ def make_collector(
     )
     kwargs: dict[str, Any] = {
         "policy": TensorDictSequential(actor, noise),
-        "frames_per_batch": config.env.num_uavs * config.collector.steps_per_batch,
+        "frames_per_batch": getattr(config.env, "num_uavs", 1) * config.collector.steps_per_batch,
         "total_frames": -1,
         "init_random_frames": config.algo.random_steps,
         "trajs_per_batch": 1,

@@ -6,49 +6,34 @@ from collections.abc import Sequence
 
 import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
-from torchrl.data import Bounded
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from uavrl.configs.schema import DDPGConfig, ForkConfig, LifeGuardConfig, PerceptionConfig, SACConfig, TD3Config
-from uavrl.envs.navigation import ACTION_LIMIT
+from uavrl.configs.schema import DDPGConfig, ForkConfig, LifeGuardConfig, SACConfig, TD3Config
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
-
-ACTIONS = 4
-FRAME = 32 + 3  # one observation; the state is several
+from uavrl.training.spaces import Spaces
 
 
-def state_width(perception: PerceptionConfig) -> int:
-    """Numbers in the policy's state."""
-    return perception.frames * FRAME
-
-
-def make_actor(
-    algo: DDPGConfig, perception: PerceptionConfig, device: torch.device | str = "cpu"
-) -> TensorDictModuleBase:
+def make_actor(algo: DDPGConfig, spaces: Spaces, device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """The policy: reads ``observation``, writes ``action``; SAC's samples it, the others' is deterministic."""
-    width = state_width(perception)
     if not isinstance(algo, SACConfig):
-        actor = Actor(width, ACTIONS, algo.hidden, limit=ACTION_LIMIT).to(device)
+        actor = Actor(spaces.state, spaces.actions, algo.hidden, limit=spaces.limit).to(device)
         return TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
-    gaussian = GaussianActor(width, ACTIONS, algo.hidden).to(device)
+    gaussian = GaussianActor(spaces.state, spaces.actions, algo.hidden).to(device)
     return ProbabilisticActor(
         TensorDictModule(gaussian, in_keys=["observation"], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
-        spec=Bounded(-ACTION_LIMIT, ACTION_LIMIT, (ACTIONS,), device=device),
+        spec=spaces.action_spec(device),
         distribution_class=TanhNormal,
-        distribution_kwargs={"low": -ACTION_LIMIT, "high": ACTION_LIMIT},
+        distribution_kwargs={"low": -spaces.limit, "high": spaces.limit},
         return_log_prob=True,
     )
 
 
-def make_loss(
-    algo: DDPGConfig, actor: TensorDictModuleBase, perception: PerceptionConfig, device: torch.device
-) -> ActorCriticLoss:
+def make_loss(algo: DDPGConfig, actor: TensorDictModuleBase, spaces: Spaces, device: torch.device) -> ActorCriticLoss:
     """The loss module of the algorithm with critics of its own, FORK around it and LifeGuard around both."""
-    width = state_width(perception)
-    spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, (ACTIONS,), device=device)
-    critics = [_critic(width, algo.hidden, device) for _ in range(1 if type(algo) is DDPGConfig else 2)]
+    spec = spaces.action_spec(device)
+    critics = [_critic(spaces, algo.hidden, device) for _ in range(1 if type(algo) is DDPGConfig else 2)]
     loss: ActorCriticLoss
     if isinstance(algo, TD3Config):
         loss = TD3Loss(
@@ -65,23 +50,26 @@ def make_loss(
     else:
         loss = DDPGLoss(actor, critics[0], gamma=algo.gamma)
     if algo.fork is not None:
-        loss = _with_fork(loss, algo.fork, algo.gamma, width)
+        loss = _with_fork(loss, algo.fork, algo.gamma, spaces)
     if algo.lifeguard is not None:
-        loss = _with_lifeguard(loss, algo.lifeguard)
+        loss = _with_lifeguard(loss, algo.lifeguard, spaces)
     return loss.to(device)
 
 
-def _critic(width: int, hidden: Sequence[int], device: torch.device) -> TensorDictModule:
-    net = Critic(width, ACTIONS, hidden).to(device)
+def _critic(spaces: Spaces, hidden: Sequence[int], device: torch.device) -> TensorDictModule:
+    net = Critic(spaces.state, spaces.actions, hidden).to(device)
     return TensorDictModule(net, in_keys=["observation", "action"], out_keys=["state_action_value"])
 
 
-def _with_fork(loss: ActorCriticLoss, config: ForkConfig, gamma: float, width: int) -> Fork:
+def _with_fork(loss: ActorCriticLoss, config: ForkConfig, gamma: float, spaces: Spaces) -> Fork:
+    width, actions = spaces.state, spaces.actions
+    predicts_rewards = config.variant == "fork"
     return Fork(
         loss,
-        system_network=SystemNet(width, ACTIONS, config.system_hidden),
-        reward_network=RewardNet(width, ACTIONS, config.reward_hidden),
+        system_network=SystemNet(width, actions, config.system_hidden),
+        reward_network=RewardNet(width, actions, config.reward_hidden) if predicts_rewards else None,
         observations=width,
+        variant=config.variant,  # type: ignore[arg-type]
         max_reward=config.max_reward,
         gamma=gamma,
         base_weight=config.base_weight,
@@ -91,11 +79,11 @@ def _with_fork(loss: ActorCriticLoss, config: ForkConfig, gamma: float, width: i
     )
 
 
-def _with_lifeguard(loss: ActorCriticLoss, config: LifeGuardConfig) -> LifeGuard:
+def _with_lifeguard(loss: ActorCriticLoss, config: LifeGuardConfig, spaces: Spaces) -> LifeGuard:
     return LifeGuard(
         loss,
-        observations=FRAME,
-        actions=ACTIONS,
+        observations=spaces.observation,
+        actions=spaces.actions,
         model=config.model,  # type: ignore[arg-type]
         penalty=config.penalty,  # type: ignore[arg-type]
         penalty_weight=config.penalty_weight,

@@ -27,6 +27,7 @@ from uavrl.training.evaluation import Flight, FlightRecorder, Policy
 from uavrl.training.factory import RewardConfig, make_env
 from uavrl.training.flight import RecordedFlight, Replay, Scenery, thinned
 from uavrl.training.learner import make_actor, make_loss
+from uavrl.training.spaces import make_spaces
 from uavrl.transforms.rewards import navigation_reward, traditional_reward
 
 Risk = Callable[[Tensor, Tensor], Tensor]
@@ -214,8 +215,8 @@ def load_risk(config: TrainConfig, checkpoint: Path, device: torch.device) -> Ri
     """
     if config.algo.lifeguard is None:
         return None
-    actor = make_actor(config.algo, config.perception, device)
-    guard = make_loss(config.algo, actor, config.perception, device)
+    spaces = make_spaces(config.env, config.perception)
+    guard = make_loss(config.algo, make_actor(config.algo, spaces, device), spaces, device)
     restore(Checkpoint(loss_module=guard), checkpoint, ["loss_module"])
     assert isinstance(guard, LifeGuard)
 

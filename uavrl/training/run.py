@@ -18,6 +18,7 @@ import torch
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
+from torchrl.data import ReplayBuffer
 
 import uavrl
 from uavrl.configs import learner, to_dataclass
@@ -37,12 +38,20 @@ from uavrl.training.checkpoint import (
     rotation,
 )
 from uavrl.training.episodes import EpisodeLog, read_episodes
-from uavrl.training.factory import make_backward_reward, make_buffer, make_collector, make_device, make_env
+from uavrl.training.factory import (
+    make_admission,
+    make_backward_reward,
+    make_buffer,
+    make_collector,
+    make_device,
+    make_env,
+)
 from uavrl.training.gradients import chosen_execution
-from uavrl.training.learner import make_actor, make_loss, state_width
+from uavrl.training.learner import make_actor, make_loss
 from uavrl.training.loggers import make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
+from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.trainer import EpisodeReplay, NavigationTrainer, barrier_seed
 
@@ -182,8 +191,9 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     device = make_device(settings.device)
     new_env = partial(make_env, settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
     env = new_env if settings.collector.name == "async" else new_env()
-    actor = make_actor(settings.algo, settings.perception, device)
-    loss = make_loss(settings.algo, actor, settings.perception, device)
+    spaces = make_spaces(settings.env, settings.perception)
+    actor = make_actor(settings.algo, spaces, device)
+    loss = make_loss(settings.algo, actor, spaces, device)
     backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
     buffer = make_buffer(settings.buffer, device, backward_reward, frames=settings.perception.frames)
     return NavigationTrainer(
@@ -192,7 +202,7 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
         stepper=_make_stepper(settings, loss),
         backward_reward=backward_reward,
         recorder=_make_recorder(settings, run_dir),
-        replay=EpisodeReplay(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
+        replay=_make_replay(settings, buffer),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         progress=Progress(0, 1, enabled=False),
         rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
@@ -206,10 +216,20 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     )
 
 
+def _make_replay(settings: TrainConfig, buffer: ReplayBuffer) -> EpisodeReplay:
+    return EpisodeReplay(
+        buffer,
+        settings.algo.batch_size,
+        settings.trainer.updates_per_step,
+        admission=make_admission(settings.buffer, settings.seed),
+        updates_when_left_out=getattr(settings.buffer, "updates_when_left_out", 0),
+    )
+
+
 def _make_recorder(settings: TrainConfig, run_dir: Path) -> StateRecorder | None:
     if not settings.trainer.record_states:
         return None
-    return StateRecorder(run_dir / STATES_FOLDER, state_width(settings.perception))
+    return StateRecorder(run_dir / STATES_FOLDER, make_spaces(settings.env, settings.perception).state)
 
 
 def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticStepper:

@@ -56,6 +56,8 @@ class Descent:
 class ActorCriticStepper(OptimizationStepper):
     """Critic and models every step; actor and target networks every ``policy_delay`` steps (Algorithm 3.1).
 
+    While ``actor_learns`` is false, actor and targets stay as they are.
+
     Args:
         loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; may be enhanced by FORK and LifeGuard.
         actor_lr: Adam's step for the actor.
@@ -103,6 +105,7 @@ class ActorCriticStepper(OptimizationStepper):
         self.lifeguards = [(guard, guard.make_optimizer()) for guard in enhancers if isinstance(guard, LifeGuard)]
         temperature = getattr(loss.unenhanced, "alpha_params", [])
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
+        self.actor_learns = True
         self.updates = 0
         self._actor_loss = torch.zeros(())
 
@@ -117,7 +120,7 @@ class ActorCriticStepper(OptimizationStepper):
         for fork, models in self.forks:
             fork.update_gate(**models(sub_batch).metadata)
         self.updates += 1
-        if self.updates % self.policy_delay == 0:
+        if self.actor_learns and self.updates % self.policy_delay == 0:
             actor = self.actor(sub_batch)
             self._actor_loss = actor.loss
             if self.temperature is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torchrl.data import ReplayBuffer
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer, TrainerHookBase
 
-from uavrl.buffers import BackwardReward
+from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.recording import StateRecorder
@@ -51,14 +51,26 @@ class EpisodeReplay(TrainerHookBase):
         buffer: where transitions are stored.
         batch_size: transitions in a batch.
         updates_per_step: updates for each environment step.
+        admission: what decides which episodes are stored; None stores all.
+        updates_when_left_out: updates of all but actor and targets after an episode that is not stored.
     """
 
     BATCHES_AT_ONCE = 32
 
-    def __init__(self, buffer: ReplayBuffer, batch_size: int, updates_per_step: float = 1.0) -> None:
+    def __init__(
+        self,
+        buffer: ReplayBuffer,
+        batch_size: int,
+        updates_per_step: float = 1.0,
+        *,
+        admission: FailureBias | None = None,
+        updates_when_left_out: int = 0,
+    ) -> None:
         self.buffer = buffer
         self.batch_size = batch_size
         self.updates_per_step = updates_per_step
+        self.admission = admission
+        self.updates_when_left_out = updates_when_left_out
         self._trainer: Trainer | None = None
         self._owed = 0.0
         self._drawn: list[TensorDictBase] = []
@@ -67,8 +79,15 @@ class EpisodeReplay(TrainerHookBase):
     def extend(self, batch: TensorDictBase) -> None:
         """Writes the episodes and sets how many updates follow."""
         assert self._trainer is not None
-        self.buffer.extend(batch.select(*STORED_KEYS))
-        self._owed += len(batch) * self.updates_per_step
+        if self.admission is not None:
+            stored = [episode for episode in split_episodes(batch) if self.admission.admits(episode)]
+            cast(ActorCriticStepper, self._trainer.optimization_stepper).actor_learns = bool(stored)
+            batch = torch.cat(stored) if stored else batch[:0]
+        if len(batch):
+            self.buffer.extend(batch.select(*STORED_KEYS))
+            self._owed += len(batch) * self.updates_per_step
+        elif len(self.buffer):
+            self._owed += self.updates_when_left_out
         self._trainer.optim_steps_per_batch = self._to_draw = int(self._owed)
         self._owed -= int(self._owed)
 
@@ -96,12 +115,14 @@ class EpisodeReplay(TrainerHookBase):
         self.buffer.update_tensordict_priority(batch)
 
     def state_dict(self) -> dict[str, Any]:
-        """The fraction of an update still owed."""
-        return {"owed": self._owed}
+        """The fraction of an update still owed, and what the admission counts."""
+        return {"owed": self._owed} | ({} if self.admission is None else {"admission": self.admission.state_dict()})
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self._owed = state_dict["owed"]
+        if self.admission is not None:
+            self.admission.load_state_dict(state_dict["admission"])
 
     def register(self, trainer: Trainer, name: str = "episode_replay") -> None:
         """Hooks extending, sampling and priorities into the trainer."""
@@ -161,6 +182,7 @@ class NavigationTrainer(Trainer):
     ) -> None:
         self.episode_log = episode_log
         self.backward_reward = backward_reward
+        self.admission = replay.admission
         self.recorder = recorder
         self.progress = progress
         self.run_seed = seed
@@ -215,6 +237,7 @@ class NavigationTrainer(Trainer):
             "episodes": self.episode_log.count,
             **self.optimization_stepper.diagnostics(),
             **(self.backward_reward.diagnostics() if self.backward_reward is not None else {}),
+            **(self.admission.diagnostics() if self.admission is not None else {}),
         }
 
     @staticmethod

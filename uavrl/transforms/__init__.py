@@ -3,13 +3,16 @@
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
 from uavrl.transforms.rewards import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+from uavrl.transforms.walker import WalkerReward, walker_reward
 
 __all__ = [
     "NavigationObservation",
     "NavigationReward",
     "TraditionalReward",
     "TruncatedIcosahedron",
+    "WalkerReward",
     "navigation_observation",
     "navigation_reward",
     "traditional_reward",
+    "walker_reward",
 ]

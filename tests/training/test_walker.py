@@ -1,0 +1,59 @@
+"""A whole training of the bipedal walker: what it records, what it stores, and how it goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from omegaconf import DictConfig
+
+from tests.training.test_resume import assert_same_run, small_config
+from uavrl.training.checkpoint import rotation
+from uavrl.training.episodes import read_episodes
+from uavrl.training.run import create_run, train
+
+WALKER = [
+    "env=bipedal_hardcore",
+    "env.max_steps=90",  # some fall before, some do not
+    "algo.random_steps=100",
+    "algo.hidden=[16,16]",
+    "algo.batch_size=8",
+    "buffer.capacity=400",
+    "buffer.success_return=-20",  # which walkers that do not fall reach
+    "trainer.checkpoint_interval=150",
+    "trainer.keep_checkpoints=10",
+    "trainer.progress=false",
+    "trainer.execution=captured",
+]
+LIFEGUARD = [
+    "algo=td3_lg_walker",
+    "algo.lifeguard.min_collisions=1",
+    "algo.lifeguard.min_evaluations=0",
+    "algo.lifeguard.min_true_negative_rate=0",
+    "algo.lifeguard.batch_size=8",
+]
+FORK = ["algo=td3_fork_walker", "algo.fork.threshold=10", "algo.fork.system_hidden=[16]"]
+
+
+def walker_config(run_dir: Path, *overrides: str) -> DictConfig:
+    return small_config(run_dir, *overrides, base=WALKER)
+
+
+@pytest.mark.parametrize("overrides", [LIFEGUARD, FORK], ids=["lifeguard", "fork"])
+def test_a_resumed_run_is_bit_identical(tmp_path: Path, overrides: list[str]) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    for run_dir in (whole, cut):
+        config = walker_config(run_dir, "trainer.episodes=14", "logger.interval=1", *overrides)
+        train(config, create_run(config))
+    later = rotation(cut).checkpoints()[2:]
+    assert len(later) >= 2
+    for checkpoint in later:
+        checkpoint.unlink()
+    train(walker_config(cut, "trainer.episodes=14", "logger.interval=1", *overrides), cut, resume=True)
+    assert_same_run(whole, cut)
+    logged = {log.stem: log.read_text().splitlines() for log in (whole / "logs").rglob("*.csv")}
+    assert float(logged["buffer_left_out"][-1].split(",")[-1]) > 0
+    said = "lifeguard_penalty" if overrides is LIFEGUARD else "fork_gate"
+    assert max(float(line.split(",")[-1]) for line in logged[said]) > 0
+    outcomes = {episode.outcome for episode in read_episodes(whole / "episodes.csv")}
+    assert outcomes == {"collided", "timed_out"}
