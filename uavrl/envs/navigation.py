@@ -273,7 +273,7 @@ class NavigationEnv(EnvBase):
         )
         if len(index) == self.num_uavs:
             return points
-        cloud = np.full((self.num_uavs, NUM_RAYS, 3), np.nan, dtype=np.float32)
+        cloud = np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
         cloud[index] = points
         return cloud
 
