@@ -231,7 +231,7 @@ class Lidar:
 def _cast(
     scene: EmbreeScene, origins: np.ndarray, directions: np.ndarray, rays: np.ndarray | None, ranges: np.ndarray
 ) -> None:
-    """Shortens the ``ranges [R]`` of some ``rays`` (None: all) to what they hit; ``origins`` are ``[3, R]`` or ``[3, 1]``."""
+    """Shortens the ``ranges [R]`` of some ``rays`` (None: all), from ``origins [3, R]`` or one for all ``[3, 1]``."""
     if rays is None:
         scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, ranges, query="DISTANCE")
     elif rays.size:

@@ -175,8 +175,9 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
 
 
 def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-    """Returns for M points without negative coordinates which of the 7 faces there has the nearest centre, and
-    whether the point is inside all planes (Eq. 3.1).
+    """Returns which of the 7 faces has the nearest centre and whether the point is inside all planes (Eq. 3.1).
+
+    That is for M points without negative coordinates, among the faces of `_octant`.
 
     The centre is ``c_i = d_i n_i``, so ``‖p - c_i‖² = ‖p‖² - 2 d_i (n_i · p) + d_i²``: one product ``n · p`` serves
     both tests, and among faces of one kind the greatest is the nearest. The products are summed by hand, which makes
