@@ -111,6 +111,7 @@ class Lidar:
         self._static_scene = _embree_scene(Mesh.merge(self._meshes)) if self._meshes else None
         self._moving_scene = None if moving is None else _embree_scene(moving)
         self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
+        self._reach = np.float32(self.config.max_range)
         self._culler = self._build_culler()
 
     def __reduce__(self) -> tuple[type[Lidar], tuple[list[Mesh], Mesh | None, LidarConfig]]:
@@ -163,7 +164,7 @@ class Lidar:
             angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
         else:
             velocities = angular_velocities = None
-        ranges = np.full((len(positions), NUM_RAYS), self.config.max_range, dtype=np.float32)
+        ranges = np.full((len(positions), NUM_RAYS), np.nan, dtype=np.float32)
         near = None if self._culler is None else self._culler.candidates(positions, rotations)
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
             origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ self._columns
@@ -174,7 +175,7 @@ class Lidar:
                 speed = float(np.linalg.norm(velocities[vehicle]))
             if self._static_scene is not None:
                 rays = None if near is None else np.flatnonzero(near[vehicle])
-                _cast(self._static_scene, origins, directions, rays, ranges[vehicle])
+                _cast(self._static_scene, origins, directions, rays, ranges[vehicle], self._reach)
             for pose in poses:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
         self._spoil(ranges, rng)
@@ -208,12 +209,11 @@ class Lidar:
         to_body = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
         assert self._moving_scene is not None
         from_body = to_body @ (origins - pose[:3, None].astype(np.float32))
-        _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges)
+        _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
 
     def _spoil(self, ranges: np.ndarray, rng: np.random.Generator | None) -> None:
-        """Applies noise, dropout and the minimum range, and writes NaN ranges for misses."""
+        """Applies noise, dropout and the minimum range."""
         config = self.config
-        np.putmask(ranges, ranges >= np.float32(config.max_range), np.nan)
         if config.range_noise > 0.0 or config.dropout > 0.0:
             assert rng is not None
             hits = np.flatnonzero(~np.isnan(ranges))
@@ -229,16 +229,24 @@ class Lidar:
 
 
 def _cast(
-    scene: EmbreeScene, origins: np.ndarray, directions: np.ndarray, rays: np.ndarray | None, ranges: np.ndarray
+    scene: EmbreeScene,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    rays: np.ndarray | None,
+    ranges: np.ndarray,
+    reach: np.float32,
 ) -> None:
-    """Shortens the ``ranges [R]`` of some ``rays`` (None: all), from ``origins [3, R]`` or one for all ``[3, 1]``."""
-    if rays is None:
-        scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, ranges, query="DISTANCE")
-    elif rays.size:
-        directions, some = directions.take(rays, axis=1), ranges.take(rays)
+    """Shortens the ``ranges [R]`` (NaN: nothing hit) of some ``rays`` (None: all) to what they hit within ``reach``.
+
+    ``origins`` are ``[3, R]``, or ``[3, 1]`` if all rays start in one place; ``directions`` are ``[3, R]``.
+    """
+    lengths = np.fmin(ranges if rays is None else ranges.take(rays), reach)
+    if rays is not None:
+        directions = directions.take(rays, axis=1)
         origins = origins.take(rays, axis=1) if origins.shape[1] > 1 else origins
-        scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, some, query="DISTANCE")
-        ranges[rays] = some
+    if lengths.size:
+        scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, lengths, query="DISTANCE")
+    ranges[slice(None) if rays is None else rays] = np.where(lengths < reach, lengths, np.float32(np.nan))
 
 
 def _turned(directions: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
