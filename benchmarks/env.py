@@ -111,8 +111,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     parser.add_argument("--uavs", type=int, default=8, help="UAVs in the world")
-    parser.add_argument("--repeats", type=int, default=30, help="rounds; a third of them in the sweeps")
-    parser.add_argument("--steps", type=int, default=1024, help="least UAV steps of each row in a round")
+    parser.add_argument("--repeats", type=int, default=30, help="rounds; a tenth of them in the sweeps")
+    parser.add_argument(
+        "--steps", type=int, default=1024, help="least UAV steps of each row in a round; half in the sweeps"
+    )
     parser.add_argument("--scaling", action="store_true", help="also measure against UAVs, range, obstacles, processes")
     args = parser.parse_args()
     torch.set_num_threads(1)
@@ -121,7 +123,7 @@ def main() -> None:
     result = measured(args.uavs, args.steps, args.repeats)
     print_result(result)
     if args.scaling:
-        result["scaling"] = scaling(args.uavs, args.steps, max(args.repeats // 3, 1))
+        result["scaling"] = scaling(args.uavs, max(args.steps // 2, 1), max(args.repeats // 10, 1))
         print_scaling(result["scaling"])
     if args.json:
         result |= {"uavs": args.uavs, "rays_per_scan": NUM_RAYS, "threads": 1, "machine": about}

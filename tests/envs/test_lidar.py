@@ -238,7 +238,24 @@ def test_motion_distortion_moves_the_sensor_past_planes() -> None:
     assert (np.abs(world) <= [0.61, 1.01, 0.41]).all()  # every point lies on the plane
 
 
-def test_buffers_are_reused_but_clouds_are_not() -> None:
+@pytest.mark.parametrize("distorted", [False, True])
+def test_scans_of_several_vehicles_are_those_of_each_alone(distorted: bool) -> None:
+    lidar = Lidar(clutter(1), PLANE, LidarConfig(max_range=9.0, motion_distortion=distorted))
+    positions, rotations = poses(2, 4)
+    moves = {
+        name: np.random.default_rng(i).normal(size=(4, 3))
+        for i, name in enumerate(("velocities", "angular_velocities"))
+    }
+    planes = np.column_stack([positions[:2] + np.array([1.5, 0.5, 0.2]), [0.3, 2.0]])
+    together = lidar.scan(positions, rotations, planes, **moves)
+    assert not np.array_equal(lidar.scan(positions, rotations, **moves), together, equal_nan=True)
+    for i in range(4):
+        some = {name: values[i : i + 1] for name, values in moves.items()}
+        alone = lidar.scan(positions[i : i + 1], rotations[i : i + 1], planes, **some)
+        np.testing.assert_array_equal(alone[0], together[i])
+
+
+def test_clouds_of_earlier_scans_stay_as_they_are() -> None:
     lidar = Lidar(clutter(3), PLANE)
     positions, rotations = poses(4, 5)
     whole = lidar.scan(positions, rotations)

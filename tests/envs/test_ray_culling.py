@@ -30,6 +30,34 @@ def test_culling_changes_no_point(seed: int, max_range: float) -> None:
     np.testing.assert_array_equal(culled, whole)
 
 
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (900.0, -1500.0, 0.0)])
+def test_culling_in_float32_holds_far_from_the_origin(offset: tuple[float, float, float]) -> None:
+    meshes = [mesh.translated(offset) for mesh in clutter(5)]
+    positions, rotations = poses(6, 6)
+    culled, whole = with_and_without(meshes, 4.0, positions + offset, rotations)
+    np.testing.assert_array_equal(culled, whole)
+    assert np.isfinite(whole).any()
+
+
+def test_lasers_may_come_in_any_order() -> None:
+    mesh, elevations = Mesh.merge(clutter(3)), np.radians([-10.0, 0.0, 10.0, 20.0])
+    order = np.array([2, 0, 3, 1])
+    ascending = RayCuller(mesh, 4.0, 360, np.radians(1.0), elevations).candidates(*poses(4, 3))
+    shuffled = RayCuller(mesh, 4.0, 360, np.radians(1.0), elevations[order]).candidates(*poses(4, 3))
+    np.testing.assert_array_equal(shuffled, ascending[:, :, order])
+    assert (ascending != ascending[:, :, order]).any()
+
+
+def test_what_lies_beyond_the_outermost_lasers_is_left_out() -> None:
+    """A speck 3 m away at 16° is above the highest laser by more than its radius; one at 14.9° is not."""
+    for degrees, seen in ((16.0, False), (14.9, True), (-14.9, True), (-16.0, False)):
+        at = 3.0 * np.array([math.cos(math.radians(degrees)), 0.0, math.sin(math.radians(degrees))])
+        speck = Mesh(at + 0.01 * (np.eye(3) - 1 / 3), np.array([[0, 1, 2]]))
+        culler = Lidar([speck], None, LidarConfig(max_range=4.0))._culler
+        assert culler is not None
+        assert culler.candidates(ORIGIN, LEVEL).any() == seen
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_single_small_triangles_all_around_are_never_lost(seed: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -198,15 +199,24 @@ def test_invariances(cloud: tuple[int, int, float, str]) -> None:
     assert truncated_icosahedron(points * 2, radius * 2, statistic).equal(whole * 2)
 
 
-def test_every_symmetry_axis_turns_the_faces() -> None:
-    """A half turn about x, y or z maps the solid onto itself and so permutes the 32 numbers."""
+@pytest.mark.parametrize("signs", [signs for signs in itertools.product((1, -1), repeat=3) if min(signs) < 0])
+@pytest.mark.parametrize("statistic", ["face", "range"])
+def test_mirroring_permutes_the_faces_to_the_last_bit(signs: tuple[int, int, int], statistic: str) -> None:
+    """The planes x = 0, y = 0 and z = 0 mirror the solid onto itself."""
     points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0)) * 2
     normals = truncated_icosahedron_faces().normals
-    got = truncated_icosahedron(points)
-    for signs in ([1, -1, -1], [-1, 1, -1], [-1, -1, 1]):
-        turn = torch.tensor(signs, dtype=torch.float32)
-        to = (normals * turn @ normals.T).argmax(-1)
-        torch.testing.assert_close(truncated_icosahedron(points * turn)[to], got)
+    mirror = torch.tensor(signs, dtype=torch.float32)
+    to = (normals * mirror @ normals.T).argmax(-1)
+    got = truncated_icosahedron(points, statistic=statistic)
+    assert got.count_nonzero() == 32
+    assert truncated_icosahedron(points * mirror, statistic=statistic)[to].equal(got)
+
+
+def test_turning_the_axes_permutes_the_faces() -> None:
+    points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 2
+    normals = truncated_icosahedron_faces(dtype=torch.float64).normals
+    to = (normals.roll(1, -1) @ normals.T).argmax(-1)
+    torch.testing.assert_close(truncated_icosahedron(points.roll(1, -1))[to], truncated_icosahedron(points))
 
 
 def test_gradient_reaches_the_nearest_point_also_after_inference_mode() -> None:

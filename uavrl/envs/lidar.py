@@ -24,7 +24,6 @@ from uavrl.envs.vlp16 import (
 
 __all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
 
-_BY_ELEVATION = np.argsort(np.argsort(LASER_ELEVATIONS))  # of each laser id, its place from the lowest
 _CULLED_RANGE = 10.0  # m: up to this range, rays that pass no triangle in range are not cast
 
 
@@ -72,7 +71,7 @@ def _embree_scene(mesh: Mesh) -> EmbreeScene:
 class Lidar:
     """Casts whole VLP-16 scans of any number of vehicles at once.
 
-    One Embree call casts the rays of all vehicles against the static scene; at short range, only those that pass near a
+    One Embree call casts a vehicle's rays against the static scene; at short range, only those that pass near a
     triangle (`uavrl.envs.ray_culling.RayCuller`), which changes no result. Moving bodies live in a small Embree scene
     of their own, in the body's frame: only rays that can hit a body's bounding sphere are carried there, and only where
     it is within range. The vehicles do not see each other. A sensor keeps its ray buffers from call to call, so one
@@ -112,9 +111,8 @@ class Lidar:
         self._static_scene = _embree_scene(Mesh.merge(self._meshes)) if self._meshes else None
         self._moving_scene = None if moving is None else _embree_scene(moving)
         self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
-        self._max_range = np.float32(self.config.max_range)
+        self._reach = np.float32(self.config.max_range)
         self._culler = self._build_culler()
-        self._allocate(0)
 
     def __reduce__(self) -> tuple[type[Lidar], tuple[list[Mesh], Mesh | None, LidarConfig]]:
         """Rebuilds the Embree scenes where the sensor is copied or sent to, as they cannot be pickled."""
@@ -147,7 +145,7 @@ class Lidar:
         Returns:
             ``float32 [N, 28928, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
             three coordinates where a ray hits nothing. A fresh array each call. Its memory holds all x, all y and all z
-            of a scan in turn, so it is not C-contiguous.
+            in turn, so it is not C-contiguous.
 
         Raises:
             ValueError: if an argument is missing, has a wrong shape, or holds NaN or infinite values.
@@ -166,93 +164,56 @@ class Lidar:
             angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
         else:
             velocities = angular_velocities = None
-        self._aim(positions, rotations, velocities, angular_velocities)
-        self._cast_static(positions, rotations)
-        self._cast_moving(positions, poses, velocities)
-        self._spoil(rng)
-        return (self._columns * self._ranges[:, None, :]).transpose(0, 2, 1)
-
-    def _allocate(self, num: int) -> None:
-        """Makes the ray buffers for ``num`` vehicles."""
-        self._origins = np.empty((3, num, NUM_RAYS), dtype=np.float32)
-        self._directions = np.empty((3, num, NUM_RAYS), dtype=np.float32)
-        self._ranges = np.empty((num, NUM_RAYS), dtype=np.float32)
-
-    def _aim(
-        self,
-        positions: np.ndarray,
-        rotations: np.ndarray,
-        velocities: np.ndarray | None,
-        angular_velocities: np.ndarray | None,
-    ) -> None:
-        """Writes the world-frame ray origins and directions, ``[3, N, R]``."""
-        num = len(positions)
-        if len(self._ranges) != num:
-            self._allocate(num)
-        rows = rotations.transpose(1, 0, 2).reshape(3 * num, 3).astype(np.float32)
-        np.matmul(rows, self._columns, out=self._directions.reshape(3 * num, NUM_RAYS))
-        self._origins[:] = positions.T[:, :, None]
-        if velocities is not None and angular_velocities is not None:
-            self._origins += (velocities.T[:, :, None] * FIRING_TIMES).astype(np.float32)
-            self._directions[:] = _turned(self._directions, angular_velocities)
+        ranges = np.full((len(positions), NUM_RAYS), np.nan, dtype=np.float32)
+        near = None if self._culler is None else self._culler.candidates(positions, rotations)
+        for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
+            origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ self._columns
+            speed = 0.0
+            if velocities is not None and angular_velocities is not None:
+                origins = origins + (velocities[vehicle, :, None] * FIRING_TIMES).astype(np.float32)
+                directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
+                speed = float(np.linalg.norm(velocities[vehicle]))
+            if self._static_scene is not None:
+                rays = None if near is None else np.flatnonzero(near[vehicle])
+                _cast(self._static_scene, origins, directions, rays, ranges[vehicle], self._reach)
+            for pose in poses:
+                self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
+        self._spoil(ranges, rng)
+        return (self._columns[:, None] * ranges).transpose(1, 2, 0)
 
     def _build_culler(self) -> RayCuller | None:
         """Returns the culler if it pays: in a long scan all rays are candidates, and a moving sensor sweeps more."""
         if self.config.max_range > _CULLED_RANGE or self.config.motion_distortion or not self._meshes:
             return None
-        elevations = np.radians(np.sort(LASER_ELEVATIONS))
+        elevations = np.radians(LASER_ELEVATIONS)
         return RayCuller(Mesh.merge(self._meshes), self.config.max_range, AZIMUTH_STEPS, AZIMUTH_STEP, elevations)
 
-    def _cast_static(self, positions: np.ndarray, rotations: np.ndarray) -> None:
-        """Writes the ranges to the static scene, ``[N, R]``, ``max_range`` where there is none."""
-        self._ranges.fill(self._max_range)
-        origins, directions, ranges = (
-            self._origins.reshape(3, -1),
-            self._directions.reshape(3, -1),
-            self._ranges.reshape(-1),
-        )
-        if self._static_scene is None or not ranges.size:
+    def _cast_body(
+        self,
+        pose: np.ndarray,
+        position: np.ndarray,
+        speed: float,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        ranges: np.ndarray,
+    ) -> None:
+        """Shortens the ranges of one vehicle's rays that hit one moving body, in the body's frame."""
+        offset, radius = pose[:3] - position, self._moving_radius + speed * FIRING_TIMES[-1]
+        gap = float(np.linalg.norm(offset))
+        if gap >= self.config.max_range + radius:
             return
-        if self._culler is None:
-            self._static_scene.run(origins.T, directions.T, ranges, query="DISTANCE")  # shortens ranges in place
-            return
-        rays = np.flatnonzero(self._culler.candidates(positions, rotations)[:, :, _BY_ELEVATION])
-        if rays.size:
-            some = ranges[rays]
-            self._static_scene.run(
-                origins.take(rays, axis=1).T, directions.take(rays, axis=1).T, some, query="DISTANCE"
-            )
-            ranges[rays] = some
-
-    def _cast_moving(self, positions: np.ndarray, poses: np.ndarray, velocities: np.ndarray | None) -> None:
-        """Shortens the ranges of the rays that hit a moving body."""
-        travel = 0.0 if velocities is None else np.linalg.norm(velocities, axis=-1) * FIRING_TIMES[-1]
-        radius = np.broadcast_to(self._moving_radius + travel, len(positions))
-        gap = np.linalg.norm(positions[:, None] - poses[None, :, :3], axis=-1)  # [N, K]
-        for vehicle, body in np.argwhere(gap < self.config.max_range + radius[:, None]):
-            ahead = (poses[body, :3] - positions[vehicle]).astype(np.float32) @ self._directions[:, vehicle]
-            if gap[vehicle, body] <= radius[vehicle]:
-                rays = np.arange(NUM_RAYS)
-            else:
-                rays = np.flatnonzero(ahead > math.sqrt(gap[vehicle, body] ** 2 - radius[vehicle] ** 2))
-            if rays.size:
-                self._cast_body(vehicle, rays, poses[body])
-
-    def _cast_body(self, vehicle: int, rays: np.ndarray, pose: np.ndarray) -> None:
-        """Shortens the ranges of one vehicle's ``rays`` to one body, in the body's frame."""
+        rays = None
+        if gap > radius:
+            rays = np.flatnonzero(offset.astype(np.float32) @ directions > math.sqrt(gap**2 - radius**2))
         cos, sin = math.cos(pose[3]), math.sin(pose[3])
         to_body = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
-        origins = to_body @ (self._origins[:, vehicle, rays] - pose[:3, None].astype(np.float32))
-        directions = to_body @ self._directions[:, vehicle, rays]
-        ranges = self._ranges[vehicle, rays]
         assert self._moving_scene is not None
-        self._moving_scene.run(origins.T, directions.T, ranges, query="DISTANCE")
-        self._ranges[vehicle, rays] = ranges
+        from_body = to_body @ (origins - pose[:3, None].astype(np.float32))
+        _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
 
-    def _spoil(self, rng: np.random.Generator | None) -> None:
-        """Applies noise, dropout and the minimum range, and writes NaN ranges for misses."""
-        config, ranges = self.config, self._ranges
-        np.putmask(ranges, ranges >= self._max_range, np.nan)
+    def _spoil(self, ranges: np.ndarray, rng: np.random.Generator | None) -> None:
+        """Applies noise, dropout and the minimum range."""
+        config = self.config
         if config.range_noise > 0.0 or config.dropout > 0.0:
             assert rng is not None
             hits = np.flatnonzero(~np.isnan(ranges))
@@ -267,11 +228,32 @@ class Lidar:
             np.putmask(ranges, ranges < config.min_range, np.nan)
 
 
-def _turned(directions: np.ndarray, angular_velocities: np.ndarray) -> np.ndarray:
-    """Turns directions ``[3, N, R]`` by ``angular_velocities [N, 3]`` times the firing times (Rodrigues' formula)."""
-    speed = np.linalg.norm(angular_velocities, axis=-1)
-    axis = (angular_velocities / np.maximum(speed, 1e-12)[:, None]).T[:, :, None]  # [3, N, 1]
-    angle = speed[:, None] * FIRING_TIMES
+def _cast(
+    scene: EmbreeScene,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    rays: np.ndarray | None,
+    ranges: np.ndarray,
+    reach: np.float32,
+) -> None:
+    """Shortens the ``ranges [R]`` (NaN: nothing hit) of some ``rays`` (None: all) to what they hit within ``reach``.
+
+    ``origins`` are ``[3, R]``, or ``[3, 1]`` if all rays start in one place; ``directions`` are ``[3, R]``.
+    """
+    lengths = np.fmin(ranges if rays is None else ranges.take(rays), reach)
+    if rays is not None:
+        directions = directions.take(rays, axis=1)
+        origins = origins.take(rays, axis=1) if origins.shape[1] > 1 else origins
+    if lengths.size:
+        scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, lengths, query="DISTANCE")
+    ranges[slice(None) if rays is None else rays] = np.where(lengths < reach, lengths, np.float32(np.nan))
+
+
+def _turned(directions: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
+    """Turns directions ``[3, R]`` by ``angular_velocity [3]`` times the firing times (Rodrigues' formula)."""
+    speed = np.linalg.norm(angular_velocity)
+    axis = (angular_velocity / np.maximum(speed, 1e-12))[:, None]
+    angle = speed * FIRING_TIMES
     cos, sin = np.cos(angle), np.sin(angle)
     across = np.cross(axis, directions, axis=0)
     along = (axis * directions).sum(axis=0)

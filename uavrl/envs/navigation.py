@@ -135,6 +135,9 @@ class NavigationEnv(EnvBase):
             {key: flag() for key in ("done", "terminated", "truncated")}, shape=(n,), device=device
         )
 
+        specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
+        self._dtypes = {key: spec.dtype for key, spec in specs.items()}
+
     def _set_seed(self, seed: int | None) -> None:
         self._seed = 0 if seed is None else int(seed)
         self._stale = True
@@ -273,15 +276,16 @@ class NavigationEnv(EnvBase):
         )
         if len(index) == self.num_uavs:
             return points
-        cloud = np.full((self.num_uavs, NUM_RAYS, 3), np.nan, dtype=np.float32)
+        cloud = np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
         cloud[index] = points
         return cloud
 
     def _pack(self, data: dict[str, np.ndarray]) -> TensorDict:
-        specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
         tensors = {
             # `point_cloud` is fresh and float32 already: it is not copied; the others are small and copied
-            key: torch.as_tensor(np.array(v) if key != "point_cloud" else v, dtype=specs[key].dtype, device=self.device)
+            key: torch.as_tensor(
+                np.array(v) if key != "point_cloud" else v, dtype=self._dtypes[key], device=self.device
+            )
             for key, v in data.items()
         }
         return TensorDict(tensors, batch_size=self.batch_size, device=self.device)

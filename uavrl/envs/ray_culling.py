@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uavrl.envs.mesh import Mesh
 
 __all__ = ["RayCuller"]
 
-_SPHERE = 0.35  # m: triangles that need a larger bounding sphere are cut up
+_SPHERE = 0.27  # m: triangles that need a larger bounding sphere are cut up
 
 
 class RayCuller:
@@ -24,7 +26,7 @@ class RayCuller:
         cycles: firing cycles per revolution, a multiple of 8.
         azimuth_step: clockwise turn from cycle to cycle in radians; ``cycles`` of them make one turn, short of one
             step at most.
-        elevations: the lasers' elevations in radians, lowest first, evenly spaced.
+        elevations: the lasers' elevations in radians, evenly spaced once they are sorted.
 
     Examples:
         >>> import numpy as np
@@ -42,50 +44,60 @@ class RayCuller:
             raise ValueError(f"cycles must be a multiple of {self._BIN}, got {cycles}.")
         centres, radii = _spheres(mesh.vertices[mesh.faces].astype(np.float64))
         by_x = np.argsort(centres[:, 0], kind="stable")
-        self._centres = np.ascontiguousarray(centres[by_x].T)  # [3, T], by x, so that a range of x is a slice
-        self._radii = radii[by_x] * 1.001 + 1e-4  # float32 rounding stays within
-        self._window = max_range + self._radii.max(initial=0.0)
+        # [3, S], by x, so that a range of x is a slice
+        self._centres = np.ascontiguousarray(centres[by_x].T, dtype=np.float32)
+        margin = max(1e-4, 1e-6 * float(np.abs(centres).max(initial=0.0)))  # float32 rounding stays within
+        self._radii = (radii[by_x] * 1.001 + margin).astype(np.float32)
+        window = max_range + self._radii.max(initial=0.0)
+        self._window = np.array([-window, window], np.float32)
         self._reach = (max_range + self._radii) ** 2
         self._bins, self._width = cycles // self._BIN, azimuth_step * self._BIN
-        self._lowest, self._rise = float(elevations[0]), float(elevations[1] - elevations[0])
-        self._lasers = len(elevations)
+        self._lowest, self._highest = float(elevations.min()), float(elevations.max())
+        self._rise = (self._highest - self._lowest) / (len(elevations) - 1)
+        self._lasers, self._by_elevation = len(elevations), np.argsort(np.argsort(elevations))
 
     def candidates(self, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """Returns which rays can hit, ``bool [N, cycles, lasers]``, lasers by elevation.
+        """Returns which rays can hit, ``bool [N, cycles, lasers]``, lasers in the order of ``elevations``.
 
         Args:
             positions: ``[N, 3]``, sensor positions in the world in metres.
             rotations: ``[N, 3, 3]``, sensor-to-world rotations.
         """
-        vehicles, (x, y, z), radii = self._near(positions, rotations)
-        flat, far = np.hypot(x, y), np.sqrt(x * x + y * y + z * z)
-        half_azimuth = np.where(radii < flat, np.arcsin(np.minimum(radii / np.maximum(flat, 1e-9), 1.0)), np.pi)
-        half_elevation = np.where(radii < far, np.arcsin(np.minimum(radii / np.maximum(far, 1e-9), 1.0)), np.pi)
-        azimuth = np.where(radii < flat, np.arctan2(-y, x), 0.0)
-        elevation = np.arctan2(z, flat) - self._lowest
+        vehicles, (x, y, z), flat, radii = self._near(positions.astype(np.float32), rotations.astype(np.float32))
+        far = np.sqrt(flat * flat + z * z)
+        half_azimuth, half_elevation = (
+            np.where(radii < away, np.arcsin(np.minimum(radii / np.maximum(away, 1e-9), 1.0)), np.pi)
+            for away in (flat, far)
+        )
+        azimuth, elevation = np.arctan2(-y, x), np.arctan2(z, flat) - self._lowest
         bottom = np.ceil((elevation - half_elevation) / self._rise).clip(0, self._lasers).astype(np.int64)
-        top = np.floor((elevation + half_elevation) / self._rise + 1.0).clip(0, self._lasers).astype(np.int64)
+        top = np.floor((elevation + half_elevation) / self._rise + 1.0).clip(bottom, self._lasers).astype(np.int64)
         left = np.floor((azimuth - half_azimuth) / self._width).astype(np.int64)
         # The cycles may end a step short of a full turn: bins counted backwards from straight ahead are off by that.
         right = np.floor((azimuth + half_azimuth) / self._width + 1.0 / self._BIN).astype(np.int64) + 1
-        seen = bottom < top
-        vehicles, left, right, bottom, top = (part[seen] for part in (vehicles, left, right, bottom, top))
         bins = self._painted(len(positions), vehicles, left, right, bottom, top)
-        return np.repeat(bins, self._BIN, axis=1)
+        return np.repeat(bins[:, :, self._by_elevation], self._BIN, axis=1)
 
-    def _near(self, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns vehicle ids ``[M]``, sphere centres in the sensor frame ``[3, M]`` and radii ``[M]`` within range."""
-        vehicles, centres, radii = [], [], []
+    def _near(self, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Returns the spheres in range and between the outermost lasers' cones.
+
+        That is vehicle ids ``[M]``, centres in the sensor frame ``[3, M]``, their distances from its z axis ``[M]``
+        and radii ``[M]``.
+        """
+        found = [np.empty((6, 0), np.float32)]
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
-            window = slice(*np.searchsorted(self._centres[0], position[0] + np.array([-1, 1]) * self._window))
-            offsets = self._centres[:, window] - position[:, None]
-            near = np.flatnonzero(np.einsum("it,it->t", offsets, offsets) < self._reach[window])
-            vehicles.append(np.full(len(near), vehicle))
-            centres.append(rotation.T @ offsets[:, near])
-            radii.append(self._radii[window][near])
-        if not vehicles:
-            return np.empty(0, np.int64), np.empty((3, 0)), np.empty(0)
-        return np.concatenate(vehicles), np.concatenate(centres, axis=1), np.concatenate(radii)
+            window = slice(*np.searchsorted(self._centres[0], position[0] + self._window))
+            x, y, z = (at - here for at, here in zip(self._centres[:, window], position, strict=True))
+            near = np.flatnonzero(x * x + y * y + z * z < self._reach[window])
+            x, y, z = rotation.T @ np.stack([at.take(near) for at in (x, y, z)])
+            radii = self._radii[window].take(near)
+            flat = np.sqrt(x * x + y * y)
+            over = math.cos(self._highest) * z - math.sin(self._highest) * flat  # m above the highest laser's cone
+            under = math.sin(self._lowest) * flat - math.cos(self._lowest) * z
+            seen = np.flatnonzero((over < radii) & (under < radii))
+            found.append(np.stack([np.full_like(x, vehicle), x, y, z, flat, radii]).take(seen, axis=1))
+        spheres = np.concatenate(found, axis=1)
+        return spheres[0].astype(np.int64), spheres[1:4], spheres[4], spheres[5]
 
     def _painted(
         self, num: int, vehicles: np.ndarray, left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray
@@ -93,18 +105,19 @@ class RayCuller:
         """Returns the union of rectangles ``[left, right) x [bottom, top)`` per vehicle, ``bool [N, bins, lasers]``.
 
         Rectangles are written as steps at their corners and summed up. Azimuth bins wrap around: a rectangle that
-        begins in an earlier turn than it ends is there from bin 0 on.
+        reaches beyond the last bin begins a second time at bin 0.
         """
-        columns = self._lasers + 1
-        edges = [(0 * left, right // self._bins - left // self._bins), (left % self._bins, 1), (right % self._bins, -1)]
-        steps = np.zeros(num * self._bins * columns)
-        for edge, weight in edges:
-            weights = np.broadcast_to(weight, edge.shape)
-            for side, sign in ((bottom, 1), (top, -1)):
-                cells = (vehicles * self._bins + edge) * columns + side
-                steps += np.bincount(cells, sign * weights, len(steps))
-        covered = steps.reshape(num, self._bins, columns).cumsum(axis=2)[:, :, : self._lasers].cumsum(axis=1)
-        return covered > 0.5
+        turned = self._bins * (left < 0)
+        left, right = left + turned, np.minimum(right - left, self._bins) + left + turned
+        row, columns = vehicles * self._bins, self._lasers + 1
+        beyond = np.flatnonzero(right >= self._bins)
+        begins = np.concatenate([row + left, row[beyond]]) * columns
+        ends = (row + right - self._bins * (right >= self._bins)) * columns
+        bottoms, tops = (np.concatenate([side, side[beyond]]) for side in (bottom, top))
+        size = num * self._bins * columns
+        steps = np.bincount(np.concatenate([begins + bottoms, ends + top]), minlength=size)
+        steps -= np.bincount(np.concatenate([begins + tops, ends + bottom]), minlength=size)
+        return steps.reshape(num, self._bins, columns)[:, :, :-1].cumsum(axis=2).cumsum(axis=1) > 0
 
 
 def _spheres(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -195,7 +195,7 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     actor = make_actor(settings.algo, spaces, device)
     loss = make_loss(settings.algo, actor, spaces, device)
     backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
-    buffer = make_buffer(settings.buffer, device, backward_reward, frames=settings.perception.frames)
+    buffer = make_buffer(settings.buffer, device, backward_reward, frames=spaces.frames)
     return NavigationTrainer(
         collector=make_collector(settings, env, actor, device),
         loss=loss,

@@ -71,15 +71,20 @@ def _faces(radius: float, dtype: torch.dtype, device: torch.device) -> Truncated
 
 @lru_cache(maxsize=64)
 @torch.inference_mode(False)
-def _axes(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Returns the 6 pentagon and 10 hexagon axes ``[3, 16]``, each towards one face, and the face ids ``[2 * 16]``.
+def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns the normals and the centres ``[3, 7]`` of 3 pentagons and 4 hexagons, and the face ids ``[8 * 7]``.
 
-    The ids are those of the faces that the axes point to, then those of the opposite faces.
+    Mirroring at the planes x = 0, y = 0 and z = 0 maps the solid onto itself, so the 7 faces whose normals have no
+    negative coordinate stand for all. The ids are those of their images, mirrored along z in every second row of 7,
+    along y in every second pair of rows, and along x in the last four.
     """
-    normals = _faces(radius, torch.float64, torch.device("cpu")).normals
-    opposite = (normals @ normals.T).argmin(dim=-1)
-    front = torch.nonzero(torch.arange(NUM_FACES, device="cpu") < opposite)[:, 0]
-    return normals[front].T.contiguous().to(device, dtype), torch.cat([front, opposite[front]]).to(device)
+    faces = _faces(radius, torch.float64, torch.device("cpu"))
+    first = (faces.normals > -1e-9).all(dim=-1).nonzero()[:, 0]
+    corners = torch.tensor([(x, y, z) for x in (1.0, -1.0) for y in (1.0, -1.0) for z in (1.0, -1.0)], device="cpu")
+    images = corners[:, None] * faces.normals[first]  # [8, 7, 3]
+    ids = (images @ faces.normals.T).argmax(dim=-1).reshape(-1)
+    normals, centres = (tensor[first].T.contiguous().to(device, dtype) for tensor in (faces.normals, faces.centres))
+    return normals, centres, ids.to(device)
 
 
 def truncated_icosahedron_faces(
@@ -149,42 +154,44 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     if statistic not in ("face", "range"):
         raise ValueError(f'statistic must be "face" or "range", got {statistic!r}.')
     radius = float(radius)
-    batch = points.shape[:-2]
-    x, y, z = points.unbind(-1)
+    batch, (_, centres, ids) = points.shape[:-2], _octant(radius, points.dtype, points.device)
+    x, y, z = (coordinate.reshape(-1) for coordinate in points.unbind(-1))
+    kept = (x < radius).nonzero()[:, 0]  # not NaN: most of a scan's points are misses, and need nothing else
+    x, y, z = (coordinate.index_select(0, kept) for coordinate in (x, y, z))
     near = (x * x + y * y).addcmul_(z, z) < radius**2 * _BALL_EDGE  # False for NaN and inf
-    kept = near.reshape(-1).nonzero()[:, 0]
-    x, y, z = (coordinate.reshape(-1).index_select(0, kept) for coordinate in (x, y, z))
+    cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
+    images = cloud.mul_(8).add_(x < 0.0, alpha=4).add_(y < 0.0, alpha=2).add_(z < 0.0)  # see `_octant`
+    x, y, z = x.abs(), y.abs(), z.abs()
     faces, inside = _nearest_face(x, y, z, radius)
     if statistic == "face":
-        centres = _faces(radius, points.dtype, points.device).centres.T.index_select(1, faces)
-        x, y, z = x - centres[0], y - centres[1], z - centres[2]
+        x, y, z = (at - centre.index_select(0, faces) for at, centre in zip((x, y, z), centres, strict=True))
     lengths = (x * x + y * y + z * z).sqrt().clamp(_TOUCHING * radius, radius)
-    lengths = torch.where(inside, lengths, torch.inf)
-    cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
-    out = points.new_full((batch.numel() * NUM_FACES,), torch.inf)
-    out = out.scatter_reduce(0, cloud * NUM_FACES + faces, lengths, "amin")
-    return torch.where(out.isinf(), 0.0, out).reshape(*batch, NUM_FACES)
+    lengths = torch.where(inside & near, lengths, torch.inf)
+    least = points.new_full((batch.numel() * ids.numel(),), torch.inf)
+    least = least.scatter_reduce(0, images.mul_(7).add_(faces), lengths, "amin").reshape(*batch, ids.numel())
+    out = points.new_full((*batch, NUM_FACES), torch.inf)
+    out = out.scatter_reduce(-1, ids.expand_as(least), least, "amin")
+    return torch.where(out.isinf(), 0.0, out)
 
 
 def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-    """Returns for M points the face with the nearest centre and whether the point is inside all planes (Eq. 3.1).
+    """Returns which of the 7 faces has the nearest centre and whether the point is inside all planes (Eq. 3.1).
+
+    That is for M points without negative coordinates, among the faces of `_octant`.
 
     The centre is ``c_i = d_i n_i``, so ``‖p - c_i‖² = ‖p‖² - 2 d_i (n_i · p) + d_i²``: one product ``n · p`` serves
-    both tests. Faces come in opposite pairs, so 16 products do; among faces of one kind the greatest is the nearest.
-    They are summed by hand, which makes the result independent of the batch and of PyTorch's matmul precision.
+    both tests, and among faces of one kind the greatest is the nearest. The products are summed by hand, which makes
+    the result independent of the batch and of PyTorch's matmul precision.
     """
-    axes, ids = _axes(radius, x.dtype, x.device)
+    normals, _, _ = _octant(radius, x.dtype, x.device)
     offsets = _faces(radius, torch.float64, torch.device("cpu")).offsets
     pentagon, hexagon = offsets[0].item(), offsets[-1].item()
-    along = (axes[0, :, None] * x).addcmul_(axes[1, :, None], y).addcmul_(axes[2, :, None], z)  # [16, M]
-    heights = along.abs()
-    (to_pentagon, pentagons), (to_hexagon, hexagons) = heights[:6].max(dim=0), heights[6:].max(dim=0)
+    heights = (normals[0, :, None] * x).addcmul_(normals[1, :, None], y).addcmul_(normals[2, :, None], z)  # [7, M]
+    (to_pentagon, pentagons), (to_hexagon, hexagons) = heights[:3].max(dim=0), heights[3:].max(dim=0)
     inside = (to_pentagon <= pentagon) & (to_hexagon <= hexagon)
     gap_to_pentagon = pentagon * (pentagon - 2.0 * to_pentagon)  # ‖p - c_i‖² - ‖p‖²
     gap_to_hexagon = hexagon * (hexagon - 2.0 * to_hexagon)
-    axis = torch.where(gap_to_pentagon < gap_to_hexagon, pentagons, hexagons + 6)
-    behind = along.gather(0, axis[None])[0] < 0.0
-    return ids.index_select(0, axis + 16 * behind), inside
+    return torch.where(gap_to_pentagon < gap_to_hexagon, pentagons, hexagons + 3), inside
 
 
 def _check_radius(radius: float) -> None:
