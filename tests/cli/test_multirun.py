@@ -102,3 +102,9 @@ def test_joblib_flies_the_other_runs_when_one_fails(tmp_path: Path) -> None:
     assert "Traceback" not in result.stderr
     (run,) = runs_in(tmp_path).values()
     assert json.loads((run / "summary.json").read_text())["episodes"] == 4
+
+
+def test_resume_in_a_sweep_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert sweep(tmp_path, "resume=one,two") == 1
+    assert "leave out -m and experiment" in capsys.readouterr().err
+    assert not list(tmp_path.glob("run*"))

@@ -58,6 +58,16 @@ def test_what_lies_beyond_the_outermost_lasers_is_left_out() -> None:
         assert culler.candidates(ORIGIN, LEVEL).any() == seen
 
 
+def test_what_the_sensor_touches_straight_behind_it_is_seen_by_every_vehicle() -> None:
+    """A sphere around the sensor's z axis spans a whole turn, which may begin a step before the first ray."""
+    behind = np.array([[[-0.03, 0.0, -0.05], [-0.03, -0.05, 0.05], [-0.03, 0.05, 0.05]]])
+    speck = Mesh(behind.reshape(-1, 3), np.arange(3).reshape(1, 3))
+    for num in (1, 3):
+        culled, whole = with_and_without([speck], 4.0, np.repeat(ORIGIN, num, 0), np.repeat(LEVEL, num, 0))
+        np.testing.assert_array_equal(culled, whole)
+        assert np.isfinite(whole).any(axis=(1, 2)).all()
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_single_small_triangles_all_around_are_never_lost(seed: int) -> None:

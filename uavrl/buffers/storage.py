@@ -1,4 +1,4 @@
-"""Where transitions lie."""
+"""Where transitions lie, and how those of stacked frames share them."""
 
 from __future__ import annotations
 
@@ -96,6 +96,8 @@ class FrameStorage(GatheringStorage):
         data = torch.stack(data) if isinstance(data, list) else data
         if not isinstance(data, TensorDictBase):
             raise TypeError(f"Expected transitions as a TensorDict, got {type(data).__name__}.")
+        if not len(data):
+            return
         data = data.to(self.device)
         before, after = (self._unstacked(data, key) for key in self.keys)
         if not _same(before[:, 1:], after[:, :-1]).all():

@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence, was_interrupted
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.errors import UavrlError
 
 register_schemas()
 
@@ -51,6 +52,11 @@ def _train(config: DictConfig) -> None:
 def _train_in_sweep(config: DictConfig) -> None:
     """Trains a combination unless an earlier sweep has: then it goes on with it, or skips it where it is finished."""
     to_dataclass(config)
+    if config.resume is not None:
+        raise UavrlError(
+            "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
+            "command is started again."
+        )
     from uavrl.training.run import create_run
     from uavrl.training.sweep import take_place
 

@@ -74,8 +74,7 @@ class Lidar:
     One Embree call casts a vehicle's rays against the static scene; at short range, only those that pass near a
     triangle (`uavrl.envs.ray_culling.RayCuller`), which changes no result. Moving bodies live in a small Embree scene
     of their own, in the body's frame: only rays that can hit a body's bounding sphere are carried there, and only where
-    it is within range. The vehicles do not see each other. A sensor keeps its ray buffers from call to call, so one
-    object serves one thread.
+    it is within range. The vehicles do not see each other.
 
     Args:
         meshes: static triangle meshes in the world frame. May be empty.
@@ -104,9 +103,8 @@ class Lidar:
         self.config = LidarConfig() if config is None else config
         self.directions = firing_directions()
         self.directions.setflags(write=False)
-        self._columns = np.ascontiguousarray(
-            self.directions.T
-        )  # [3, R]: x, y and z contiguous, which numpy runs through fastest
+        # [3, R]: x, y and z contiguous, which numpy runs through fastest
+        self._columns = np.ascontiguousarray(self.directions.T)
         self._meshes, self._moving = list(meshes), moving
         self._static_scene = _embree_scene(Mesh.merge(self._meshes)) if self._meshes else None
         self._moving_scene = None if moving is None else _embree_scene(moving)

@@ -72,7 +72,8 @@ class RayCuller:
         azimuth, elevation = np.arctan2(-y, x), np.arctan2(z, flat) - self._lowest
         bottom = np.ceil((elevation - half_elevation) / self._rise).clip(0, self._lasers).astype(np.int64)
         top = np.floor((elevation + half_elevation) / self._rise + 1.0).clip(bottom, self._lasers).astype(np.int64)
-        left = np.floor((azimuth - half_azimuth) / self._width).astype(np.int64)
+        # A whole turn may begin less than one step before the first bin.
+        left = np.floor((azimuth - half_azimuth) / self._width).astype(np.int64).clip(-self._bins)
         # The cycles may end a step short of a full turn: bins counted backwards from straight ahead are off by that.
         right = np.floor((azimuth + half_azimuth) / self._width + 1.0 / self._BIN).astype(np.int64) + 1
         bins = self._painted(len(positions), vehicles, left, right, bottom, top)

@@ -53,10 +53,11 @@ def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[s
     try:
         output.mkdir(parents=True, exist_ok=True)
         (output / WEIGHTS).write_bytes(content)
-        (output / CONFIG).write_text(OmegaConf.to_yaml(config))
-        partial = output / f"{ABOUT}.partial"
-        partial.write_text(json.dumps(facts, indent=1) + "\n")
-        partial.replace(output / ABOUT)
+        texts = {CONFIG: OmegaConf.to_yaml(config), ABOUT: json.dumps(facts, indent=1) + "\n"}
+        for name, text in texts.items():
+            (output / f"{name}.partial").write_text(text)
+        for name in texts:
+            (output / f"{name}.partial").replace(output / name)
     except OSError as error:
         raise UavrlError(
             f"{output} cannot be written ({error.strerror}): choose another with --output FOLDER."
@@ -72,6 +73,7 @@ def load_exported(folder: Path, actor: TensorDictModuleBase) -> dict[str, Any]:
     Raises:
         UavrlError: when a file is missing, damaged, or of another policy.
     """
+    from safetensors import SafetensorError
     from safetensors.torch import load
 
     try:
@@ -87,7 +89,7 @@ def load_exported(folder: Path, actor: TensorDictModuleBase) -> dict[str, Any]:
         raise UavrlError(f"{folder / WEIGHTS} is damaged (its checksum differs from {ABOUT}'s): export it again.")
     try:
         actor.load_state_dict(load(content))
-    except RuntimeError as error:
+    except (RuntimeError, SafetensorError) as error:
         raise UavrlError(
             f"The weights in {folder} are of another policy than its {CONFIG} describes: export it again."
         ) from error
