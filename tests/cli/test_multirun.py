@@ -87,12 +87,15 @@ def test_a_damaged_summary_is_written_again(swept: Path, tmp_path: Path) -> None
     assert json.loads(summary.read_text())["episodes"] == 4
 
 
-def test_joblib_flies_the_other_runs_when_one_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+
+
+@pytest.mark.parametrize("launcher", [[], pytest.param(JOBLIB, marks=pytest.mark.slow)], ids=["basic", "joblib"])
+def test_the_other_runs_fly_when_one_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], launcher: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    joblib = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
-    assert sweep(tmp_path, "backward_reward=abr", "perception.frames=1,2", *joblib) == 1
+    assert sweep(tmp_path, "backward_reward=abr", "perception.frames=1,2", *launcher) == 1
     told = capfd.readouterr().err
     assert "perception.frames must be at least 2, got 1" in told
     assert "a run of the sweep failed, see above" in told

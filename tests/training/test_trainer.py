@@ -98,7 +98,7 @@ def test_no_update_comes_before_the_random_steps_are_flown(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("per_step", [0.3125, 1.5])
 def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
-    run = flown(tmp_path / "run", "trainer.episodes=8", "algo.random_steps=0", f"trainer.updates_per_step={per_step}")
+    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.random_steps=0", f"trainer.updates_per_step={per_step}")
     assert run.updates == [math.floor(per_step * e.total_steps) for e in run.episodes]
 
 
