@@ -6,16 +6,17 @@ import inspect
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, fields, is_dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from tests.composing import changed, composed
 from uavrl.buffers import BackwardReward, FailureBias
-from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, learner, register_schemas, to_dataclass
+from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, learner, to_dataclass
 from uavrl.configs.schema import (
     GROUPS,
     ABRConfig,
@@ -55,12 +56,6 @@ FILES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experi
 CHOICES = [file for file in FILES if file[0] != "enhancer"]  # an enhancer is part of an algorithm
 WALKERS = {("perception", "none"), ("reward", "walker"), ("buffer", "failure_biased")}  # they go with the walker alone
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
-
-
-def composed(name: str = "config", *overrides: str) -> Any:
-    register_schemas()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose(name, list(overrides))
 
 
 def settings(name: str = "config", *overrides: str) -> Any:
@@ -125,9 +120,12 @@ def test_every_choice_composes_for_evaluation(group: str, name: str) -> None:
     assert getattr(config, group).name == name
 
 
-@pytest.mark.parametrize("algo", sorted(GROUPS["algo"]))
-@pytest.mark.parametrize("reward", ["navigation", "navigation_prize", "traditional"])
-@pytest.mark.parametrize("buffer", ["uniform", "prioritized"])
+SAVED = zip(
+    sorted(GROUPS["algo"]), cycle(["navigation", "navigation_prize", "traditional"]), cycle(["uniform", "prioritized"])
+)
+
+
+@pytest.mark.parametrize(("algo", "reward", "buffer"), SAVED)
 def test_a_saved_configuration_gets_its_types_back(algo: str, reward: str, buffer: str, tmp_path: Path) -> None:
     config = composed("config", f"algo={algo}", f"reward={reward}", f"buffer={buffer}", "run_dir=here", "env=dynamic")
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
@@ -500,19 +498,19 @@ NOT_FINITE = ["algo.gamma", "algo.actor_lr", "trainer.updates_per_step", "env.wo
 @pytest.mark.parametrize(("key", "value"), OUT_OF_RANGE, ids=lambda text: text)
 def test_values_out_of_range_are_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"(?i)\b{key.rpartition('.')[2]}\b"):
-        settings("config", f"{key}={value}")
+        to_dataclass(changed([], f"{key}={value}"))
 
 
 @pytest.mark.parametrize(("key", "value"), ENHANCER_OUT_OF_RANGE, ids=lambda text: text)
 def test_values_of_enhancers_out_of_range_are_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"algo\.{re.escape(key)} must be"):
-        settings("config", "algo=td3_fork_lg", f"algo.{key}={value}")
+        to_dataclass(changed(["algo=td3_fork_lg"], f"algo.{key}={value}"))
 
 
 @pytest.mark.parametrize(("name", "key", "value"), BACKWARD_OUT_OF_RANGE)
 def test_values_of_the_backward_reward_out_of_range_are_refused_by_name(name: str, key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"backward_reward\.{key} must be"):
-        settings("config", f"backward_reward={name}", f"backward_reward.{key}={value}")
+        to_dataclass(changed([f"backward_reward={name}"], f"backward_reward.{key}={value}"))
 
 
 @pytest.mark.parametrize(
@@ -528,13 +526,13 @@ def test_values_of_the_backward_reward_out_of_range_are_refused_by_name(name: st
 )
 def test_values_of_the_walker_out_of_range_are_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be"):
-        settings("config", "env=bipedal_hardcore", f"{key}={value}")
+        to_dataclass(changed(["env=bipedal_hardcore"], f"{key}={value}"))
 
 
 @pytest.mark.parametrize("key", ["temperature_lr", "gamma"])
 def test_values_of_sac_out_of_range_are_refused_by_name(key: str) -> None:
     with pytest.raises(UavrlError, match=rf"algo\.{key} must be"):
-        settings("config", "algo=sac", f"algo.{key}=-1")
+        to_dataclass(changed(["algo=sac"], f"algo.{key}=-1"))
 
 
 def test_a_radius_out_of_range_is_refused_by_name() -> None:
@@ -545,14 +543,14 @@ def test_a_radius_out_of_range_is_refused_by_name() -> None:
 @pytest.mark.parametrize(("key", "value"), [("alpha", "1.5"), ("beta", "-0.1")])
 def test_exponents_of_prioritised_replay_are_checked(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"buffer\.{key} must be in \[0, 1\]"):
-        settings("config", "buffer=prioritized", f"buffer.{key}={value}")
+        to_dataclass(changed(["buffer=prioritized"], f"buffer.{key}={value}"))
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize("key", NOT_FINITE)
 def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be a finite number"):
-        settings("config", f"{key}={value}")
+        to_dataclass(changed([], f"{key}={value}"))
 
 
 @pytest.mark.parametrize(
@@ -569,7 +567,7 @@ def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> No
 )
 def test_evaluation_refuses_values_out_of_range_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(key)):
-        settings("evaluate", f"{key}={value}")
+        to_dataclass(changed([], f"{key}={value}", name="evaluate"))
 
 
 def test_a_group_left_out_is_refused_by_name() -> None:

@@ -9,10 +9,10 @@ from itertools import product
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from uavrl.configs import TrainConfig, conf_dir, learner, register_schemas, to_dataclass
+from tests.composing import composed
+from uavrl.configs import TrainConfig, conf_dir, learner, to_dataclass
 
 EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("*.yaml"))
 SCHEMES = sorted(path.stem for path in (conf_dir() / "scheme").glob("*.yaml"))
@@ -20,22 +20,16 @@ THESIS = json.loads((files("uavrl.reporting") / "thesis.json").read_text())
 REWARDS = {("traditional", "none"): "TR", ("navigation", "abr"): "ABR", ("navigation", "abr_plus"): "ABR⁺"}
 
 
-def composed(*overrides: str, with_hydra: bool = False) -> Any:
-    register_schemas()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("config", list(overrides), return_hydra_config=with_hydra)
-
-
 @cache
 def combinations(experiment: str) -> list[tuple[Any, TrainConfig]]:
     """Every run of an experiment, as Hydra's sweeper makes them."""
     runs = []
-    hydra = composed(f"experiment={experiment}", with_hydra=True).hydra
+    hydra = composed("config", f"experiment={experiment}", with_hydra=True).hydra
     params = hydra.sweeper.params or {}
     assert (str(hydra.mode) == "RunMode.MULTIRUN") == bool(params)
     for values in product(*(str(choices).split(",") for choices in params.values())):
         overrides = [f"{key}={value}" for key, value in zip(params, values, strict=True)]
-        config = composed(f"experiment={experiment}", *overrides)
+        config = composed("config", f"experiment={experiment}", *overrides)
         runs.append((config, to_dataclass(config)))
     return runs
 
@@ -86,7 +80,9 @@ def test_the_states_of_figure_4_2_are_kept() -> None:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_scheme_changes_what_is_paid_alone(scheme: str) -> None:
-    before, after = (OmegaConf.to_container(composed(*chosen), resolve=True) for chosen in ([], [f"scheme={scheme}"]))
+    before, after = (
+        OmegaConf.to_container(composed("config", *chosen), resolve=True) for chosen in ([], [f"scheme={scheme}"])
+    )
     assert isinstance(before, dict)
     assert isinstance(after, dict)
     changed = {key for key in before | after if before.get(key) != after.get(key)} - {"run_dir"}

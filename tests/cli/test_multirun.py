@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -89,17 +87,19 @@ def test_a_damaged_summary_is_written_again(swept: Path, tmp_path: Path) -> None
     assert json.loads(summary.read_text())["episodes"] == 4
 
 
-def test_joblib_flies_the_other_runs_when_one_fails(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        *("-m", "uavrl.cli.train", "-m", *TINY, f"run_dir={tmp_path / 'run'}", "backward_reward=abr"),
-        *("perception.frames=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"),
-    ]
-    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, timeout=120)
-    assert result.returncode == 1
-    assert "perception.frames must be at least 2, got 1" in result.stderr
-    assert "a run of the sweep failed, see above" in result.stderr
-    assert "Traceback" not in result.stderr
+JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+
+
+@pytest.mark.parametrize("launcher", [[], pytest.param(JOBLIB, marks=pytest.mark.slow)], ids=["basic", "joblib"])
+def test_the_other_runs_fly_when_one_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], launcher: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert sweep(tmp_path, "backward_reward=abr", "perception.frames=1,2", *launcher) == 1
+    told = capfd.readouterr().err
+    assert "perception.frames must be at least 2, got 1" in told
+    assert "a run of the sweep failed, see above" in told
+    assert "Traceback" not in told
     (run,) = runs_in(tmp_path).values()
     assert json.loads((run / "summary.json").read_text())["episodes"] == 4
 

@@ -38,7 +38,7 @@ def test_help_loads_nothing_heavy(command: str) -> None:
     [
         ("train", "algo=typo", "Could not find 'algo/typo'"),
         ("train", "trainer.episodes=-1", "trainer.episodes must be at least 1, got -1"),
-        ("evaluate", "seed=1", "Give either run=RUN_FOLDER or policy=straight"),
+        ("evaluate", "seed=1", "Give either run=RUN_FOLDER or policy=NAME"),
         ("evaluate", "episodes=0", "episodes must be at least 1, got 0"),
         ("pretrain", "pretrain.states=0", "pretrain.states must be at least 1, got 0"),
     ],

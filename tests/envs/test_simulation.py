@@ -58,7 +58,7 @@ def test_hover_holds(lidar_mass):
 
 # Without the LiDAR's weight, drag takes more of what the tilt limit allows: in four corners (the fastest descending
 # circles) no controller comes closer than 10.7 %.
-@pytest.mark.parametrize(("lidar_mass", "tolerance"), [(0.83, 0.1), (0.0, 0.11)])
+@pytest.mark.parametrize(("lidar_mass", "tolerance"), [(0.83, 0.1), pytest.param(0.0, 0.11, marks=pytest.mark.slow)])
 def test_every_command_is_tracked_within_ten_percent_after_one_and_a_half_seconds(lidar_mass, tolerance):
     with world(len(GRID), airframe=Airframe(lidar_mass=lidar_mass)) as simulation:
         for step in range(30):

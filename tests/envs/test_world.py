@@ -21,6 +21,11 @@ LIDAR_RANGE = 100.0  # m
 LEVEL = 3.5  # m
 
 
+@pytest.fixture(scope="module", autouse=True)
+def valleys_built_once() -> None:
+    """Not here: the building is what these tests are about."""
+
+
 @pytest.fixture(scope="module")
 def world() -> World:
     return World(WorldConfig(seeds=(0, 1)))

@@ -72,8 +72,9 @@ def trained(loss: LifeGuard, rounds: int = 8) -> LifeGuard:
 
 
 class _Contract(LossContract):
-    """The contract, of a LifeGuard that the actor listens to."""
+    """The contract, of a LifeGuard that the actor listens to; the critic's loss is the base's."""
 
+    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
     base: Callable[..., ActorCriticLoss]
     settings: ClassVar[dict[str, object]]
 

@@ -324,12 +324,12 @@ def compare_parameters(loss: ActorCriticLoss, learner: oracle.DDPG, tolerance: f
 
 
 COMPARED = [
-    pytest.param(name, execution, dtype, id=f"{name}-{execution}-{precision}")
+    pytest.param(name, execution, dtype, id=f"{name}-{execution}-{precision}", marks=marks)
     for name in CASES
-    for execution, dtype, precision in (
-        ("eager", torch.float32, "single"),
-        ("captured", torch.float32, "single"),
-        ("captured", torch.float64, "double"),
+    for execution, dtype, precision, marks in (
+        ("eager", torch.float32, "single", pytest.mark.slow),  # bit for bit the captured ones, as is tested below
+        ("captured", torch.float32, "single", ()),
+        ("captured", torch.float64, "double", ()),
     )
     if (name, precision) != ("td3_wide", "single")  # it would hold to 3e-6, too close to the limit for every machine
 ]

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_dir
 
-from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from tests.composing import composed
+from uavrl.configs import conf_dir, to_dataclass
 from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig, PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.losses import PSAELoss
@@ -19,9 +19,7 @@ from uavrl.pretraining.networks import train_psae
 
 
 def settings(*overrides: str) -> Any:
-    register_schemas()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return to_dataclass(compose("pretrain", list(overrides)))
+    return to_dataclass(composed("pretrain", *overrides))
 
 
 def test_every_yaml_has_a_schema_and_every_schema_a_yaml() -> None:

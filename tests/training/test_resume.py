@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,11 +17,13 @@ from pathlib import Path
 import pytest
 import tensordict
 import torch
-from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
+from tests.cli.test_bad_input import in_process
+from tests.composing import with_run_dir
 from uavrl.buffers import GatheringStorage
-from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.cli import train as train_command
+from uavrl.configs import to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder, read_recording
 from uavrl.training.checkpoint import rotation
@@ -64,16 +67,16 @@ ABR = [  # some goals are so near that random flights arrive; one class for near
     "env.max_steps=40",
     "trainer.episodes=20",  # none of the first 16 arrives
 ]
+PRIORITIZED = ["buffer=prioritized"]
+DDPG = ["algo=ddpg"]
+DYNAMIC = ["env=dynamic", "perception.lidar.dropout=0.1"]
 
-
-SIXTEEN = ["trainer.episodes=16", "logger.interval=1"]
+WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 POSITIONS = ("frames.memmap", "first_frame.memmap")
 
 
 def small_config(run_dir: Path, *overrides: str, base: Sequence[str] = SMALL) -> DictConfig:
-    register_schemas()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("config", [f"run_dir={run_dir}", *base, *overrides])
+    return with_run_dir(run_dir, *base, *overrides)
 
 
 def contents(checkpoint: Path) -> dict[str, bytes]:
@@ -99,11 +102,11 @@ def assert_same_run(one: Path, other: Path) -> None:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[list[str]], Path]:
-    """Gives the folder of a run of 16 episodes that was never stopped; each is trained once."""
+    """Gives the folder of a run that was never stopped; each is trained once."""
 
     @cache
     def trained(overrides: tuple[str, ...]) -> Path:
-        config = small_config(tmp_path_factory.mktemp("whole") / "run", *SIXTEEN, *overrides)
+        config = small_config(tmp_path_factory.mktemp("whole") / "run", *WHOLE, *overrides)
         train(config, create_run(config))
         return Path(config.run_dir)
 
@@ -152,26 +155,17 @@ def test_a_recording_keeps_every_state_and_is_cut_back_with_the_run(tmp_path: Pa
     assert (after.states[: len(before)] == before.states).all()
 
 
-def test_a_run_can_be_asked_for_its_states_later(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=4")
+def test_a_run_can_be_asked_for_its_states_later_and_the_recording_survives_a_spell_without(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=3")
     train(config, create_run(config))
-    config = OmegaConf.merge(config, {"trainer": {"episodes": 7, "record_states": True}})
-    train(config, tmp_path / "run", resume=True)
-    assert len(read_recording(tmp_path / "run/states").outcomes) == 3
-
-
-def test_a_recording_survives_a_spell_without_one(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=4", "trainer.record_states=true")
-    train(config, create_run(config))
-    for episodes, record in ((6, False), (8, True)):
+    for episodes, record in ((6, True), (8, False), (10, True)):
         config = OmegaConf.merge(config, {"trainer": {"episodes": episodes, "record_states": record}})
         train(config, tmp_path / "run", resume=True)
-    assert len(read_recording(tmp_path / "run/states").outcomes) == 4 + 2
+        assert len(read_recording(tmp_path / "run/states").outcomes) == (5 if episodes == 10 else 3)
 
 
 def test_a_run_older_than_the_backward_reward_goes_on(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=4")
-    train(config, create_run(config))
+    create_run(small_config(tmp_path / "run"))
     saved = OmegaConf.load(tmp_path / "run/config.yaml")
     del saved["backward_reward"]
     assert to_dataclass(saved).backward_reward.name == "none"
@@ -201,23 +195,20 @@ def test_another_seed_gives_another_run(tmp_path: Path, whole: Callable[[list[st
 
 @pytest.mark.parametrize(
     "overrides",
-    [
-        [],
-        ["buffer=prioritized"],
-        ["algo=ddpg"],
-        FORK_AND_LIFEGUARD,
-        SAC,
-        ABR,
-        ["env=dynamic", "perception.lidar.dropout=0.1"],
-    ],
+    [FORK_AND_LIFEGUARD, DYNAMIC, *(pytest.param(o, marks=pytest.mark.slow) for o in (PRIORITIZED, DDPG, SAC, ABR))],
 )
-def test_two_runs_are_bit_identical_and_so_is_a_resumed_one(
+def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]], Path], overrides: list[str]) -> None:
+    """The plain one is flown twice below, where one is killed."""
+    config = small_config(tmp_path / "run", *WHOLE, *overrides)
+    train(config, create_run(config))
+    assert_same_run(whole(overrides), tmp_path / "run")
+
+
+@pytest.mark.parametrize("overrides", [[], PRIORITIZED, DDPG, FORK_AND_LIFEGUARD, SAC, ABR, DYNAMIC])
+def test_a_resumed_run_is_bit_identical(
     tmp_path: Path, whole: Callable[[list[str]], Path], overrides: list[str]
 ) -> None:
-    cut = tmp_path / "cut"
-    config = small_config(cut, *SIXTEEN, *overrides)
-    train(config, create_run(config))
-    assert_same_run(whole(overrides), cut)
+    cut = Path(shutil.copytree(whole(overrides), tmp_path / "cut"))
     # Go back: as if the process had been killed after the second checkpoint, with rows written since.
     checkpoints = rotation(cut).checkpoints()
     assert len(checkpoints) >= 4
@@ -226,7 +217,7 @@ def test_two_runs_are_bit_identical_and_so_is_a_resumed_one(
     (cut / "summary.json").unlink()
     with (cut / "episodes.csv").open("a") as file:
         file.write("17,9,arri")
-    train(small_config(cut, *SIXTEEN, *overrides), cut, resume=True)
+    train(small_config(cut, *WHOLE, *overrides), cut, resume=True)
     assert_same_run(whole(overrides), cut)
 
 
@@ -266,25 +257,26 @@ def test_states_kept_frame_by_frame_teach_the_same_and_older_checkpoints_go_on(
 
 
 def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=6")
+    config = small_config(tmp_path / "run", "trainer.episodes=2")
     train(config, create_run(config))
-    summary = train(small_config(tmp_path / "run", "trainer.episodes=9"), tmp_path / "run", resume=True)
-    assert summary["episodes"] == 9
-    assert len((tmp_path / "run/episodes.csv").read_text().splitlines()) == 1 + 9
+    summary = train(small_config(tmp_path / "run", "trainer.episodes=3"), tmp_path / "run", resume=True)
+    assert summary["episodes"] == 3
+    assert len((tmp_path / "run/episodes.csv").read_text().splitlines()) == 1 + 3
 
 
 def test_kill_nine_and_resume_from_the_command_line(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, "trainer.episodes=60"]
-    subprocess.run([*command, f"run_dir={whole}"], check=True, capture_output=True)
-    process = subprocess.Popen([*command, f"run_dir={killed}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    long = [*SMALL, "trainer.episodes=30"]
+    command = [sys.executable, "-m", "uavrl.cli.train", *long, f"run_dir={killed}"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
     while len(rotation(killed).checkpoints() if killed.exists() else ()) < 3 and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     assert not (killed / "summary.json").exists(), "the run ended before it could be killed"
-    subprocess.run([sys.executable, "-m", "uavrl.cli.train", f"resume={killed}"], check=True, capture_output=True)
+    assert in_process(train_command.main, f"resume={killed}") == 0
+    assert in_process(train_command.main, *long, f"run_dir={whole}") == 0
     assert_same_run(whole, killed)
     assert json.loads((killed / "summary.json").read_text()) == json.loads((whole / "summary.json").read_text())
 

@@ -71,12 +71,17 @@ def noisy(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return flown(tmp_path_factory.mktemp("noisy") / "run", *FROZEN, "trainer.episodes=30", "algo.random_steps=64")
 
 
+@pytest.fixture(scope="module")
+def learning(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return flown(tmp_path_factory.mktemp("learning") / "run", "trainer.episodes=16")
+
+
 # ---------------------------------------------------------------------- updates
 
 
-def test_after_an_episode_of_t_steps_come_t_updates(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", "trainer.episodes=12")
-    assert len(run.updates) == len(run.episodes) == 12
+def test_after_an_episode_of_t_steps_come_t_updates(learning: Run) -> None:
+    run = learning
+    assert len(run.updates) == len(run.episodes) == 16
     expected, total = [], 0
     for episode in run.episodes:
         total += episode.steps if episode.total_steps >= 40 else 0
@@ -93,7 +98,7 @@ def test_no_update_comes_before_the_random_steps_are_flown(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("per_step", [0.3125, 1.5])
 def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
-    run = flown(tmp_path / "run", "trainer.episodes=8", "algo.random_steps=0", f"trainer.updates_per_step={per_step}")
+    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.random_steps=0", f"trainer.updates_per_step={per_step}")
     assert run.updates == [math.floor(per_step * e.total_steps) for e in run.episodes]
 
 
@@ -172,9 +177,8 @@ def test_noisy_actions_stay_within_the_limits(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- barriers
 
 
-def test_a_barrier_restarts_the_environment_at_task_0_with_a_seed_of_its_own(tmp_path: Path) -> None:
-    config = small_config(tmp_path, "trainer.episodes=16")
-    run = flown(tmp_path / "run", "trainer.episodes=16")
+def test_a_barrier_restarts_the_environment_at_task_0_with_a_seed_of_its_own(tmp_path: Path, learning: Run) -> None:
+    config, run = small_config(tmp_path), learning
     world = World(to_dataclass(config).env.world)
     segments: list[list[Episode]] = [[]]
     saved = 0
