@@ -195,7 +195,7 @@ def test_another_seed_gives_another_run(tmp_path: Path, whole: Callable[[list[st
 
 @pytest.mark.parametrize(
     "overrides",
-    [FORK_AND_LIFEGUARD, DYNAMIC, *(pytest.param(o, marks=pytest.mark.slow) for o in (PRIORITIZED, DDPG, SAC, ABR))],
+    [FORK_AND_LIFEGUARD, *(pytest.param(o, marks=pytest.mark.slow) for o in (DYNAMIC, PRIORITIZED, DDPG, SAC, ABR))],
 )
 def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]], Path], overrides: list[str]) -> None:
     """The plain one is flown twice below, where one is killed."""
@@ -204,7 +204,13 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
     assert_same_run(whole(overrides), tmp_path / "run")
 
 
-@pytest.mark.parametrize("overrides", [[], PRIORITIZED, DDPG, FORK_AND_LIFEGUARD, SAC, ABR, DYNAMIC])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC),
+        *(pytest.param(o, marks=pytest.mark.slow) for o in (DDPG, SAC)),
+    ],
+)
 def test_a_resumed_run_is_bit_identical(
     tmp_path: Path, whole: Callable[[list[str]], Path], overrides: list[str]
 ) -> None:
