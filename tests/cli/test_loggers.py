@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,55 +15,57 @@ from uavrl.training.checkpoint import rotation
 from uavrl.training.run import create_run, train
 
 
-def trained(folder: Path, monkeypatch: pytest.MonkeyPatch, *overrides: str) -> Path:
-    """Trains in an empty working directory that must stay empty; returns the run folder."""
-    elsewhere = folder / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    config = small_config(folder / "run", "trainer.episodes=6", "algo.random_steps=20", "logger.interval=1", *overrides)
-    run_dir = create_run(config)
-    train(config, run_dir)
-    assert not list(elsewhere.rglob("*"))
-    assert {p.name for p in folder.iterdir()} == {"elsewhere", "run"}
-    return run_dir
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Gives the folder of a run with a logger; each is trained once, in a working directory that must stay empty."""
+
+    @cache
+    def run_with(logger: str) -> Path:
+        if logger != "csv":
+            pytest.importorskip(logger)
+        folder = tmp_path_factory.mktemp(logger)
+        elsewhere = folder / "elsewhere"
+        elsewhere.mkdir()
+        settings = [f"logger={logger}", "logger.interval=1", "trainer.episodes=6", "algo.random_steps=20"]
+        config = small_config(folder / "run", *settings)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(elsewhere)
+            for name in ("WANDB_DIR", "WANDB_MODE", "WANDB_API_KEY"):
+                patch.delenv(name, raising=False)
+            for name in ("WANDB_CACHE_DIR", "WANDB_CONFIG_DIR", "WANDB_DATA_DIR"):
+                patch.setenv(name, str(folder / "run/wandb-own"))
+            train(config, create_run(config))
+        assert not list(elsewhere.rglob("*"))
+        assert {p.name for p in folder.iterdir()} == {"elsewhere", "run"}
+        return folder / "run"
+
+    return run_with
 
 
-def test_csv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run_dir = trained(tmp_path, monkeypatch)
-    names = {p.stem for p in (run_dir / "logs").rglob("*.csv")}
+def test_csv(trained: Callable[[str], Path]) -> None:
+    logs = trained("csv") / "logs"
+    names = {p.stem for p in logs.rglob("*.csv")}
     assert {"rate_arrived", "rate_collided", "rate_timed_out", "return", "episodes"} <= names
-    (episodes,) = (run_dir / "logs").rglob("episodes.csv")
+    (episodes,) = logs.rglob("episodes.csv")
     assert [float(line.split(",")[-1]) for line in episodes.read_text().splitlines()][-1] == 6.0
 
 
-def test_tensorboard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tensorboard(trained: Callable[[str], Path]) -> None:
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    run_dir = trained(tmp_path, monkeypatch, "logger=tensorboard")
-    (events,) = (run_dir / "logs").rglob("events.out.tfevents.*")
+    (events,) = (trained("tensorboard") / "logs").rglob("events.out.tfevents.*")
     accumulator = EventAccumulator(str(events.parent))
     accumulator.Reload()
     assert {"rate_arrived", "return", "loss_value"} <= {t.rpartition("/")[2] for t in accumulator.Tags()["scalars"]}
 
 
-def test_wandb_offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("wandb")
-    for name in ("WANDB_DIR", "WANDB_MODE", "WANDB_API_KEY"):
-        monkeypatch.delenv(name, raising=False)
-    for name in ("WANDB_CACHE_DIR", "WANDB_CONFIG_DIR", "WANDB_DATA_DIR"):
-        monkeypatch.setenv(name, str(tmp_path / "run/wandb-own"))
-    run_dir = trained(tmp_path, monkeypatch, "logger=wandb")
-    assert list((run_dir / "logs").rglob("run-*.wandb"))
+def test_wandb_offline(trained: Callable[[str], Path]) -> None:
+    assert list((trained("wandb") / "logs").rglob("run-*.wandb"))
 
 
-def test_a_run_with_another_logger_learns_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("tensorboard")
-    runs = []
-    for name in ("csv", "tensorboard"):
-        folder = tmp_path / name
-        folder.mkdir()
-        runs.append(trained(folder, monkeypatch, f"logger={name}"))
+def test_a_run_with_another_logger_learns_the_same(trained: Callable[[str], Path]) -> None:
+    runs = [trained("csv"), trained("tensorboard")]
     assert (runs[0] / "episodes.csv").read_bytes() == (runs[1] / "episodes.csv").read_bytes()
     assert all(rotation(run).latest() for run in runs)
 

@@ -64,6 +64,8 @@ def collector(env: type[EnvBase], actor: TensorDictModule) -> AsyncCollector:
 def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
     actor = policy()
     flown = collector(Counter, actor)
+    with torch.no_grad():
+        actor.module.bias.fill_(99.0)  # as a checkpoint would
     try:
         actions = []
         for turn, batch in enumerate(flown):
@@ -73,6 +75,7 @@ def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
                 actor.module.bias.fill_(100.0 + turn)
             if turn == 8:
                 break
+        assert actions[0] == pytest.approx(99.0)
         assert all(a >= 100.0 for a in actions[3:])  # what it flies is at most some batches old
         assert actions[3:] == sorted(actions[3:]) and actions[-1] > actions[3]
         assert flown.state_dict() == {"frames": 45, "iter": 8}

@@ -18,8 +18,9 @@ from uavrl.errors import UavrlError
 class AsyncCollector(MultiAsyncCollector):
     """TorchRL's asynchronous process collector, as a run needs it: its state is what the learner has been given.
 
-    The worker flies on with the weights of one batch ago while the learner updates. What it flies between two batches
-    depends on when they are asked for, hence no two runs are the same. A resumed run starts new episodes.
+    The worker flies ``frames_per_batch`` steps ahead while the learner updates, and is handed new weights after each
+    episode learned from, in mid-flight. When they come depends on how fast both are, hence no two runs are the same.
+    A resumed run starts new episodes.
 
     Raises:
         UavrlError: while iterating, when the worker has died.
@@ -27,10 +28,17 @@ class AsyncCollector(MultiAsyncCollector):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         with _interrupts_ignored():  # Ctrl-C is the learner's to handle: it closes the worker
-            super().__init__(*args, update_at_each_batch=True, **kwargs)
+            super().__init__(*args, **kwargs)
+
+    def __iter__(self) -> Iterator[TensorDictBase]:
+        """Yields one batch of whole episodes after the other; the worker gets the weights that were learned from it."""
+        self.update_policy_weights_()  # a checkpoint may have been loaded since the worker began
+        for batch in super().__iter__():
+            yield batch
+            self.update_policy_weights_()
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """Yields one batch after the other."""
+        """Yields what was flown, ``frames_per_batch`` steps at a time."""
         batches = super().iterator()
         while True:
             try:
