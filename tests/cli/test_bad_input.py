@@ -382,6 +382,7 @@ def test_an_evaluation_changes_one_value_of_the_runs_environment_and_says_so_in_
     written = run_dir / "evaluation_env.max_steps=3_env.world.min_clearance=1.0.json"
     result = json.loads(written.read_text())
     assert max(flight["steps"] for flight in result["flights"]) == 3
+    assert result["overrides"][-2:] == ["env.max_steps=3", "env.world.min_clearance=1.0"]
     assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, "valleys=[4,5]") == 0
     assert json.loads((run_dir / "evaluation_valleys=4-5.json").read_text())["valleys"] == [4, 5]
 

@@ -12,7 +12,15 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uavrl.cli.errors import configure_logging, one_sentence
-from uavrl.cli.policies import baseline, load_policy, name_of_output, policy_folder, with_overrides, writable
+from uavrl.cli.policies import (
+    baseline,
+    load_policy,
+    name_of_output,
+    policy_folder,
+    told_apart,
+    with_overrides,
+    writable,
+)
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
 from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
@@ -54,7 +62,7 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
     if settings.valleys is not None:
         _only_in_the_valley(env_config, "valleys")
         env_config = replace(env_config, world=replace(env_config.world, seeds=settings.valleys))
-    told = {"seed": settings.seed, "env": env_config.name}
+    told = {"seed": settings.seed, "env": env_config.name, "overrides": _telling(overrides)}
     if isinstance(env_config, BipedalConfig):
         result, text = _walk(settings, env_config, perception, policy, {**told, **source})
     else:
@@ -106,9 +114,13 @@ def _walk(
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
     """Where the result goes, found writable before anything is flown; what was changed stands in its name."""
-    plain = ("run", "episodes", "output", "num_uavs", "device", "threads", "progress")
-    name = name_of_output("evaluation", overrides, plain) + ".json"
+    name = name_of_output("evaluation", _telling(overrides)) + ".json"
     return writable(Path(settings.output or (Path(settings.run or ".") / name)))
+
+
+def _telling(overrides: list[str]) -> list[str]:
+    """Those overrides that tell which tasks were flown by what."""
+    return told_apart(overrides, ("run", "episodes", "output", "num_uavs", "device", "threads", "progress"))
 
 
 if __name__ == "__main__":

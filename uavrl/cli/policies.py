@@ -37,16 +37,19 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     return result
 
 
-def name_of_output(stem: str, overrides: Sequence[str], plain: Collection[str]) -> str:
-    """A file name without suffix in which all stands that was changed on the command line, except the plain keys.
+def told_apart(overrides: Sequence[str], plain: Collection[str]) -> list[str]:
+    """The overrides of a command line whose keys are not plain: those that tell its result from another one."""
+    return [override for override in overrides if override.split("=")[0] not in plain]
+
+
+def name_of_output(stem: str, overrides: Sequence[str]) -> str:
+    """A file name without suffix in which the overrides stand.
 
     Examples:
-        >>> name_of_output("evaluation", ["run=runs/a", "valleys=[100,101]"], ["run"])
+        >>> name_of_output("evaluation", ["valleys=[100,101]"])
         'evaluation_valleys=100-101'
     """
-    told = [
-        re.sub(r"[^\w.=-]+", "-", o).replace("=-", "=").strip("-") for o in overrides if o.split("=")[0] not in plain
-    ]
+    told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
     return "_".join([stem, *told])
 
 

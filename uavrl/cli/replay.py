@@ -19,6 +19,7 @@ from uavrl.cli.policies import (
     load_policy,
     name_of_output,
     policy_folder,
+    told_apart,
     with_overrides,
     writable,
 )
@@ -78,7 +79,9 @@ def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
     """Where page, data and film go, found writable before anything is flown."""
     plain = ("run", "flight", "output", "video", "data", "points", "device", "threads", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
-    paths = {"output": Path(settings.output or folder / (name_of_output("replay", overrides, plain) + ".html"))}
+    paths = {
+        "output": Path(settings.output or folder / (name_of_output("replay", told_apart(overrides, plain)) + ".html"))
+    }
     if settings.video and Path(settings.video).suffix.lower() not in VIDEO_SUFFIXES:
         raise UavrlError(f"video must end in {', '.join(VIDEO_SUFFIXES)}, got {settings.video}.")
     paths |= {key: Path(path) for key in ("data", "video") if (path := getattr(settings, key))}
