@@ -91,8 +91,15 @@ def contents(checkpoint: Path) -> dict[str, bytes]:
         return {name: archive.read(name) for name in names}
 
 
+def logged(run_dir: Path) -> dict[str, bytes]:
+    """What the CSV logger wrote, but for times."""
+    files = (run_dir / "logs").rglob("*.csv")
+    return {file.name: file.read_bytes() for file in files if file.name != "backward_seconds.csv"}
+
+
 def assert_same_run(one: Path, other: Path) -> None:
     assert (one / "episodes.csv").read_bytes() == (other / "episodes.csv").read_bytes()
+    assert logged(one) == logged(other)
     last = [contents(rotation(run).latest()) for run in (one, other)]
     assert last[0].keys() == last[1].keys()
     differing = [name for name in last[0] if last[0][name] != last[1][name]]
@@ -214,7 +221,7 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
 def test_a_resumed_run_is_bit_identical(
     tmp_path: Path, whole: Callable[[list[str]], Path], overrides: list[str]
 ) -> None:
-    cut = Path(shutil.copytree(whole(overrides), tmp_path / "cut"))
+    cut = Path(shutil.copytree(whole(overrides), tmp_path / "run"))
     # Go back: as if the process had been killed after the second checkpoint, with rows written since.
     checkpoints = rotation(cut).checkpoints()
     assert len(checkpoints) >= 4

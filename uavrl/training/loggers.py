@@ -28,3 +28,17 @@ def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
         raise UavrlError(
             f"logger={config.name} needs the package {package}: run pip install 'uavrl[{package}]'."
         ) from error
+
+
+def cut_back_csv(run_dir: Path, steps: int) -> None:
+    """Drops what the CSV logger wrote after this number of steps, by a process that was killed or stopped.
+
+    Whoever goes on from a checkpoint logs the steps after it again. Other formats know runs that go on by themselves.
+    """
+    for path in (run_dir / "logs").rglob("scalars/*.csv"):
+        rows = path.read_text().splitlines(keepends=True)
+        kept = [row for row in rows if row.endswith("\n") and int(row.partition(",")[0]) <= steps]
+        if len(kept) < len(rows):
+            partial = path.with_suffix(".partial")
+            partial.write_text("".join(kept))
+            partial.replace(path)
