@@ -17,23 +17,10 @@ from omegaconf import OmegaConf
 from tests.composing import changed, composed
 from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, learner, to_dataclass
-from uavrl.configs.schema import (
-    GROUPS,
-    ABRConfig,
-    ABRPlusConfig,
-    DDPGConfig,
-    EnvConfig,
-    FailureBiasedBufferConfig,
-    ForkConfig,
-    LifeGuardConfig,
-    LoggerConfig,
-    NavigationRewardConfig,
-    PerceptionConfig,
-    PrioritizedBufferConfig,
-    SACConfig,
-    TD3Config,
-    TraditionalRewardConfig,
-)
+from uavrl.configs.algo import DDPGConfig, ForkConfig, LifeGuardConfig, SACConfig, TD3Config
+from uavrl.configs.buffer import ABRConfig, ABRPlusConfig, FailureBiasedBufferConfig, PrioritizedBufferConfig
+from uavrl.configs.train import GROUPS, LoggerConfig
+from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.configs.walker import BipedalConfig, WalkerRewardConfig
 from uavrl.envs.bipedal import BipedalEnv
 from uavrl.envs.lidar import LidarConfig
@@ -151,7 +138,12 @@ ENHANCED = {
     "td3_lg_walker": ("td3_walker", {"lifeguard"}),
 }
 # What these change of another choice is tested below.
-DERIVED = [("env", "dynamic"), ("reward", "navigation_prize"), *(("algo", name) for name in ENHANCED)]
+DERIVED = [
+    ("env", "dynamic"),
+    ("reward", "navigation_prize"),
+    ("collector", "async"),
+    *(("algo", name) for name in ENHANCED),
+]
 DERIVED += [("algo", "td3_walker"), ("algo", "td3_fork_walker")]
 
 
@@ -279,6 +271,10 @@ def test_the_dynamic_environment_differs_in_its_planes_only() -> None:
     assert dynamic.pop("name") == "dynamic" and static.pop("name") == "static"
     assert dynamic["world"].pop("planes") == 3 and static["world"].pop("planes") == 0
     assert dynamic == static
+
+
+def test_the_asynchronous_collector_flies_further_ahead() -> None:
+    assert asdict(settings("config", "collector=async").collector) == {"name": "async", "steps_per_batch": 64}
 
 
 @pytest.mark.parametrize(("name", "schema"), [("config", TrainConfig), ("evaluate", EvaluateConfig)])

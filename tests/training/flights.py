@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from uavrl.configs.schema import EnvConfig, NavigationRewardConfig, PerceptionConfig
+from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig
 from uavrl.envs.world import WorldConfig
 from uavrl.training.baselines import StraightPolicy
 from uavrl.training.flight import Replay

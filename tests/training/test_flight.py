@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
 from tests.training.flights import REWARD, SEED, STEPS, small_env, small_replay
-from uavrl.configs.schema import NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
+from uavrl.configs.valley import NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.errors import UavrlError
 from uavrl.training.baselines import StraightPolicy
 from uavrl.training.evaluation import fly

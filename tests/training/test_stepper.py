@@ -14,7 +14,7 @@ from torchrl.data import Bounded
 from tests.losses.test_fork import fork
 from tests.losses.test_lifeguard import episodes, lifeguard, sampler
 from tests.losses.test_sac import critics, stochastic_actor
-from uavrl.configs.schema import PrioritizedBufferConfig
+from uavrl.configs.buffer import PrioritizedBufferConfig
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.training.factory import make_buffer

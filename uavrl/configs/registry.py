@@ -12,9 +12,10 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.configs.checks import require, require_one_of
+from uavrl.configs.evaluate import EvaluateConfig
 from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
 from uavrl.configs.replay import ReplayConfig
-from uavrl.configs.schema import CHOSEN_GROUPS, GROUPS, EvaluateConfig, TrainConfig
+from uavrl.configs.train import CHOSEN_GROUPS, GROUPS, TrainConfig
 from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
 from uavrl.errors import UavrlError
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from uavrl.configs.checks import require
-from uavrl.configs.schema import EnvConfig, PerceptionConfig
+from uavrl.configs.valley import EnvConfig, PerceptionConfig
 
 MOST_FLIGHTS = 50  # in one page
 

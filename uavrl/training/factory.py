@@ -15,19 +15,16 @@ from torchrl.envs import CatFrames, Compose, EnvBase, RewardSum, Transform, Tran
 from torchrl.modules import AdditiveGaussianModule
 
 from uavrl.buffers import BackwardReward, FailureBias, FrameStorage
-from uavrl.configs.schema import (
+from uavrl.configs.buffer import (
     ABRConfig,
     ABRPlusConfig,
-    EnvConfig,
     FailureBiasedBufferConfig,
-    NavigationRewardConfig,
     NoBackwardRewardConfig,
-    PerceptionConfig,
     PrioritizedBufferConfig,
-    TraditionalRewardConfig,
-    TrainConfig,
     UniformBufferConfig,
 )
+from uavrl.configs.train import TrainConfig
+from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
 from uavrl.envs.bipedal import BipedalEnv
 from uavrl.envs.navigation import GoalAngle, NavigationEnv

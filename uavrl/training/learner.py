@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from uavrl.configs.schema import DDPGConfig, ForkConfig, LifeGuardConfig, SACConfig, TD3Config
+from uavrl.configs.algo import DDPGConfig, ForkConfig, LifeGuardConfig, SACConfig, TD3Config
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
 from uavrl.training.spaces import Spaces

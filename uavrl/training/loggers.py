@@ -7,7 +7,7 @@ from pathlib import Path
 
 from torchrl.record.loggers import Logger, get_logger
 
-from uavrl.configs.schema import LoggerConfig
+from uavrl.configs.train import LoggerConfig
 from uavrl.errors import UavrlError
 
 

@@ -16,7 +16,8 @@ from torchrl.envs import TransformedEnv, step_mdp
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
-from uavrl.configs.schema import EnvConfig, PerceptionConfig, TraditionalRewardConfig, TrainConfig
+from uavrl.configs.train import TrainConfig
+from uavrl.configs.valley import EnvConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.traffic import plane_mesh

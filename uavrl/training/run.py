@@ -22,7 +22,7 @@ from torchrl.data import ReplayBuffer
 
 import uavrl
 from uavrl.configs import learner, to_dataclass
-from uavrl.configs.schema import TrainConfig
+from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER

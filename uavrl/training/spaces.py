@@ -45,7 +45,7 @@ def make_spaces(env: Any, perception: Any) -> Spaces:
     """The spaces of a configured environment.
 
     Examples:
-        >>> from uavrl.configs.schema import EnvConfig, PerceptionConfig
+        >>> from uavrl.configs.valley import EnvConfig, PerceptionConfig
         >>> make_spaces(EnvConfig(), PerceptionConfig())
         Spaces(observation=35, frames=3, actions=4, limit=2.0)
     """
