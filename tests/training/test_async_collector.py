@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -20,7 +22,7 @@ from uavrl.training.run import create_run, train
 
 
 class Counter(EnvBase):
-    """Counts to five; what it observes is not of interest. Breaks after ``breaks_after`` steps."""
+    """Counts to five; observes 0 in a process that ignores Ctrl-C, else 1. Breaks after ``breaks_after`` steps."""
 
     def __init__(self, breaks_after: int = 10**9) -> None:
         super().__init__()
@@ -32,7 +34,10 @@ class Counter(EnvBase):
 
     def _reset(self, _: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
         self.count = 0
-        return TensorDict({"observation": torch.zeros(1)})
+        return TensorDict({"observation": self.disturbed()})
+
+    def disturbed(self) -> torch.Tensor:
+        return torch.tensor([float(signal.getsignal(signal.SIGINT) is not signal.SIG_IGN)])
 
     def _step(self, data: TensorDictBase) -> TensorDictBase:
         self.count += 1
@@ -40,7 +45,7 @@ class Counter(EnvBase):
         if self.left < 0:
             raise RuntimeError("a propeller came off")
         done = torch.tensor([self.count == 5])
-        return TensorDict({"observation": torch.zeros(1), "reward": torch.zeros(1), "done": done, "terminated": done})
+        return TensorDict({"observation": self.disturbed(), "reward": torch.zeros(1), "done": done, "terminated": done})
 
     def _set_seed(self, seed: int | None) -> None:
         pass
@@ -69,6 +74,7 @@ def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
     try:
         actions = []
         for turn, batch in enumerate(flown):
+            assert not batch["observation"].any()
             assert batch["next", "done"].flatten().tolist() == [False] * 4 + [True]
             actions.append(batch["action"][-1].item())
             with torch.no_grad():
@@ -88,7 +94,7 @@ def test_a_process_that_dies_ends_the_run_with_a_sentence(capfd: pytest.CaptureF
     try:
         with pytest.raises(UavrlError, match="The process that flies has ended"):
             for _ in flown:
-                pass
+                time.sleep(0.2)  # so that it dies while the learner works
     finally:
         flown.shutdown(raise_on_error=False)
     assert "a propeller came off" in capfd.readouterr().err

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import signal
-import threading
 from collections import OrderedDict
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from tensordict import TensorDictBase
 from torchrl.collectors import MultiAsyncCollector
+from torchrl.envs import EnvBase
+from torchrl.weight_update import SharedMemWeightSyncScheme
 
 from uavrl.errors import UavrlError
 
@@ -26,9 +28,9 @@ class AsyncCollector(MultiAsyncCollector):
         UavrlError: while iterating, when the worker has died.
     """
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        with _interrupts_ignored():  # Ctrl-C is the learner's to handle: it closes the worker
-            super().__init__(*args, **kwargs)
+    def __init__(self, create_env_fn: Sequence[Callable[[], EnvBase]], *args: Any, **kwargs: Any) -> None:
+        workers = [partial(_undisturbed, make) for make in create_env_fn]
+        super().__init__(workers, *args, weight_sync_schemes={"policy": _SharedWeights()}, **kwargs)
 
     def __iter__(self) -> Iterator[TensorDictBase]:
         """Yields one batch of whole episodes after the other; the worker gets the weights that were learned from it."""
@@ -61,14 +63,15 @@ class AsyncCollector(MultiAsyncCollector):
         self._frames, self._iter = state_dict["frames"], state_dict["iter"]
 
 
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Processes that are started here ignore SIGINT for good."""
-    if threading.current_thread() is not threading.main_thread():  # where Python allows no change
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
+class _SharedWeights(SharedMemWeightSyncScheme):
+    """Does not wait for ever until a worker has its weights: it may have died, which the next batch would tell."""
+
+    def _wait_for_ack(self, worker_ids: int | list[int] | None = None, timeout: float | None = None) -> None:
+        super()._wait_for_ack(worker_ids, timeout=5.0 if timeout is None else timeout)
+
+
+def _undisturbed(make_env: Callable[[], EnvBase]) -> EnvBase:
+    """Makes the environment in a worker that ignores Ctrl-C: that is the learner's to handle, which ends the worker."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return make_env()
