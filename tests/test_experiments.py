@@ -26,7 +26,7 @@ def combinations(experiment: str) -> list[tuple[Any, TrainConfig]]:
     runs = []
     hydra = composed("config", f"experiment={experiment}", with_hydra=True).hydra
     params = hydra.sweeper.params or {}
-    assert (str(hydra.mode) == "RunMode.MULTIRUN") == bool(params)
+    assert str(hydra.mode) == "RunMode.MULTIRUN"
     for values in product(*(str(choices).split(",") for choices in params.values())):
         overrides = [f"{key}={value}" for key, value in zip(params, values, strict=True)]
         config = composed("config", f"experiment={experiment}", *overrides)

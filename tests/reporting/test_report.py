@@ -109,8 +109,9 @@ def test_of_two_evaluations_of_the_same_the_longer_trained_counts(tmp_path: Path
         evaluation(folder, 8, 10, training_steps=40 + seed)
         evaluation(folder, 1, 10, "evaluation_checkpoint=early.json", training_steps=20)
         evaluation(folder, 0, 10, "evaluation_policy=straight.json", policy="straight", valleys=[5])
-        change = "env.max_steps=9_env.world.size=-3"
-        evaluation(folder, 5, 10, f"evaluation_{change}_num=1.json" if seed else f"evaluation_{change}.json")
+        older = "evaluation_env.max_steps=9_env.world.size=-3_num=1.json"
+        newer = {"overrides": ["seed=3", "env.world.size=-3", "env.max_steps=9"]}
+        evaluation(folder, 5, 10, *([older] if seed else ["evaluation_anything.json"]), **({} if seed else newer))
     part = by(make_report([tmp_path], window=2).comparisons, "score", "evaluation")
     same = "static, valleys [0], 10 tasks of seed 20000"
     assert part["tasks"] == [same, f"{same} with env.max_steps=9, env.world.size=-3"]

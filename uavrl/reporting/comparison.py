@@ -49,13 +49,13 @@ def _success(run: Any, window: int) -> float:
 def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], tuple[float, float]]:
     """Success and training steps by what was flown; of two evaluations of the same the longer trained counts.
 
-    The same is what agrees in environment, valleys, seed, number of tasks, and changes of environment and sensor. The
-    last are recorded nowhere but in the name that ``uavrl-evaluate`` gives the file; the rest of the name is ignored.
+    The same is what agrees in environment, valleys, seed, number of tasks, and changes of environment and sensor.
+    Older files, without ``overrides``, tell the last in the name alone that ``uavrl-evaluate`` gave them.
     What a policy that learns nothing flew (``policy=straight``) is none of the run's.
     """
     learned = [evaluation for evaluation in evaluations if "policy" not in evaluation]
     return {
-        (*(str(e.get(key)) for key in ("env", "valleys", "seed", "episodes")), _changes(str(e["file"]))): (
+        (*(str(e.get(key)) for key in ("env", "valleys", "seed", "episodes")), _changes(e)): (
             float(e["success"]["rate"]),
             _number(e.get("training_steps")),
         )
@@ -63,8 +63,11 @@ def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], tupl
     }
 
 
-def _changes(file: str) -> str:
-    return ", ".join(sorted(_CHANGE.findall(Path(file).stem)))
+def _changes(evaluation: dict[str, Any]) -> str:
+    told = evaluation.get("overrides")
+    if not isinstance(told, list):
+        return ", ".join(sorted(_CHANGE.findall(Path(str(evaluation["file"])).stem)))
+    return ", ".join(sorted(str(override) for override in told if str(override).startswith(("env.", "perception."))))
 
 
 def _number(value: Any) -> float:
