@@ -230,7 +230,13 @@ def test_a_resumed_run_is_bit_identical(
     (cut / "summary.json").unlink()
     with (cut / "episodes.csv").open("a") as file:
         file.write("17,9,arri")
+    with next((cut / "logs").rglob("return.csv")).open("a") as file:
+        file.write("9999,0.")
+    foreign = cut / "logs/run/scalars/smoothed.csv"
+    foreign.write_text("step,value\n9999,0\n")
     train(small_config(cut, *WHOLE, *overrides), cut, resume=True)
+    assert foreign.read_text() == "step,value\n9999,0\n"
+    foreign.unlink()
     assert_same_run(whole(overrides), cut)
 
 
@@ -279,7 +285,7 @@ def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
 
 def test_kill_nine_and_resume_from_the_command_line(tmp_path: Path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    long = [*SMALL, "trainer.episodes=30"]
+    long = [*SMALL, "trainer.episodes=30", "logger.interval=1"]
     command = [sys.executable, "-m", "uavrl.cli.train", *long, f"run_dir={killed}"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120

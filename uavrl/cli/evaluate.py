@@ -67,6 +67,7 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
         result, text = _walk(settings, env_config, perception, policy, {**told, **source})
     else:
         told["valleys"] = list(env_config.world.seeds)
+        told["num_uavs"] = min(settings.num_uavs, settings.episodes)  # planes move with the steps of all
         result, text = _fly(settings, env_config, perception, policy, {**told, **source})
     partial = output.with_name(output.name + ".partial")
     partial.write_text(json.dumps(result, indent=1) + "\n")

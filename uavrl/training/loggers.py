@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from torchrl.record.loggers import Logger, get_logger
 
 from uavrl.configs.train import LoggerConfig
 from uavrl.errors import UavrlError
+
+_ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
 def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
@@ -33,11 +36,15 @@ def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
 def cut_back_csv(run_dir: Path, steps: int) -> None:
     """Drops what the CSV logger wrote after this number of steps, by a process that was killed or stopped.
 
-    Whoever goes on from a checkpoint logs the steps after it again. Other formats know runs that go on by themselves.
+    Whoever goes on from a checkpoint logs the steps after it again. TensorBoard and wandb keep both. A file that is not
+    the logger's is left alone.
     """
-    for path in (run_dir / "logs").rglob("scalars/*.csv"):
+    for path in (run_dir / "logs").glob("*/scalars/*.csv"):
         rows = path.read_text().splitlines(keepends=True)
-        kept = [row for row in rows if row.endswith("\n") and int(row.partition(",")[0]) <= steps]
+        whole = [row for row in rows if row.endswith("\n")]
+        if not all(_ROW.fullmatch(row) for row in whole):
+            continue
+        kept = [row for row in whole if int(row.partition(",")[0]) <= steps]
         if len(kept) < len(rows):
             partial = path.with_suffix(".partial")
             partial.write_text("".join(kept))
