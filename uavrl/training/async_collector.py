@@ -81,7 +81,7 @@ def _death_told() -> Iterator[None]:
 
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """Ctrl-C is the learner's to handle, which ends the worker: what is started here never hears it, we do at the end."""
+    """Ctrl-C is the learner's to handle, which ends the worker: what starts here never hears it, we do at the end."""
     resource_tracker.ensure_running()  # starting it later would let interrupts through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
