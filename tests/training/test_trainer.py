@@ -17,7 +17,7 @@ from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.training.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.run import _build, create_run, seed_everything, train
-from uavrl.training.trainer import NavigationTrainer, barrier_seed
+from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 
 # The policy hardly moves, and no barrier but the first and the last drops open episodes.
 FROZEN = ["algo.actor_lr=1e-12", "algo.critic_lr=1e-12", "trainer.checkpoint_interval=100000", "buffer.capacity=2000"]
@@ -27,7 +27,7 @@ FROZEN = ["algo.actor_lr=1e-12", "algo.critic_lr=1e-12", "trainer.checkpoint_int
 class Run:
     """A finished tiny training: its trainer, its episodes and the updates made after each of them."""
 
-    trainer: NavigationTrainer
+    trainer: EpisodeTrainer
     episodes: list[Episode]
     updates: list[int]
 
@@ -40,7 +40,7 @@ class Run:
         return list(self.stored.split([e.steps for e in self.episodes]))
 
 
-def built(run_dir: Path, *overrides: str) -> NavigationTrainer:
+def built(run_dir: Path, *overrides: str) -> EpisodeTrainer:
     config = small_config(run_dir, *overrides)
     settings = to_dataclass(config)
     seed_everything(settings.seed)
@@ -238,9 +238,9 @@ def test_training_gives_denormal_arithmetic_back(tmp_path: Path) -> None:
     def halves_to_zero() -> bool:
         return bool(torch.tensor(torch.finfo(torch.float32).tiny) / 2 == 0)
 
-    original = NavigationTrainer.train
+    original = EpisodeTrainer.train
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(NavigationTrainer, "train", lambda self: (during.append(halves_to_zero()), original(self)))
+        patch.setattr(EpisodeTrainer, "train", lambda self: (during.append(halves_to_zero()), original(self)))
         train(config, create_run(config))
     assert during == [True]
     assert not halves_to_zero()

@@ -53,7 +53,7 @@ from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
 from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
-from uavrl.training.trainer import EpisodeReplay, NavigationTrainer, barrier_seed
+from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
 
 log = logging.getLogger(__name__)
 EPISODES = "episodes.csv"
@@ -188,7 +188,7 @@ def seed_everything(seed: int) -> None:
     torch.manual_seed(seed)
 
 
-def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> NavigationTrainer:
+def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
     device = make_device(settings.device)
     new_env = partial(make_env, settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
     env = new_env if settings.collector.name == "async" else new_env()
@@ -197,7 +197,7 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> Navigati
     loss = make_loss(settings.algo, actor, spaces, device)
     backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
     buffer = make_buffer(settings.buffer, device, backward_reward, frames=spaces.frames)
-    return NavigationTrainer(
+    return EpisodeTrainer(
         collector=make_collector(settings, env, actor, device),
         loss=loss,
         stepper=_make_stepper(settings, loss),
@@ -257,7 +257,7 @@ def _checked_checkpoint(run_dir: Path, config: DictConfig) -> Path:
     return path
 
 
-def _restore(trainer: NavigationTrainer, path: Path) -> None:
+def _restore(trainer: EpisodeTrainer, path: Path) -> None:
     checkpoint = trainer._sync_checkpoint_components()
     last = ["recording", "episode_log"]  # because they cut files back
     restore(checkpoint, path, [name for name in checkpoint.components if name not in ("logger", *last)])
@@ -265,7 +265,7 @@ def _restore(trainer: NavigationTrainer, path: Path) -> None:
     restore(checkpoint, path, [name for name in last if name in known])
 
 
-def _summarize(trainer: NavigationTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
+def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
     summary = {
         "algo": settings.algo.name,
         "learner": learner(OmegaConf.structured(settings)),

@@ -134,7 +134,7 @@ class EpisodeReplay(TrainerHookBase):
             trainer.register_op("post_optim_log", self.update_priority)
 
 
-class NavigationTrainer(Trainer):
+class EpisodeTrainer(Trainer):
     """Trains until ``episodes`` are flown; every checkpoint is a barrier.
 
     At a barrier the open episodes are dropped and the environment is built anew from a seed that
