@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -102,8 +105,7 @@ def test_a_process_that_dies_ends_the_run_with_a_sentence(capfd: pytest.CaptureF
 
 
 def test_a_run_updates_as_often_as_it_steps_and_can_be_resumed(tmp_path: Path) -> None:
-    overrides = ["collector=async", "trainer.episodes=14"]
-    config = small_config(tmp_path / "run", *overrides)
+    config = small_config(tmp_path / "run", "collector=async", "trainer.episodes=14")
     train(config, create_run(config))
     config.trainer.episodes = 22
     train(config, tmp_path / "run", resume=True)
@@ -112,3 +114,31 @@ def test_a_run_updates_as_often_as_it_steps_and_can_be_resumed(tmp_path: Path) -
     assert [e.episode for e in episodes] == list(range(1, 23))
     assert summary["steps"] == sum(e.steps for e in episodes) == episodes[-1].total_steps
     assert summary["updates"] == sum(e.steps for e in episodes if e.total_steps >= 40)
+
+
+STOPPED = """
+import sys
+from pathlib import Path
+from tests.training.test_resume import small_config
+from uavrl.training import run
+
+def stop(self, episodes, *about):
+    if episodes >= 4:
+        raise KeyboardInterrupt
+
+if __name__ == "__main__":
+    run.Progress.update = stop
+    config = small_config(Path(sys.argv[1]), "collector=async")
+    try:
+        run.train(config, run.create_run(config))
+    except KeyboardInterrupt:
+        print("stopped")
+"""
+
+
+def test_python_ends_after_a_training_that_was_stopped(tmp_path: Path) -> None:
+    (tmp_path / "stopped.py").write_text(STOPPED)
+    command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run"]
+    root = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    ended = subprocess.run(command, env=root, capture_output=True, text=True, timeout=120, check=True)
+    assert ended.stdout.endswith("stopped\n")

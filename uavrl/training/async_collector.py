@@ -57,6 +57,12 @@ class AsyncCollector(MultiAsyncCollector):
         with _death_told():
             super().reset(*args, **kwargs)
 
+    def shutdown(self, *args: Any, **kwargs: Any) -> None:
+        """Ends the worker, and what TorchRL would end when it is collected: too late where Python itself is ending."""
+        super().shutdown(*args, **kwargs)
+        for scheme in (self._weight_sync_schemes or {}).values():
+            scheme.shutdown()
+
     def state_dict(self) -> OrderedDict[str, Any]:
         """How many frames and batches have come from the worker; open flights are not kept."""
         return OrderedDict(frames=self._frames, iter=self._iter)
