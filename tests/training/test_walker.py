@@ -42,7 +42,7 @@ def walker_config(run_dir: Path, *overrides: str) -> DictConfig:
 
 
 def test_a_resumed_run_with_both_enhancers_is_bit_identical(tmp_path: Path) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    whole, cut = tmp_path / "whole/run", tmp_path / "cut/run"  # the logger names its folder by the last part
     settings = ["trainer.episodes=12", "logger.interval=1", *ENHANCED]
     config = walker_config(whole, *settings)
     train(config, create_run(config))
