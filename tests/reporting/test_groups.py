@@ -38,6 +38,13 @@ def test_labels_say_what_differs(tmp_path: Path) -> None:
     ]
 
 
+def test_a_label_names_the_group_of_another_choice(tmp_path: Path) -> None:
+    run_folder(tmp_path / "a", "a", collector__name="sync")
+    run_folder(tmp_path / "b", "a", collector__name="async")
+    groups, _ = group_runs(read_runs([tmp_path])[0])
+    assert [group.label for group in groups] == ["td3 · collector=sync", "td3 · collector=async"]
+
+
 def test_a_seed_counts_once(tmp_path: Path) -> None:
     run_folder(tmp_path / "a", "aca")
     run_folder(tmp_path / "b", "acac")

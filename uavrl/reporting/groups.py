@@ -156,6 +156,12 @@ def how_they_ran(runs: Sequence[Run]) -> dict[str, list[Any]]:
     return {key: values for key, values in found.items() if len({repr(v) for v in values if v is not None}) > 1}
 
 
+def _short(key: str) -> str:
+    """A key without its group; of the name of a group's choice, the group."""
+    group, _, rest = key.partition(".")
+    return group if rest == "name" else rest or group
+
+
 def _labels(groups: Sequence[list[Run]]) -> list[str]:
     """The learner, with the reward where that differs, and with more settings where it does not suffice."""
     settings = [runs[0].settings for runs in groups]
@@ -168,7 +174,7 @@ def _labels(groups: Sequence[list[Run]]) -> list[str]:
         alike = [i for i, other in enumerate(labels) if other == label]
         differing = differences([settings[i] for i in alike], ("seed", *HOW_IT_RUNS))
         for place, i in enumerate(alike):
-            parts = [f"{key.split('.', 1)[-1]}={shown(values[place])}" for key, values in differing.items()]
+            parts = [f"{_short(key)}={shown(values[place])}" for key, values in differing.items()]
             result[i] = " · ".join([label, *parts[:_SHOWN]])
     for i, label in enumerate(result):
         if label in result[:i]:
