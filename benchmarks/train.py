@@ -9,7 +9,9 @@ and the same environment with its rays cast by PyBullet's `rayTestBatch`.
 
 Each row runs in a process of its own with the same number of threads, one after another, in rounds; medians count.
 With `collector=async` a second process flies meanwhile: it needs a second core. Random steps and the first updates, and
-with them compilation, are left out. Peak memory is that of the row's process and of those that fly for it. On Linux.
+with them compilation, are left out. Steps count when their flight ends, several flights at once: over less than about
+10,000 steps the uavrl rows come out too fast. Peak memory is that of the row's process and of those that fly for it. On
+Linux.
 """
 
 from __future__ import annotations
