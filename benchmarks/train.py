@@ -9,9 +9,8 @@ and the same environment with its rays cast by PyBullet's `rayTestBatch`.
 
 Each row runs in a process of its own with the same number of threads, one after another, in rounds; medians count.
 With `collector=async` a second process flies meanwhile: it needs a second core. Random steps and the first updates, and
-with them compilation, are left out. Steps count when their flight ends, several flights at once: over less than about
-10,000 steps the uavrl rows come out too fast. Peak memory is that of the row's process and of those that fly for it. On
-Linux.
+with them compilation, are left out. The clock counts updates, one for each step learned from: steps themselves come in
+bursts, when flights end. Peak memory is that of the row's process and of those that fly for it. On Linux.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from typing import Any
 import numpy as np
 from common import composed, machine
 
-RANDOM_STEPS = 1024  # of the uavrl rows; a flight counts when it ends, so that 8 UAVs need some to get going
+RANDOM_STEPS = 1024  # of the uavrl rows; flights are learned from when they end, so that 8 UAVs need some to get going
 FEW_RANDOM_STEPS = 200  # of the others: two batches
 
 
@@ -44,7 +43,7 @@ class EnoughError(Exception):
 
 @dataclass
 class Clock:
-    """Steps per second from the first call at or after ``start`` steps to the first one ``steps`` later."""
+    """Steps per second, each with its update, from the ``start``-th on and for ``steps`` of them."""
 
     start: int
     steps: int
@@ -86,13 +85,14 @@ def uavrl_train(overrides: list[str], steps: int, warm_up: int, threads: int) ->
     configure_logging()  # as the command does, before TorchRL is imported
     from uavrl.training import run
 
-    clock = Clock(RANDOM_STEPS + warm_up, steps)
+    clock = Clock(warm_up, steps)
 
-    class Watched(run.Progress):
-        def update(self, episodes: int, steps: int, *args: Any) -> None:
-            clock.tick(steps)
+    class Watched(run.ActorCriticStepper):
+        def step(self, *args: Any) -> Any:
+            clock.tick(self.updates)
+            return super().step(*args)
 
-    run.Progress = Watched  # type: ignore[misc]
+    run.ActorCriticStepper = Watched  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as folder:
         config = composed(
             f"run_dir={folder}/run",
@@ -176,6 +176,7 @@ ROWS: dict[str, Run] = {
     SB3: partial(stable_baselines, valley),
     SB3_PYBULLET: partial(stable_baselines, pybullet_valley),
 }
+SHARES = {SB3: 0.3, SB3_PYBULLET: 0.05}  # of the steps: they are slow, and their steps come one by one
 
 
 # ------------------------------------------------------------------ one process for each
@@ -203,7 +204,7 @@ def measure(names: list[str], args: argparse.Namespace) -> dict[str, dict[str, f
     found: dict[str, list[dict[str, float]]] = {name: [] for name in names}
     for turn in range(args.repeats):
         for name in names:
-            share = 0.1 if name == SB3_PYBULLET else 1.0
+            share = SHARES.get(name, 1.0)
             counts = [max(int(share * count), 1) for count in (args.steps, args.warm_up)]
             found[name].append(in_own_process(name, counts[0], counts[1], args.threads))
             print(f"round {turn + 1}, {name}: {found[name][-1]['steps_per_second']:.1f} steps/s", file=sys.stderr)
@@ -217,10 +218,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     parser.add_argument("--repeats", type=int, default=3, help="rounds")
-    parser.add_argument("--steps", type=int, default=4000, help="measured steps; a tenth with PyBullet's rays")
-    parser.add_argument(
-        "--warm-up", type=int, default=500, help="steps with updates before; a tenth with PyBullet's rays"
-    )
+    parser.add_argument("--steps", type=int, default=10_000, help="measured steps; of the slow rows a share")
+    parser.add_argument("--warm-up", type=int, default=1000, help="steps with updates before; of the slow rows a share")
     parser.add_argument("--threads", type=int, default=1, help="threads of each row, PyBullet's ray casting included")
     parser.add_argument("--skip-async", action="store_true", help="leave out the row that needs a second core")
     parser.add_argument("--row", choices=list(ROWS), help=argparse.SUPPRESS)
@@ -240,7 +239,7 @@ def main() -> None:
         "machine": about,
     }
     print(f"{args.threads} threads, {about['cpu']}, median of {args.repeats} rounds of {args.steps} steps")
-    print("(a tenth of the steps with PyBullet's rays)\n")
+    print("(" + ", ".join(f"{name}: {share:.0%} of them" for name, share in SHARES.items()) + ")\n")
     print(f"{'':38}{'steps/s':>10}{'peak MiB':>10}{'uavrl is':>10}")
     for name, row in rows.items():
         speed = row["steps_per_second"]

@@ -129,8 +129,9 @@ class LossGradients:
             return (result.loss, *result.metadata.values(), *result.gradients)
 
         devices = {leaf.device.index for leaf in inputs if leaf.is_cuda}
+        rewritten = {torch.ops.aten.baddbmm.default: _bias_apart} if self.execution == "compiled" else {}
         with torch.random.fork_rng(devices):  # recording draws random numbers; replaying draws them again
-            graph = make_fx(flat)(*inputs)
+            graph = make_fx(flat, rewritten)(*inputs)
         return _Recording(graph, names, inputs, self.execution == "compiled")
 
 
@@ -150,6 +151,11 @@ class _Recording:
         loss, *rest = self.run(*inputs, *self.constants)
         count = len(self.names)
         return Gradients(loss, dict(zip(self.names, rest, strict=False)), tuple(rest[count:]))
+
+
+def _bias_apart(bias: Tensor, one: Tensor, other: Tensor, *, beta: float = 1, alpha: float = 1) -> Tensor:
+    """``baddbmm`` as a product and a sum, which Inductor fuses with what follows; whole, it fills its output first."""
+    return beta * bias + alpha * torch.bmm(one, other)
 
 
 def _lift_constants(graph: GraphModule) -> list[Tensor]:
