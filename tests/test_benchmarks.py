@@ -51,7 +51,7 @@ def test_the_training_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     few = ["--repeats", "1", "--steps", "40", "--warm-up", "40", "--skip-async"]
     numbers = written_by("train.py", tmp_path, *few)
     speeds = {name: row["steps_per_second"] for name, row in numbers["rows"].items()}
-    assert numbers["steps_per_second"] == speeds["uavrl"]
+    assert numbers["steps_per_second"] == speeds[numbers["row"]] == speeds["uavrl"]
     assert numbers["vs_sb3"] == pytest.approx(speeds["uavrl"] / speeds["Stable-Baselines3"])
     assert numbers["vs_sb3_pybullet"] == pytest.approx(speeds["uavrl"] / speeds["Stable-Baselines3 + PyBullet's rays"])
     assert numbers["vs_sb3_pybullet"] > 1

@@ -129,10 +129,10 @@ class LossGradients:
             return (result.loss, *result.metadata.values(), *result.gradients)
 
         devices = {leaf.device.index for leaf in inputs if leaf.is_cuda}
-        rewritten = {torch.ops.aten.baddbmm.default: _bias_apart} if self.execution == "compiled" else {}
+        compiled = self.execution == "compiled"
         with torch.random.fork_rng(devices):  # recording draws random numbers; replaying draws them again
-            graph = make_fx(flat, rewritten)(*inputs)
-        return _Recording(graph, names, inputs, self.execution == "compiled")
+            graph = make_fx(flat, REWRITTEN if compiled else {})(*inputs)
+        return _Recording(graph, names, inputs, compiled)
 
 
 class _Recording:
@@ -154,8 +154,13 @@ class _Recording:
 
 
 def _bias_apart(bias: Tensor, one: Tensor, other: Tensor, *, beta: float = 1, alpha: float = 1) -> Tensor:
-    """``baddbmm`` as a product and a sum, which Inductor fuses with what follows; whole, it fills its output first."""
+    """A product and a sum, which Inductor fuses with what follows; ``addmm`` fills its output with the bias first."""
+    if one.ndim == 2:  # as a batch of one: Inductor would put plain products and sums together again
+        return _bias_apart(bias, one[None], other[None], beta=beta, alpha=alpha)[0]
     return beta * bias + alpha * torch.bmm(one, other)
+
+
+REWRITTEN = dict.fromkeys((torch.ops.aten.addmm.default, torch.ops.aten.baddbmm.default), _bias_apart)
 
 
 def _lift_constants(graph: GraphModule) -> list[Tensor]:
@@ -179,7 +184,7 @@ def _compile(graph: GraphModule, inputs: list[Any]) -> Callable[..., Any]:
 
     try:
         with torch.no_grad():
-            return torch._inductor.compile(graph, inputs)
+            return torch._inductor.compile(graph, inputs, options={"fallback_random": True})
     except Exception as error:  # a run is worth more than a fifth of its speed
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         log.warning("The update could not be compiled (%s): it is captured instead, which is slower.", reason)
