@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 from tensordict import TensorDictBase
-from torchrl.envs import CatFrames, Compose, TransformedEnv
+from torchrl.envs import TransformedEnv
 
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import ACTION_LIMIT, NavigationEnv
 from uavrl.envs.world import WorldConfig
-from uavrl.transforms import NavigationObservation, NavigationReward, TraditionalReward, TruncatedIcosahedron
+from uavrl.transforms import NavigationReward, TraditionalReward, navigation_state
 
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
 
@@ -59,12 +59,7 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if reward not in _REWARDS:
             raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
         world = world or WorldConfig()
-        transforms = Compose(
-            TruncatedIcosahedron(radius=radius),
-            _REWARDS[reward](),
-            NavigationObservation(radius, world.flight_level),
-            CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
-        )
+        transforms = navigation_state(_REWARDS[reward](), radius=radius, flight_level=world.flight_level, frames=frames)
         base = NavigationEnv(1, world=world, lidar=lidar or LidarConfig(max_range=radius), **kwargs)
         self._env = TransformedEnv(base, transforms)
         width = self._env.observation_spec["observation"].shape[-1]

@@ -11,7 +11,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
-from torchrl.envs import CatFrames, Compose, EnvBase, RewardSum, Transform, TransformedEnv
+from torchrl.envs import Compose, EnvBase, RewardSum, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
 from uavrl.buffers import BackwardReward, FailureBias, FrameStorage
@@ -33,14 +33,9 @@ from uavrl.models import OneShotClassifier, TrajectoryClassifier
 from uavrl.models.trajectory_classifier import packaged_artifact
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.spaces import make_spaces
-from uavrl.transforms import (
-    NavigationObservation,
-    NavigationReward,
-    TraditionalReward,
-    TruncatedIcosahedron,
-    WalkerReward,
-)
+from uavrl.transforms import NavigationReward, TraditionalReward, WalkerReward, navigation_state
 from uavrl.transforms.functional import Statistic
+from uavrl.transforms.observation import Angles
 
 RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
 
@@ -78,23 +73,6 @@ def make_reward(config: RewardConfig | WalkerRewardConfig) -> Transform:
     return TraditionalReward(config.arrived_reward, config.collided_reward)
 
 
-def make_transforms(
-    perception: PerceptionConfig,
-    reward: RewardConfig | None = None,
-    flight_level: float = 3.5,
-    *,
-    keep_cloud: bool = False,
-) -> list[Transform]:
-    """From the raw scan, which is dropped unless it shall be kept, to the policy's state."""
-    statistic = cast(Statistic, perception.statistic)
-    return [
-        TruncatedIcosahedron(radius=perception.radius, statistic=statistic, del_keys=not keep_cloud),
-        *([make_reward(reward)] if reward is not None else []),
-        NavigationObservation(perception.radius, flight_level, perception.angles),  # type: ignore[arg-type]
-        CatFrames(perception.frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
-    ]
-
-
 def make_env(
     env: EnvConfig | BipedalConfig,
     perception: PerceptionConfig | NoPerceptionConfig,
@@ -124,8 +102,16 @@ def make_env(
         measure_clearance=measure_clearance,
         seed=seed,
     )
-    transforms = make_transforms(perception, reward, env.world.flight_level, keep_cloud=keep_cloud)
-    return TransformedEnv(base, Compose(*transforms))
+    transforms = navigation_state(
+        None if reward is None else make_reward(reward),
+        radius=perception.radius,
+        statistic=cast(Statistic, perception.statistic),
+        flight_level=env.world.flight_level,
+        angles=cast(Angles, perception.angles),
+        frames=perception.frames,
+        keep_cloud=keep_cloud,
+    )
+    return TransformedEnv(base, transforms)
 
 
 def make_backward_reward(

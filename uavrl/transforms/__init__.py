@@ -2,6 +2,7 @@
 
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
 from uavrl.transforms.rewards import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
+from uavrl.transforms.state import navigation_state
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 from uavrl.transforms.walker import WalkerReward, walker_reward
 
@@ -13,6 +14,7 @@ __all__ = [
     "WalkerReward",
     "navigation_observation",
     "navigation_reward",
+    "navigation_state",
     "traditional_reward",
     "walker_reward",
 ]

@@ -1,0 +1,48 @@
+"""From the raw scan to the policy's state, in one piece."""
+
+from __future__ import annotations
+
+from torchrl.envs import CatFrames, Compose, Transform
+
+from uavrl.transforms.functional import Statistic
+from uavrl.transforms.observation import Angles, NavigationObservation
+from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+
+
+def navigation_state(
+    reward: Transform | None = None,
+    *,
+    radius: float = 4.0,
+    statistic: Statistic = "face",
+    flight_level: float = 3.5,
+    angles: Angles = "folded",
+    frames: int = 3,
+    keep_cloud: bool = False,
+) -> Compose:
+    """Everything between what :class:`uavrl.envs.NavigationEnv` emits and what a policy reads.
+
+    The scan becomes 32 faces, faces, altitude and goal angles an observation, and ``frames`` of these, oldest first,
+    the state (Chansuparp (2022), §3.2).
+
+    Args:
+        reward: the reward's transform, if any.
+        radius: the ball's radius, m.
+        statistic: as in :class:`TruncatedIcosahedron`.
+        flight_level: p_approAlt, m.
+        angles: as in :class:`NavigationObservation`.
+        frames: observations in a state.
+        keep_cloud: whether ``point_cloud`` stays beside the state.
+
+    Examples:
+        >>> from torchrl.envs import TransformedEnv
+        >>> from uavrl.envs import NavigationEnv
+        >>> env = TransformedEnv(NavigationEnv(2), navigation_state())
+        >>> env.reset()["observation"].shape
+        torch.Size([2, 105])
+    """
+    return Compose(
+        TruncatedIcosahedron(radius=radius, statistic=statistic, del_keys=not keep_cloud),
+        *([reward] if reward is not None else []),
+        NavigationObservation(radius, flight_level, angles),
+        CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
+    )
