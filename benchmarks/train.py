@@ -25,7 +25,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,8 @@ class Clock:
 
     start: int
     steps: int
-    marks: list[tuple[int, float]] = field(default_factory=list)
+    begin: float | None = None
+    speed: float = 0.0  # steps per second
     peak_rss: float = 0.0  # MiB
 
     def tick(self, steps: int) -> None:
@@ -56,16 +57,12 @@ class Clock:
         Raises:
             EnoughError: when all are made.
         """
-        if steps >= self.start:
-            self.marks.append((steps, time.perf_counter()))
-        if self.marks and steps >= self.marks[0][0] + self.steps:
+        if self.begin is None and steps >= self.start:
+            self.start, self.begin = steps, time.perf_counter()
+        if self.begin is not None and steps >= self.start + self.steps:
+            self.speed = (steps - self.start) / (time.perf_counter() - self.begin)
             self.peak_rss = peak_rss()
             raise EnoughError
-
-    def speed(self) -> float:
-        """Steps per second."""
-        (first, begin), (last, end) = self.marks[0], self.marks[-1]
-        return (last - first) / (end - begin)
 
 
 def peak_rss() -> float:
@@ -185,7 +182,7 @@ SHARES = {SB3: 0.3, SB3_PYBULLET: 0.05}  # of the steps: they are slow, and thei
 def run_row(name: str, steps: int, warm_up: int, threads: int) -> None:
     """Runs one row in this process and prints its numbers."""
     clock = ROWS[name](steps, warm_up, threads)
-    print(json.dumps({"steps_per_second": clock.speed(), "peak_rss_mib": clock.peak_rss}))
+    print(json.dumps({"steps_per_second": clock.speed, "peak_rss_mib": clock.peak_rss}))
 
 
 def in_own_process(name: str, steps: int, warm_up: int, threads: int) -> dict[str, float]:

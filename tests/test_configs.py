@@ -35,6 +35,7 @@ from uavrl.transforms import (
     TraditionalReward,
     TruncatedIcosahedron,
     WalkerReward,
+    navigation_state,
 )
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
@@ -312,7 +313,7 @@ CONSTRUCTORS = [
     (SACConfig(policy_delay=2), [ActorCriticStepper.__init__, GaussianActor.__init__, Critic.__init__]),
     (ABRConfig(), [BackwardReward.__init__, OneShotClassifier.__init__]),
     (ABRPlusConfig(), [BackwardReward.__init__]),
-    (PerceptionConfig(), [TruncatedIcosahedron.__init__, NavigationObservation.__init__]),
+    (PerceptionConfig(), [TruncatedIcosahedron.__init__, NavigationObservation.__init__, navigation_state]),
     (EnvConfig(), [NavigationEnv.__init__]),
     (BipedalConfig(), [BipedalEnv.__init__]),
     (WalkerRewardConfig(), [WalkerReward.__init__]),
@@ -325,7 +326,7 @@ COVERED = {  # keys of the dataclass that a constructor takes under the same nam
     "sac": {"actor_lr", "critic_lr", "temperature_lr", "policy_delay", "tau", "hidden"},
     "abr": {"multiplier", "threshold", "max_classes", "seed"},
     "abr_plus": {"multiplier"},
-    "truncated_icosahedron": {"radius", "statistic", "angles"},
+    "truncated_icosahedron": {"radius", "statistic", "angles", "frames"},
     "static": {"num_uavs", "max_steps", "goal_angle"},
     "bipedal_hardcore": {"max_steps"},
     "walker": {"fall_reward", "scale"},

@@ -88,7 +88,7 @@ def make_env(
     The walker takes none of the keyword arguments but the seed: it walks alone.
     """
     if isinstance(env, BipedalConfig):
-        rewards = [] if reward is None else [make_reward(reward)]
+        rewards = [make_reward(reward)] if reward is not None else []
         return TransformedEnv(BipedalEnv(env.max_steps, seed), Compose(RewardSum(), *rewards))
     assert isinstance(perception, PerceptionConfig) and not isinstance(reward, WalkerRewardConfig)
     base = NavigationEnv(
@@ -103,7 +103,7 @@ def make_env(
         seed=seed,
     )
     transforms = navigation_state(
-        None if reward is None else make_reward(reward),
+        make_reward(reward) if reward is not None else None,
         radius=perception.radius,
         statistic=cast(Statistic, perception.statistic),
         flight_level=env.world.flight_level,

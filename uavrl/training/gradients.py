@@ -129,10 +129,9 @@ class LossGradients:
             return (result.loss, *result.metadata.values(), *result.gradients)
 
         devices = {leaf.device.index for leaf in inputs if leaf.is_cuda}
-        compiled = self.execution == "compiled"
         with torch.random.fork_rng(devices):  # recording draws random numbers; replaying draws them again
-            graph = make_fx(flat, REWRITTEN if compiled else {})(*inputs)
-        return _Recording(graph, names, inputs, compiled)
+            graph = make_fx(flat)(*inputs)
+        return _Recording(graph, names, inputs, self.execution == "compiled")
 
 
 class _Recording:
@@ -151,16 +150,6 @@ class _Recording:
         loss, *rest = self.run(*inputs, *self.constants)
         count = len(self.names)
         return Gradients(loss, dict(zip(self.names, rest, strict=False)), tuple(rest[count:]))
-
-
-def _bias_apart(bias: Tensor, one: Tensor, other: Tensor, *, beta: float = 1, alpha: float = 1) -> Tensor:
-    """A product and a sum, which Inductor fuses with what follows; ``addmm`` fills its output with the bias first."""
-    if one.ndim == 2:  # as a batch of one: Inductor would put plain products and sums together again
-        return _bias_apart(bias, one[None], other[None], beta=beta, alpha=alpha)[0]
-    return beta * bias + alpha * torch.bmm(one, other)
-
-
-REWRITTEN = dict.fromkeys((torch.ops.aten.addmm.default, torch.ops.aten.baddbmm.default), _bias_apart)
 
 
 def _lift_constants(graph: GraphModule) -> list[Tensor]:
@@ -184,8 +173,22 @@ def _compile(graph: GraphModule, inputs: list[Any]) -> Callable[..., Any]:
 
     try:
         with torch.no_grad():
-            return torch._inductor.compile(graph, inputs, options={"fallback_random": True})
+            split = make_fx(graph, SPLIT, tracing_mode="fake")(*inputs) if inputs[0].device.type == "cpu" else graph
+            return torch._inductor.compile(split, inputs, options={"fallback_random": True})
     except Exception as error:  # a run is worth more than a fifth of its speed
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         log.warning("The update could not be compiled (%s): it is captured instead, which is slower.", reason)
         return graph
+
+
+def _sum_after_product(bias: Tensor, one: Tensor, other: Tensor, *, beta: float = 1, alpha: float = 1) -> Tensor:
+    """``addmm`` and ``baddbmm`` in two: on the CPU they fill their output with the bias before they multiply.
+
+    Inductor fuses the sum with the operations after it.
+    """
+    if one.ndim == 2:  # as a batch of one, which Inductor does not turn back into addmm
+        return (beta * bias + alpha * torch.bmm(one[None], other[None]))[0]
+    return beta * bias + alpha * torch.bmm(one, other)
+
+
+SPLIT = dict.fromkeys((torch.ops.aten.addmm.default, torch.ops.aten.baddbmm.default), _sum_after_product)

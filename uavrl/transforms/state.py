@@ -28,7 +28,7 @@ def navigation_state(
         reward: the reward's transform, if any.
         radius: the ball's radius, m.
         statistic: as in :class:`TruncatedIcosahedron`.
-        flight_level: p_approAlt, m.
+        flight_level: the altitude at which an observation's altitude is 0, m.
         angles: as in :class:`NavigationObservation`.
         frames: observations in a state.
         keep_cloud: whether ``point_cloud`` stays beside the state.
@@ -36,7 +36,9 @@ def navigation_state(
     Examples:
         >>> from torchrl.envs import TransformedEnv
         >>> from uavrl.envs import NavigationEnv
-        >>> env = TransformedEnv(NavigationEnv(2), navigation_state())
+        >>> from uavrl.envs.lidar import LidarConfig
+        >>> base = NavigationEnv(2, lidar=LidarConfig(max_range=4.0))  # the ball's radius: no need to look farther
+        >>> env = TransformedEnv(base, navigation_state())
         >>> env.reset()["observation"].shape
         torch.Size([2, 105])
     """
