@@ -74,8 +74,15 @@ def test_an_experiment_flies_every_cell_of_its_figure(
 
 
 def test_the_states_of_figure_4_2_are_kept() -> None:
-    ((_, settings),) = combinations("figure_4_2")
+    ((config, settings),) = combinations("figure_4_2")
     assert settings.trainer.record_states
+    assert cell(config, settings) == ("static", "td3", "TR")
+
+
+def test_figure_4_6_flies_three_learners_on_the_walker() -> None:
+    runs = [settings for _, settings in combinations("figure_4_6")]
+    assert {settings.env.name for settings in runs} == {"bipedal_hardcore"}
+    assert [settings.algo.name for settings in runs] == ["td3_walker", "td3_fork_walker", "td3_lg_walker"]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -16,6 +16,7 @@ from uavrl.training.evaluation import fly
 from uavrl.training.factory import make_env
 
 TASKS = 50
+ALIKE = 45  # the last digits depend on the processor, and may decide a flight
 
 
 def evaluation(name: str, file: str = "evaluation.json") -> dict[str, Any]:
@@ -46,6 +47,7 @@ def test_it_succeeds_as_often_as_its_evaluation_states(name: str) -> None:
         flights = fly(env, policy, TASKS)
     finally:
         env.close()
-    arrived = sum(flight.outcome == "arrived" for flight in flights)
-    interval = wilson(sum(flight["outcome"] == "arrived" for flight in stated["flights"][:TASKS]), TASKS)
-    assert interval["low"] <= arrived / TASKS <= interval["high"]
+    now = [flight.outcome for flight in flights]
+    then = [flight["outcome"] for flight in stated["flights"][:TASKS]]
+    assert now.count("arrived") / TASKS >= wilson(then.count("arrived"), TASKS)["low"]
+    assert sum(one == two for one, two in zip(now, then, strict=True)) >= ALIKE

@@ -64,8 +64,8 @@ def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_
         shutil.copytree(run, tmp_path / run.name)
     runs = runs_in(tmp_path)
     first_rows = (runs[0] / "episodes.csv").read_text()
-    for checkpoint in (runs[1] / "checkpoints").glob("*"):
-        checkpoint.unlink()
+    for path in (*(runs[1] / "checkpoints").glob("*"), runs[1] / "summary.json", runs[1] / "episodes.csv"):
+        path.unlink()
     capsys.readouterr()
     assert sweep(tmp_path, "seed=0,1", "trainer.episodes=6") == 0
     printed = capsys.readouterr().out
@@ -76,6 +76,19 @@ def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_
     for run in runs.values():
         assert json.loads((run / "summary.json").read_text())["episodes"] == 6
         assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 6
+
+
+def test_a_run_whose_checkpoints_were_removed_keeps_what_it_has(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(shutil.copytree(runs_in(swept)[0], tmp_path / runs_in(swept)[0].name))
+    shutil.rmtree(run / "checkpoints")
+    before = content(run)
+    assert sweep(tmp_path, "seed=0") == 0
+    assert "Finished before: " in capsys.readouterr().out
+    assert sweep(tmp_path, "seed=0", "trainer.episodes=6") == 1
+    assert f"{run} holds 4 episodes and no checkpoint to go on from" in capsys.readouterr().err
+    assert content(run) == before
 
 
 def test_a_damaged_summary_is_written_again(swept: Path, tmp_path: Path) -> None:

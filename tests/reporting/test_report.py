@@ -103,6 +103,29 @@ def test_evaluations_that_all_seeds_flew_alike_are_compared(tmp_path: Path) -> N
     assert part["iqm"][0]["value"] == pytest.approx(0.7)
 
 
+def test_what_is_not_compared_is_said(tmp_path: Path) -> None:
+    for name, gamma, seed in (("a0", 0.9, 0), ("a1", 0.9, 1), ("b0", 0.99, 0)):
+        run_folder(tmp_path / name, "ca", seed=seed, algo__gamma=gamma)
+    evaluation(tmp_path / "a0", 8, 10)
+    evaluation(tmp_path / "b0", 8, 10)
+    (part,) = (p for p in make_report([tmp_path], window=2).comparisons if p["score"] == "evaluation")
+    assert [row["group"] for row in part["iqm"]] == ["td3 · gamma=0.99"]
+    assert part["reading"][-1] == "The evaluations of td3 · gamma=0.9 are not compared: seed 1 has none."
+    evaluation(tmp_path / "a1", 8, 10)
+    evaluation(tmp_path / "b0", 8, 10, seed=7)
+    (part,) = make_report([tmp_path], window=2).comparisons
+    assert part["reading"][-1].startswith("No evaluation is compared: none was flown alike by all seeds of")
+
+
+def test_planes_move_with_the_steps_of_all(tmp_path: Path) -> None:
+    for seed, count in ((0, 8), (1, 4)):
+        folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)
+        evaluation(folder, 8, 10, num_uavs=count)
+        evaluation(folder, 5, 10, "evaluation_env=dynamic.json", env="dynamic", num_uavs=count)
+    part = by(make_report([tmp_path], window=2).comparisons, "score", "evaluation")
+    assert part["tasks"] == ["static, valleys [0], 10 tasks of seed 20000"]
+
+
 def test_of_two_evaluations_of_the_same_the_longer_trained_counts(tmp_path: Path) -> None:
     for seed in (0, 1):
         folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)

@@ -67,6 +67,8 @@ def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
 
 def test_no_such_folder_and_no_run(tmp_path: Path) -> None:
     assert "no such folder" in reason(tmp_path / "nowhere")
+    (tmp_path / "file").touch()
+    assert reason(tmp_path / "file") == "It is no folder: give the one that uavrl-train printed."
     (tmp_path / "empty").mkdir()
     assert "holds no run" in reason(tmp_path / "empty")
 
@@ -97,13 +99,46 @@ def test_a_missing_or_damaged_file_is_told(tmp_path: Path, name: str, content: b
 
 
 @pytest.mark.parametrize(
-    ("find", "replace"), [("2,20,collided", "2,20,crashed"), ("2,20,", "2,5,"), ("2,20,", "7,20,"), ("2,20,", "2,x,")]
+    ("find", "replace"),
+    [
+        ("2,20,collided", "2,20,crashed"),
+        ("2,20,", "2,5,"),
+        ("2,20,", "7,20,"),
+        ("2,20,", "2,x,"),
+        ("3,30,", f"3,{10**20},"),
+    ],
 )
 def test_a_row_that_cannot_be_is_told(tmp_path: Path, find: str, replace: str) -> None:
     folder = run_folder(tmp_path / "run", "aca")
     text = (folder / "episodes.csv").read_text()
     (folder / "episodes.csv").write_text(text.replace(find, replace))
     assert "damaged" in reason(folder)
+
+
+@pytest.mark.parametrize("value", [["abr"], {"name": ["abr"]}])
+def test_a_configuration_of_another_shape_leaves_the_others_in_the_report(tmp_path: Path, value: object) -> None:
+    run_folder(tmp_path / "odd", "ac", backward_reward=value)
+    run_folder(tmp_path / "huge", "ac", env__world__obstacle_scale=10**400)
+    run_folder(tmp_path / "whole", "ac", seed=1)
+    report = make_report([tmp_path])
+    assert "whole" in [run["name"] for run in report.runs]
+    assert len(report.runs) + len(report.left_out) == 3
+    assert page(report)
+
+
+def test_returns_that_are_no_numbers_are_noted(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "run", "aca")
+    text = (folder / "episodes.csv").read_text()
+    (folder / "episodes.csv").write_text(text.replace("2,20,collided,-10.0", "2,20,collided,nan"))
+    assert only(folder).notes == ["1 of its returns in episodes.csv are no numbers, and so are the means over them."]
+
+
+@pytest.mark.parametrize("made", ["artifact", "pretrained"])
+def test_class_sizes_are_those_of_the_artifact(tmp_path: Path, made: str) -> None:
+    folder = run_folder(tmp_path / "run", "a")
+    (folder / made).mkdir()
+    (folder / made / "artifact.json").write_text(json.dumps({"class_sizes": {"psae": {"classes": 5, "sd": 1.5}}}))
+    assert only(folder).class_sizes == {"psae": {"classes": 5, "sd": 1.5}}
 
 
 def test_a_row_cut_off_does_not_count(tmp_path: Path) -> None:
@@ -202,8 +237,11 @@ def test_the_commit_comes_from_the_summary_or_from_the_newest_checkpoint(tmp_pat
             archive.writestr("manifest.json", json.dumps({"metadata": {"uavrl": "0.1.0", "commit": commit}}))
     (folder / "checkpoints/checkpoint-000000000030.torchrl").write_bytes(b"half written")
     assert only(folder).versions == {"uavrl": "0.1.0", "commit": "new"}
-    (folder / "summary.json").write_text(json.dumps({"versions": {"uavrl": "0.1.0", "commit": None}}))
+    ended = {"episodes": 1, "versions": {"uavrl": "0.1.0", "commit": None}}
+    (folder / "summary.json").write_text(json.dumps(ended))
     assert only(folder).versions == {"uavrl": "0.1.0"}
+    (folder / "summary.json").write_text(json.dumps(ended | {"episodes": 0}))
+    assert only(folder).versions == {"uavrl": "0.1.0", "commit": "new"}, "it has gone on since"
     (folder / "summary.json").write_text("{half")
     assert only(folder).notes == ["summary.json is damaged and was not read."]
 

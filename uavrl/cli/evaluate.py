@@ -121,7 +121,7 @@ def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
 
 def _telling(overrides: list[str]) -> list[str]:
     """Those overrides that tell which tasks were flown by what."""
-    return told_apart(overrides, ("run", "episodes", "output", "num_uavs", "device", "threads", "progress"))
+    return told_apart(overrides, ("run", "episodes", "output", "device", "threads", "progress"))
 
 
 if __name__ == "__main__":

@@ -39,7 +39,27 @@ def compare_groups(groups: Sequence[Group], window: int) -> list[dict[str, Any]]
         part = _compare(EVALUATION, [_told(condition) for condition in conditions], evaluated)
         part["reading"] += _trained_differently(conditions, steps)
         result.append(part)
+    result[-1]["reading"] += _not_compared(groups, conditions)
     return result
+
+
+def _not_compared(groups: Sequence[Group], conditions: list[tuple[str, ...]]) -> list[str]:
+    """Which evaluations are there and do not count in the comparison."""
+    flown = {group.label: [_conditions(run.evaluations) for run in group.runs] for group in groups}
+    sentences = [
+        f"The evaluations of {group.label} are not compared: seed "
+        f"{', '.join(str(run.seed) for run, seen in zip(group.runs, flown[group.label], strict=True) if not seen)} "
+        f"has none."
+        for group in groups
+        if any(flown[group.label]) and not all(flown[group.label])
+    ]
+    whole = [label for label, seeds in flown.items() if all(seeds)]
+    if whole and not conditions:
+        sentences.append(
+            f"No evaluation is compared: none was flown alike by all seeds of {', '.join(whole)}. What must agree is "
+            f"the environment, valleys, seed and number of tasks, and with planes num_uavs."
+        )
+    return sentences
 
 
 def _success(run: Any, window: int) -> float:
@@ -49,18 +69,23 @@ def _success(run: Any, window: int) -> float:
 def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], tuple[float, float]]:
     """Success and training steps by what was flown; of two evaluations of the same the longer trained counts.
 
-    The same is what agrees in environment, valleys, seed, number of tasks, and changes of environment and sensor.
+    The same is what agrees in environment, valleys, seed, number of tasks, and changes of environment and sensor, and
+    in the dynamic valley, where planes move with the steps of all, in the number of UAVs.
     Older files, without ``overrides``, tell the last in the name alone that ``uavrl-evaluate`` gave them.
     What a policy that learns nothing flew (``policy=straight``) is none of the run's.
     """
     learned = [evaluation for evaluation in evaluations if "policy" not in evaluation]
     return {
-        (*(str(e.get(key)) for key in ("env", "valleys", "seed", "episodes")), _changes(e)): (
+        (*(str(e.get(key)) for key in ("env", "valleys", "seed", "episodes")), _together(e), _changes(e)): (
             float(e["success"]["rate"]),
             _number(e.get("training_steps")),
         )
         for e in sorted(learned, key=lambda e: _number(e.get("training_steps")))
     }
+
+
+def _together(evaluation: dict[str, Any]) -> str:
+    return str(evaluation.get("num_uavs")) if evaluation.get("env") == "dynamic" else ""
 
 
 def _changes(evaluation: dict[str, Any]) -> str:
@@ -78,12 +103,13 @@ def _told(condition: tuple[str, ...]) -> str:
     """What was flown, for a person.
 
     Examples:
-        >>> _told(("static", "[0]", "20000", "500", "")), _told(("bipedal_hardcore", "None", "20000", "100", ""))
+        >>> _told(("static", "[0]", "20000", "500", "", "")), _told(("bipedal_hardcore", "None", "20000", "100", "", ""))
         ('static, valleys [0], 500 tasks of seed 20000', 'bipedal_hardcore, 100 tasks of seed 20000')
     """
-    env, valleys, seed, episodes, changes = condition
+    env, valleys, seed, episodes, together, changes = condition
     place = env if valleys == str(None) else f"{env}, valleys {valleys}"  # the walker has none
-    return f"{place}, {episodes} tasks of seed {seed}{changes and f' with {changes}'}"
+    several = together and f", {together} UAVs at a time"
+    return f"{place}, {episodes} tasks of seed {seed}{several}{changes and f' with {changes}'}"
 
 
 def _trained_differently(conditions: list[tuple[str, ...]], steps: np.ndarray) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -18,6 +19,7 @@ from uavrl.training.episodes import RATES, Episode, read_episodes
 
 CONFIG, EPISODES, SUMMARY = "config.yaml", "episodes.csv", "summary.json"
 _DEPTH = 4  # of folders that are searched for runs
+_MOST_STEPS = 2**53  # from there on a double, which a page counts in, skips numbers
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class Run:
         planned: number of episodes that the run is to fly.
         versions: of uavrl and torch, and the commit, where the run recorded them.
         evaluations: what ``uavrl-evaluate`` left in the folder, each with its ``file``, without single flights.
-        class_sizes: of the trajectory classes that ABR⁺ gave its reward by, where the folder holds its artifact.
+        class_sizes: of the trajectory classes that ABR⁺ gave its reward by, or that ``uavrl-pretrain`` made of the
+            run's states, where the folder holds them.
         notes: what is wrong with it, though it can be reported.
     """
 
@@ -98,7 +101,9 @@ def find_run_folders(folders: Sequence[Path]) -> tuple[list[Path], list[LeftOut]
             left_out.append(_unreadable(folder, error))
             continue
         if not exists:
-            left_out.append(LeftOut(str(folder), "There is no such folder: check the path."))
+            no_folder = "It is no folder: give the one that uavrl-train printed."
+            absent = "There is no such folder: check the path."
+            left_out.append(LeftOut(str(folder), no_folder if folder.exists() else absent))
             continue
         runs = list(_search(folder, _DEPTH, unreadable))
         left_out += [left for left in unreadable if left not in left_out]
@@ -143,6 +148,9 @@ def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
             runs.append(read_run(folder, unique))
         except (UavrlError, OSError) as error:
             left_out.append(LeftOut(str(folder), str(error)))
+        except Exception as error:  # a file can be damaged in more ways than can be named; the others are reported
+            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+            left_out.append(LeftOut(str(folder), f"It cannot be read ({reason}): mend its files, or leave it out."))
     return runs, left_out
 
 
@@ -169,9 +177,9 @@ def read_run(folder: Path, name: str | None = None) -> Run:
         seed=seed,
         episodes=episodes,
         planned=planned,
-        versions=_versions(folder, notes),
+        versions=_versions(folder, len(episodes), notes),
         evaluations=_evaluations(folder, notes),
-        class_sizes=(_json(folder / "artifact" / "artifact.json", notes) or {}).get("class_sizes"),
+        class_sizes=_class_sizes(folder, notes),
         notes=notes,
     )
 
@@ -224,6 +232,10 @@ def _read_episodes(path: Path, notes: list[str]) -> list[Episode]:
     steps = [e.total_steps for e in episodes]
     if any(later <= earlier for earlier, later in zip([0, *steps], steps, strict=False)):
         raise _damaged(path, "total_steps does not grow from row to row")
+    if steps[-1] >= _MOST_STEPS:
+        raise _damaged(path, f"total_steps reaches {steps[-1]}")
+    if unknown := sum(not math.isfinite(e.episode_return) for e in episodes):
+        notes.append(f"{unknown:,} of its returns in {path.name} are no numbers, and so are the means over them.")
     with path.open("rb") as file:
         file.seek(-1, 2)
         if file.read() != b"\n":
@@ -245,11 +257,23 @@ def _json(path: Path, notes: list[str]) -> dict[str, Any] | None:
     return content
 
 
-def _versions(folder: Path, notes: list[str]) -> dict[str, Any]:
-    """From ``summary.json``, or while the run goes on from its newest checkpoint."""
-    summary = _json(folder / SUMMARY, notes)
-    if summary is not None and isinstance(summary.get("versions"), dict):
-        return {key: value for key, value in summary["versions"].items() if value is not None}
+def _class_sizes(folder: Path, notes: list[str]) -> dict[str, Any] | None:
+    for made in ("artifact", "pretrained"):
+        about = _json(folder / made / "artifact.json", notes)
+        if about is not None:
+            return about.get("class_sizes")
+    return None
+
+
+def _versions(folder: Path, episodes: int, notes: list[str]) -> dict[str, Any]:
+    """From ``summary.json``; where the run has gone on since, from its newest checkpoint."""
+    summary = _json(folder / SUMMARY, notes) or {}
+    told = summary.get("versions")
+    ended = {key: value for key, value in told.items() if value is not None} if isinstance(told, dict) else {}
+    return ended if ended and summary.get("episodes") == episodes else _versions_of_checkpoint(folder) or ended
+
+
+def _versions_of_checkpoint(folder: Path) -> dict[str, Any]:
     for path in sorted((folder / "checkpoints").glob("checkpoint*"), reverse=True):
         try:
             with zipfile.ZipFile(path) as archive:

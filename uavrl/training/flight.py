@@ -182,9 +182,7 @@ def load_replay(path: Path) -> Replay:
             {seed: _scenery(arrays, about, f"scenery{seed}") for seed in about["sceneries"]},
         )
     except (ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
-        raise UavrlError(
-            f"{path} holds no flights, or is damaged ({error}): write it again with data=FILE.npz."
-        ) from error
+        raise UavrlError(f"{path} holds no flights, or is damaged: write it again with data=FILE.npz.") from error
 
 
 def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:

@@ -8,9 +8,11 @@ from typing import Literal
 
 from omegaconf import DictConfig, OmegaConf
 
+from uavrl.errors import UavrlError
 from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, fingerprint
+from uavrl.training.episodes import read_episodes
 from uavrl.training.gradients import chosen_execution
-from uavrl.training.run import SUMMARY, free, locked
+from uavrl.training.run import EPISODES, SUMMARY, free, locked
 
 NAME_DIGITS = 6
 
@@ -19,21 +21,28 @@ def take_place(config: DictConfig) -> Literal["new", "begun", "finished"]:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and says how far a run has come there.
 
     What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint: a sweep that is
-    started again for more episodes goes on with its runs. A folder without a checkpoint is freed.
+    started again for more episodes goes on with its runs. A folder that never came to its first checkpoint is freed.
 
     Raises:
-        UavrlError: when another process trains there.
+        UavrlError: when another process trains there, or when what was flown there has lost its checkpoints.
     """
     config.trainer.execution = chosen_execution(config.trainer.execution)
     run_dir = Path(f"{config.run_dir}_{fingerprint(config)[:NAME_DIGITS]}")
     OmegaConf.update(config, "run_dir", str(run_dir))
     if not (run_dir / CONFIG).exists():
         return "new"
-    if not any((run_dir / CHECKPOINTS).glob("checkpoint*")):
-        with locked(run_dir):
-            free(run_dir)
-        return "new"
-    return "finished" if _episodes(run_dir) >= config.trainer.episodes else "begun"
+    if _episodes(run_dir) >= config.trainer.episodes:
+        return "finished"
+    if any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+        return "begun"
+    with locked(run_dir):
+        if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
+            raise UavrlError(
+                f"{run_dir} holds {flown} episodes and no checkpoint to go on from: bring its checkpoints back, or "
+                f"move the folder away to train anew."
+            )
+        free(run_dir)
+    return "new"
 
 
 def _episodes(run_dir: Path) -> int:
