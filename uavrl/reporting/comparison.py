@@ -103,8 +103,8 @@ def _told(condition: tuple[str, ...]) -> str:
     """What was flown, for a person.
 
     Examples:
-        >>> _told(("static", "[0]", "20000", "500", "", "")), _told(("bipedal_hardcore", "None", "20000", "100", "", ""))
-        ('static, valleys [0], 500 tasks of seed 20000', 'bipedal_hardcore, 100 tasks of seed 20000')
+        >>> _told(("dynamic", "[0]", "20000", "500", "8", "")), _told(("walker", "None", "20000", "100", "", ""))
+        ('dynamic, valleys [0], 500 tasks of seed 20000, 8 UAVs at a time', 'walker, 100 tasks of seed 20000')
     """
     env, valleys, seed, episodes, together, changes = condition
     place = env if valleys == str(None) else f"{env}, valleys {valleys}"  # the walker has none
