@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.reporting.folders import DOCUMENTED, evaluation, run_folder
+from tests.reporting.folders import DOCUMENTED, ROOT, evaluation, run_folder
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 from uavrl.reporting.runs import Run, find_run_folders, read_runs
@@ -113,6 +113,10 @@ def test_a_row_that_cannot_be_is_told(tmp_path: Path, find: str, replace: str) -
     text = (folder / "episodes.csv").read_text()
     (folder / "episodes.csv").write_text(text.replace(find, replace))
     assert "damaged" in reason(folder)
+
+
+def test_an_exported_policy_is_told_from_a_run() -> None:
+    assert "exported policy" in reason(ROOT / "uavrl/policies/static")
 
 
 @pytest.mark.parametrize("value", [["abr"], {"name": ["abr"]}])

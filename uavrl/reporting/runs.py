@@ -17,7 +17,7 @@ from uavrl.configs.registry import ABSENT
 from uavrl.errors import UavrlError
 from uavrl.training.episodes import RATES, Episode, read_episodes
 
-CONFIG, EPISODES, SUMMARY = "config.yaml", "episodes.csv", "summary.json"
+CONFIG, EPISODES, SUMMARY, POLICY = "config.yaml", "episodes.csv", "summary.json", "policy.json"
 _DEPTH = 4  # of folders that are searched for runs
 _MOST_STEPS = 2**53  # from there on a double, which a page counts in, skips numbers
 
@@ -161,6 +161,8 @@ def read_run(folder: Path, name: str | None = None) -> Run:
         UavrlError: naming the file that is missing or damaged and what to do.
     """
     notes: list[str] = []
+    if (folder / POLICY).is_file():
+        raise UavrlError("It is an exported policy, which has no training to report: give the folder of its run.")
     config, loaded = _read_config(folder / CONFIG)
     episodes = _read_episodes(folder / EPISODES, notes)
     settings = _settings(loaded, notes)

@@ -393,8 +393,8 @@ function start() {
     $("legend"));
   const ends = element("div", { class: "ends" }, $("legend"));
   element("span", {}, ends, statistic === "face" ? "far: 0 m" : `far: ${radius} m`);
-  element("span", {}, ends, "faces");
-  element("span", {}, ends, statistic === "face" ? `${radius} m: near` : "0 m: near");
+  element("span", {}, ends, statistic === "face" ? `near: ${radius} m` : "near: 0 m");
+  element("div", { class: "ends" }, $("legend"), statistic === "face" ? `a face tells ${radius} m − distance` : "faces tell distances");
   $("slider").addEventListener("input", (event) => { play(false); show(Number(event.target.value)); });
   $("play").addEventListener("click", () => play(!playing));
   document.addEventListener("keydown", (event) => {
