@@ -29,7 +29,7 @@ TINY = [
     "trainer.progress=false",
     "trainer.execution=captured",
 ]
-SMALL_EVALUATION = ["episodes=2", "num_uavs=2", "progress=false"]
+SMALL_EVALUATION = ["episodes=2", "progress=false"]  # no more vehicles than tasks are flown
 
 
 def in_process(main: Callable[[], None], *arguments: str) -> int:
