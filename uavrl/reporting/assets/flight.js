@@ -338,7 +338,7 @@ function drawCharts() {
     one("Distance to goal", "m", flight.distances, "#0072B2", { low: 0 }),
     one("Clearance", "m", flight.clearances, "#009E73", { low: 0 }),
     one("Collision risk", flight.risks.length ? "LifeGuard" : "", flight.risks, "#D55E00",
-      flight.risks.length ? { low: 0, high: 1 } : { none: "no LifeGuard in this run" }),
+      flight.risks.length ? { low: 0, high: 1 } : { none: "no LifeGuard recorded" }),
     one("Altitude", "m", altitude, "#CC79A7", { low: 3, high: 4 }),
     one("Speed", "m/s", speed, "#E69F00", { low: 0 }),
   ];
