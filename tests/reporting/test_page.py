@@ -10,10 +10,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from plotly.graph_objects import Figure
 
 from tests.reporting.folders import DOCUMENTED, evaluation, run_folder
 from uavrl.cli.report import main
-from uavrl.reporting.figures import plotly_javascript
+from uavrl.reporting.figures import CDN, plotly_script
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 
@@ -78,8 +79,18 @@ def test_the_page_holds_together_and_fetches_nothing(runs: Path) -> None:
     assert reader.fetched == []
     assert all(link.startswith("#") and link[1:] in reader.ids for link in reader.links)
     assert len(reader.ids) == len(set(reader.ids))
-    assert html.count(plotly_javascript()[:2000]) == 1
+    assert html.count(plotly_script()[:2000]) == 1
     assert "default-src 'none'" in html
+
+
+def test_a_page_for_the_web_fetches_plotly_alone_and_only_the_file_it_was_made_with(runs: Path) -> None:
+    html = page(make_report([runs], window=2), cdn=True)
+    (address,) = read(html).fetched
+    plotly = Figure().to_html(include_plotlyjs="cdn")
+    ours, theirs = (re.search(r'src="(\S+)" integrity="(\S+)"', text) for text in (html, plotly))
+    assert ours and theirs and ours.groups() == theirs.groups() and address == ours[1]
+    assert f"script-src 'unsafe-inline' {CDN};" in html
+    assert len(html) < 200_000
 
 
 def test_the_page_says_what_the_facts_say(runs: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from typing import Any
 
 from uavrl.errors import UavrlError
@@ -11,19 +13,28 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 QUANTITIES = {"success": "Success", "collision": "Collision", "time_out": "Time-out", "return": "Return"}
 AXES = {"steps": "environment steps", "episodes": "episodes"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+CDN = "https://cdn.plot.ly"
 _GREY = "#6b7280"
 
 
-def plotly_javascript() -> str:
-    """Plotly's javascript, to be put into the page once.
+def plotly_script(cdn: bool = False) -> str:
+    """The script element that brings plotly into the page, to be put there once.
+
+    Args:
+        cdn: fetch plotly when the page is opened, the same file by its hash, instead of carrying its 5 MB.
 
     Raises:
         UavrlError: where plotly is not installed.
     """
     _objects()
-    from plotly.offline import get_plotlyjs
+    from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
-    return get_plotlyjs()
+    javascript = get_plotlyjs()
+    if not cdn:
+        return f"<script>{javascript}</script>"
+    digest = base64.b64encode(hashlib.sha256(javascript.encode()).digest()).decode()
+    address = f"{CDN}/plotly-{get_plotlyjs_version()}.min.js"
+    return f'<script src="{address}" integrity="sha256-{digest}" crossorigin="anonymous"></script>'
 
 
 def _objects() -> Any:

@@ -1,4 +1,4 @@
-"""One HTML page from a report's facts: it fetches nothing, its figures' javascript stands in it."""
+"""One HTML page from a report's facts: it fetches nothing, unless plotly is to come from its CDN."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from uavrl.errors import UavrlError
-from uavrl.reporting.figures import AXES, QUANTITIES, colour, last_success, learning_curves, plotly_javascript
+from uavrl.reporting.figures import AXES, CDN, QUANTITIES, colour, last_success, learning_curves, plotly_script
 from uavrl.reporting.report import Report
 
 NOTHING = "–"
@@ -116,8 +116,12 @@ def config_text(config: dict[str, Any]) -> str:
     return OmegaConf.to_yaml(OmegaConf.create(config))
 
 
-def page(report: Report) -> str:
+def page(report: Report, cdn: bool = False) -> str:
     """The whole page.
+
+    Args:
+        report: what it tells.
+        cdn: fetch plotly when the page is opened, instead of carrying its 5 MB.
 
     Raises:
         UavrlError: where plotly or jinja2 is not installed.
@@ -143,6 +147,7 @@ def page(report: Report) -> str:
         colours=[colour(index) for index in range(len(report.groups))],
         curve_figures=learning_curves(facts),
         success_figure=last_success(facts),
-        plotly=plotly_javascript(),
+        plotly_script=plotly_script(cdn),
+        plotly_source=CDN if cdn else "",
         warnings=report.warnings(),
     )
