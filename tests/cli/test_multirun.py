@@ -66,6 +66,7 @@ def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_
     first_rows = (runs[0] / "episodes.csv").read_text()
     for path in (*(runs[1] / "checkpoints").glob("*"), runs[1] / "summary.json", runs[1] / "episodes.csv"):
         path.unlink()
+    (runs[1] / "checkpoints/.checkpoint-000000000000.torchrl.stage-1").touch()  # killed while it saved
     capsys.readouterr()
     assert sweep(tmp_path, "seed=0,1", "trainer.episodes=6") == 0
     printed = capsys.readouterr().out
@@ -73,6 +74,7 @@ def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_
     assert f"Run folder: {runs[1]}" in printed
     assert runs_in(tmp_path) == runs
     assert (runs[0] / "episodes.csv").read_text().startswith(first_rows)
+    assert not list(runs[1].glob("checkpoints/.*"))
     for run in runs.values():
         assert json.loads((run / "summary.json").read_text())["episodes"] == 6
         assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 6

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import errno
 import sys
+from collections.abc import Sized
 from pathlib import Path
 
 from uavrl.cli.errors import one_sentence
@@ -50,8 +51,12 @@ def _report(args: argparse.Namespace) -> None:
         print(f"uavrl: {warning}", file=sys.stderr)
     _write({args.output: page(report, cdn=args.cdn), facts: report.to_json()})
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
-    print(f"{len(report.runs)} runs in {len(report.groups)} groups (seeds): {groups}")
+    print(f"{_count(report.runs, 'run')} in {_count(report.groups, 'group')} (seeds): {groups}")
     print(f"Written to {args.output} and {facts}")
+
+
+def _count(things: Sized, name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def _write(texts: dict[Path, str]) -> None:

@@ -102,11 +102,12 @@ def same_task(runs: Sequence[Run]) -> tuple[list[Run], list[LeftOut]]:
             without = (*HOW_IT_RUNS, *NOT_TASK)
             pairs = differences([run.settings, kept[0].settings], without).items()
             told = [f"{key} is {shown(a)}, not {shown(b)}" for key, (a, b) in pairs if below(key, TASK)]
+            others = "the run" if count == 1 else f"the {count} runs"
             more = f" and {len(told) - _SHOWN} more settings differ" if len(told) > _SHOWN else ""
             left_out.append(
                 LeftOut(
                     str(run.folder),
-                    f"It flies another task than the {count} runs reported ({'; '.join(told[:_SHOWN])}{more}): "
+                    f"It flies another task than {others} reported ({'; '.join(told[:_SHOWN])}{more}): "
                     f"give it a report of its own.",
                 )
             )

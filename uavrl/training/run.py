@@ -179,6 +179,13 @@ def free(run_dir: Path) -> None:
         (run_dir / name).unlink(missing_ok=True)
     for name in (STATES_FOLDER, ARTIFACT):
         shutil.rmtree(run_dir / name, ignore_errors=True)
+    _drop_unfinished_checkpoints(run_dir)
+
+
+def _drop_unfinished_checkpoints(run_dir: Path) -> None:
+    """Removes what a process left that was killed while it saved."""
+    for leftover in (run_dir / CHECKPOINTS).glob(".checkpoint*"):
+        shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
 
 
 def seed_everything(seed: int) -> None:
@@ -252,8 +259,7 @@ def _checked_checkpoint(run_dir: Path, config: DictConfig) -> Path:
     path = latest_checkpoint(run_dir)
     check_checkpoint(path, config)
     read_episodes(run_dir / EPISODES)
-    for leftover in (run_dir / CHECKPOINTS).glob(".checkpoint*"):  # of a process killed while it saved
-        shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+    _drop_unfinished_checkpoints(run_dir)
     return path
 
 
