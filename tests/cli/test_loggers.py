@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,8 @@ from tests.training.test_resume import small_config
 from uavrl.errors import UavrlError
 from uavrl.training.checkpoint import rotation
 from uavrl.training.run import create_run, train
+
+SETTINGS = ["logger.interval=1", "trainer.episodes=6", "algo.random_steps=20"]
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +29,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         folder = tmp_path_factory.mktemp(logger)
         elsewhere = folder / "elsewhere"
         elsewhere.mkdir()
-        settings = [f"logger={logger}", "logger.interval=1", "trainer.episodes=6", "algo.random_steps=20"]
-        config = small_config(folder / "run", *settings)
+        config = small_config(folder / "run", f"logger={logger}", *SETTINGS)
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(elsewhere)
             for name in ("WANDB_DIR", "WANDB_MODE", "WANDB_API_KEY"):
@@ -58,6 +60,25 @@ def test_tensorboard(trained: Callable[[str], Path]) -> None:
     accumulator = EventAccumulator(str(events.parent))
     accumulator.Reload()
     assert {"rate_arrived", "return", "loss_value"} <= {t.rpartition("/")[2] for t in accumulator.Tags()["scalars"]}
+
+
+def test_tensorboard_shows_no_step_twice_over_a_resume(trained: Callable[[str], Path], tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    def shown(run: Path) -> dict[str, list[tuple[int, float]]]:
+        accumulator = EventAccumulator(str(next((run / "logs").rglob("events.out.tfevents.*")).parent))
+        accumulator.Reload()
+        kept = (tag for tag in accumulator.Tags()["scalars"] if not tag.endswith("_seconds"))
+        return {tag: [(event.step, event.value) for event in accumulator.Scalars(tag)] for tag in kept}
+
+    whole = trained("tensorboard")
+    cut = Path(shutil.copytree(whole, tmp_path / "run"))
+    for later in rotation(cut).checkpoints()[1:]:
+        later.unlink()
+    train(small_config(cut, "logger=tensorboard", *SETTINGS), cut, resume=True)
+    assert len(list((cut / "logs").rglob("events.out.tfevents.*"))) > 1
+    assert shown(cut) == shown(whole)
 
 
 def test_wandb_offline(trained: Callable[[str], Path]) -> None:

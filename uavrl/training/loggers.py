@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-from torchrl.record.loggers import Logger, get_logger
+from torchrl.record.loggers import Logger, TensorboardLogger, get_logger
 
 from uavrl.configs.train import LoggerConfig
 from uavrl.errors import UavrlError
@@ -33,12 +33,19 @@ def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
         ) from error
 
 
-def cut_back_csv(run_dir: Path, steps: int) -> None:
-    """Drops what the CSV logger wrote after this number of steps, by a process that was killed or stopped.
+def cut_back(logger: Logger, run_dir: Path, steps: int) -> None:
+    """Drops what was logged after this number of steps, by a process that was killed or stopped.
 
-    Whoever goes on from a checkpoint logs the steps after it again. TensorBoard and wandb keep both. A file that is not
-    the logger's is left alone.
+    Whoever goes on from a checkpoint logs the steps after it again. wandb shows them twice, in two of its runs.
     """
+    if isinstance(logger, TensorboardLogger):
+        logger.experiment.close()
+        logger.experiment.purge_step = steps + 1  # the next value opens a file that begins with it
+    _cut_back_csv(run_dir, steps)
+
+
+def _cut_back_csv(run_dir: Path, steps: int) -> None:
+    """Rewrites the CSV logger's files; one that is not the logger's is left alone."""
     for path in (run_dir / "logs").glob("*/scalars/*.csv"):
         rows = path.read_text().splitlines(keepends=True)
         whole = [row for row in rows if row.endswith("\n")]

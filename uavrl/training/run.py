@@ -48,7 +48,7 @@ from uavrl.training.factory import (
 )
 from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.loggers import cut_back_csv, make_logger
+from uavrl.training.loggers import cut_back, make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
 from uavrl.training.spaces import make_spaces
@@ -150,7 +150,7 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
     try:
         if checkpoint is not None:
             _restore(trainer, checkpoint)
-            cut_back_csv(run_dir, trainer.collected_frames)
+            cut_back(trainer.logger, run_dir, trainer.collected_frames)
             (run_dir / CONFIG).write_text(OmegaConf.to_yaml(config, resolve=True))
             log.info(
                 "Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames
