@@ -407,5 +407,5 @@ def test_data_on_a_gpu() -> None:
 
 def test_the_example_runs() -> None:
     script = Path(__file__).parents[2] / "examples" / "backward_reward.py"
-    done = subprocess.run([sys.executable, script, "600"], check=True, capture_output=True, timeout=300, text=True)
+    done = subprocess.run([sys.executable, script, "600"], check=True, capture_output=True, timeout=600, text=True)
     assert "arrived" in done.stdout

@@ -47,7 +47,7 @@ def in_process(main: Callable[[], None], *arguments: str) -> int:
 
 def as_process(command: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", f"uavrl.cli.{command}", *arguments], capture_output=True, text=True, cwd=cwd, timeout=120
+        [sys.executable, "-m", f"uavrl.cli.{command}", *arguments], capture_output=True, text=True, cwd=cwd, timeout=600
     )
 
 

@@ -48,7 +48,7 @@ def in_process(*arguments: str) -> int:
 
 def as_process(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     whole = [sys.executable, "-m", "uavrl.cli.pretrain", *arguments]
-    return subprocess.run(whole, capture_output=True, text=True, cwd=cwd, timeout=120, check=False)
+    return subprocess.run(whole, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
 
 
 @pytest.fixture

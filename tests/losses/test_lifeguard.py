@@ -456,4 +456,4 @@ def test_unknown_settings_are_refused(settings: dict[str, object], message: str)
 
 def test_the_example_runs() -> None:
     script = Path(__file__).parents[2] / "examples" / "lifeguard_pendulum.py"
-    subprocess.run([sys.executable, script, "400"], check=True, capture_output=True, timeout=300)
+    subprocess.run([sys.executable, script, "400"], check=True, capture_output=True, timeout=600)

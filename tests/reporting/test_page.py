@@ -218,6 +218,6 @@ def test_a_browser_draws_every_figure(tmp_path: Path) -> None:
         "--virtual-time-budget=20000",
         "--dump-dom",
     ]
-    found = subprocess.run([*command, file.as_uri()], capture_output=True, text=True, timeout=120, check=True).stdout
+    found = subprocess.run([*command, file.as_uri()], capture_output=True, text=True, timeout=600, check=True).stdout
     figures = re.findall(r'id="plot-([a-z_-]+)"[^>]*js-plotly-plot|js-plotly-plot[^>]*id="plot-([a-z_-]+)"', found)
     assert len(figures) == len(re.findall(r'id="plot-', found)) == 9

@@ -140,5 +140,5 @@ def test_python_ends_after_a_training_that_was_stopped(tmp_path: Path) -> None:
     (tmp_path / "stopped.py").write_text(STOPPED)
     command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run"]
     root = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    ended = subprocess.run(command, env=root, capture_output=True, text=True, timeout=120, check=True)
+    ended = subprocess.run(command, env=root, capture_output=True, text=True, timeout=600, check=True)
     assert ended.stdout.endswith("stopped\n")
