@@ -62,8 +62,10 @@ def test_another_task_is_left_out(tmp_path: Path) -> None:
     run_folder(tmp_path / "b", "a", seed=1)
     run_folder(tmp_path / "c", "a", seed=0, env__name="dynamic", env__world__planes=3)
     run_folder(tmp_path / "d", "a", seed=0, perception__radius=2.0)
-    kept, left_out = same_task(read_runs([tmp_path])[0])
+    runs, _ = read_runs([tmp_path])
+    kept, left_out = same_task(runs)
     assert [run.name for run in kept] == ["a", "b"]
+    assert same_task([runs[0], runs[2]])[1][0].reason.startswith("It flies another task than the run reported (")
     told = "It flies another task than the 2 runs reported"
     assert [left.reason for left in left_out] == [
         f"{told} (env.name is dynamic, not static; env.world.planes is 3, not 0): give it a report of its own.",
