@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 from uavrl.models.trajectory_classifier import ABOUT, FORMAT, VERSION, WEIGHTS, TrajectoryClassifier
 
 
@@ -56,8 +57,10 @@ def save_artifact(output: Path, classifier: TrajectoryClassifier, report: Mappin
         "weights_sha256": hashlib.sha256(content).hexdigest(),
         **report,
     }
-    _replace(output / WEIGHTS, content)
-    _replace(output / ABOUT, (json.dumps(about, indent=1) + "\n").encode())
+    with replacing(output / WEIGHTS) as partial:
+        partial.write_bytes(content)
+    with replacing(output / ABOUT) as partial:
+        partial.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     return about
 
 
@@ -82,9 +85,3 @@ def sha256_of_config(config: Mapping[str, Any]) -> str:
         True
     """
     return hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()
-
-
-def _replace(path: Path, content: bytes) -> None:
-    partial = path.with_name(f"{path.name}.partial")
-    partial.write_bytes(content)
-    partial.replace(path)

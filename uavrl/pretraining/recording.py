@@ -18,6 +18,7 @@ import numpy as np
 from torch import Tensor
 
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 
 log = logging.getLogger(__name__)
 
@@ -108,10 +109,9 @@ class StateRecorder:
         (self.path / STATES).touch()
         with (self.path / EPISODES).open("w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerow(COLUMNS)
-        partial = self.path / f"{HEADER}.partial"  # last and at once: a folder without it is no recording
         header = {"format": FORMAT, "version": VERSION, "width": self.width, "dtype": "float32, little endian"}
-        partial.write_text(json.dumps(header) + "\n")
-        partial.replace(self.path / HEADER)
+        with replacing(self.path / HEADER) as partial:  # last: a folder without it is no recording
+            partial.write_text(json.dumps(header) + "\n")
 
     @property
     def episodes(self) -> int:
@@ -158,10 +158,8 @@ class StateRecorder:
             )
         self._lengths, self._outcomes = self._lengths[:episodes], self._outcomes[:episodes]
         rows = [COLUMNS, *zip(range(episodes), self._lengths, self._outcomes, strict=True)]
-        partial = self.path / f"{EPISODES}.partial"
-        with partial.open("w", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows(rows)
-        partial.replace(self.path / EPISODES)  # first the rows: states without a row do not count
+        with replacing(self.path / EPISODES) as partial, partial.open("w", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)  # first the rows: states without a row do not count
         with (self.path / STATES).open("r+b") as file:
             file.truncate(self.states * self.width * FLOAT32.itemsize)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 from uavrl.reporting.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, vehicle
 from uavrl.training.flight import RecordedFlight, Replay, Scenery, thinned
 
@@ -158,6 +159,5 @@ def write_page(replay: Replay, output: Path) -> None:
         OSError: when the file cannot be written.
     """
     text = make_page(replay)
-    partial = output.with_name(output.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(output)
+    with replacing(output) as partial:
+        partial.write_text(text, encoding="utf-8")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 
 if TYPE_CHECKING:  # reports read episodes without torch
     from tensordict import TensorDictBase
@@ -179,10 +180,8 @@ class EpisodeLog:
             self._rewrite([])
 
     def _rewrite(self, episodes: list[Episode]) -> None:
-        partial = self.path.with_suffix(".partial")
-        with partial.open("w", newline="") as file:
+        with replacing(self.path) as partial, partial.open("w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows([Episode.header(), *map(astuple, episodes)])
-        partial.replace(self.path)
 
     def add(self, episode: Episode) -> None:
         """Writes one row."""

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
 
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 from uavrl.training.checkpoint import CONFIG
 
 FORMAT = "uavrl.policy"
@@ -53,11 +54,9 @@ def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[s
     try:
         output.mkdir(parents=True, exist_ok=True)
         (output / WEIGHTS).write_bytes(content)
-        texts = {CONFIG: OmegaConf.to_yaml(config), ABOUT: json.dumps(facts, indent=1) + "\n"}
-        for name, text in texts.items():
-            (output / f"{name}.partial").write_text(text)
-        for name in texts:
-            (output / f"{name}.partial").replace(output / name)
+        with replacing(output / ABOUT) as about_partial, replacing(output / CONFIG) as config_partial:
+            about_partial.write_text(json.dumps(facts, indent=1) + "\n")
+            config_partial.write_text(OmegaConf.to_yaml(config))
     except OSError as error:
         raise UavrlError(
             f"{output} cannot be written ({error.strerror}): choose another with --output FOLDER."

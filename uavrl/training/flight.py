@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 from uavrl.training.evaluation import Flight
 
 FORMAT = "uavrl flights 1"
@@ -156,10 +157,8 @@ def save_replay(replay: Replay, path: Path) -> None:
         "items": {name: _plain(item) for name, item in items.items()},
     }
     arrays = {key: value for name, item in items.items() for key, value in _arrays(item, name).items()}
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
+    with replacing(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
-    partial.replace(path)
 
 
 def load_replay(path: Path) -> Replay:

@@ -10,6 +10,7 @@ from torchrl.record.loggers import Logger, TensorboardLogger, get_logger
 
 from uavrl.configs.train import LoggerConfig
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
@@ -53,6 +54,5 @@ def _cut_back_csv(run_dir: Path, steps: int) -> None:
             continue
         kept = [row for row in whole if int(row.partition(",")[0]) <= steps]
         if len(kept) < len(rows):
-            partial = path.with_suffix(".partial")
-            partial.write_text("".join(kept))
-            partial.replace(path)
+            with replacing(path) as partial:
+                partial.write_text("".join(kept))

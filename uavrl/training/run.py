@@ -24,6 +24,7 @@ import uavrl
 from uavrl.configs import learner, to_dataclass
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER
 from uavrl.pretraining.recording import StateRecorder
@@ -151,7 +152,8 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
         if checkpoint is not None:
             _restore(trainer, checkpoint)
             cut_back(trainer.logger, run_dir, trainer.collected_frames)
-            (run_dir / CONFIG).write_text(OmegaConf.to_yaml(config, resolve=True))
+            with replacing(run_dir / CONFIG) as partial_config:
+                partial_config.write_text(OmegaConf.to_yaml(config, resolve=True))
             log.info(
                 "Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames
             )
@@ -292,9 +294,8 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
             "python": platform.python_version(),
         },
     }
-    partial = run_dir / f"{SUMMARY}.partial"
-    partial.write_text(json.dumps(summary, indent=2) + "\n")
-    partial.replace(run_dir / SUMMARY)
+    with replacing(run_dir / SUMMARY) as partial:
+        partial.write_text(json.dumps(summary, indent=2) + "\n")
     return summary
 
 
