@@ -95,8 +95,10 @@ def test_the_fixture_run_can_be_resumed_and_evaluated(
 ) -> None:
     assert in_process(train_command.main, f"resume={run_dir}", "trainer.episodes=5") == 0
     assert len((run_dir / "episodes.csv").read_text().splitlines()) == 1 + 5
+    (run_dir / "evaluation.json").write_text("500 tasks")
     assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION) == 0
-    assert (run_dir / "evaluation.json").is_file()
+    assert json.loads((run_dir / "evaluation_episodes=2.json").read_text())["episodes"] == 2
+    assert (run_dir / "evaluation.json").read_text() == "500 tasks", "a quick look takes no long evaluation's place"
     assert "Traceback" not in "".join(capfd.readouterr())
 
 
@@ -373,18 +375,18 @@ def test_nan_actions_end_an_evaluation_in_one_sentence(
 ) -> None:
     monkeypatch.setattr(Actor, "forward", not_a_number)
     assert "got NaN" in refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
-    assert not (run_dir / "evaluation.json").exists()
+    assert not list(run_dir.glob("evaluation*"))
 
 
 def test_an_evaluation_changes_one_value_of_the_runs_environment_and_says_so_in_its_name(run_dir: Path) -> None:
     arguments = [f"run={run_dir}", *SMALL_EVALUATION, "env.max_steps=3", "env.world.min_clearance=1.0"]
     assert in_process(evaluate_command.main, *arguments) == 0
-    written = run_dir / "evaluation_env.max_steps=3_env.world.min_clearance=1.0.json"
+    written = run_dir / "evaluation_env.max_steps=3_env.world.min_clearance=1.0_episodes=2.json"
     result = json.loads(written.read_text())
     assert max(flight["steps"] for flight in result["flights"]) == 3
     assert result["overrides"][-2:] == ["env.max_steps=3", "env.world.min_clearance=1.0"]
     assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, "valleys=[4,5]") == 0
-    assert json.loads((run_dir / "evaluation_valleys=4-5.json").read_text())["valleys"] == [4, 5]
+    assert json.loads((run_dir / "evaluation_valleys=4-5_episodes=2.json").read_text())["valleys"] == [4, 5]
 
 
 def test_what_the_policy_was_trained_with_cannot_change(run_dir: Path, refused: Callable[..., str]) -> None:

@@ -35,7 +35,7 @@ def test_evaluation_walks_the_same_courses_again(finished: Path) -> None:
     results = []
     for _ in range(2):
         assert in_process(evaluate.main, f"run={finished}", "episodes=2", "progress=false") == 0
-        results.append(json.loads((finished / "evaluation.json").read_text()))
+        results.append(json.loads((finished / "evaluation_episodes=2.json").read_text()))
     assert results[0] == results[1]
     assert [walk["task"] for walk in results[0]["flights"]] == [0, 1]
     returns = [walk["episode_return"] for walk in results[0]["flights"]]

@@ -122,8 +122,22 @@ def test_planes_move_with_the_steps_of_all(tmp_path: Path) -> None:
         folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)
         evaluation(folder, 8, 10, num_uavs=count)
         evaluation(folder, 5, 10, "evaluation_env=dynamic.json", env="dynamic", num_uavs=count)
+        added = {"overrides": ["env.world.planes=3"], "num_uavs": count}
+        evaluation(folder, 5, 10, "evaluation_env.world.planes=3.json", **added, **({"planes": 3} if seed else {}))
     part = by(make_report([tmp_path], window=2).comparisons, "score", "evaluation")
     assert part["tasks"] == ["static, valleys [0], 10 tasks of seed 20000"]
+
+
+def test_runs_of_different_length_are_named(tmp_path: Path) -> None:
+    def sentences() -> list[str]:
+        (part,) = make_report([tmp_path], window=2).comparisons
+        return [sentence for sentence in part["reading"] if "equally long" in sentence]
+
+    run_folder(tmp_path / "run0", "caca", seed=0)
+    run_folder(tmp_path / "run1", "acac", seed=1)
+    assert not sentences()
+    run_folder(tmp_path / "run2", "aca", seed=0, algo__gamma=0.9)
+    assert sentences() == ["The runs have not flown equally long: 3 to 4 episodes, of which the last count."]
 
 
 def test_of_two_evaluations_of_the_same_the_longer_trained_counts(tmp_path: Path) -> None:

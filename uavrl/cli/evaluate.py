@@ -21,12 +21,13 @@ from uavrl.cli.policies import (
     with_overrides,
     writable,
 )
-from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.configs import EvaluateConfig, conf_dir, register_schemas, to_dataclass
 from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
+from uavrl.files import replacing
 
 if TYPE_CHECKING:
-    from uavrl.configs import EvaluateConfig, TrainConfig
+    from uavrl.configs import TrainConfig
 
 register_schemas()
 
@@ -67,11 +68,11 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
         result, text = _walk(settings, env_config, perception, policy, {**told, **source})
     else:
         told["valleys"] = list(env_config.world.seeds)
+        told["planes"] = env_config.world.planes
         told["num_uavs"] = min(settings.num_uavs, settings.episodes)  # planes move with the steps of all
         result, text = _fly(settings, env_config, perception, policy, {**told, **source})
-    partial = output.with_name(output.name + ".partial")
-    partial.write_text(json.dumps(result, indent=1) + "\n")
-    partial.replace(output)
+    with replacing(output) as partial:
+        partial.write_text(json.dumps(result, indent=1) + "\n")
     print(text)
     print(f"Written to {output}")
 
@@ -115,12 +116,13 @@ def _walk(
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
     """Where the result goes, found writable before anything is flown; what was changed stands in its name."""
-    name = name_of_output("evaluation", _telling(overrides)) + ".json"
+    several = [] if settings.episodes == EvaluateConfig.episodes else [f"episodes={settings.episodes}"]
+    name = name_of_output("evaluation", [*_telling(overrides), *several]) + ".json"
     return writable(Path(settings.output or (Path(settings.run or ".") / name)))
 
 
 def _telling(overrides: list[str]) -> list[str]:
-    """Those overrides that tell which tasks were flown by what."""
+    """Those overrides that tell which tasks were flown by what, beside how many."""
     return told_apart(overrides, ("run", "episodes", "output", "device", "threads", "progress"))
 
 

@@ -34,6 +34,7 @@ def compare_groups(groups: Sequence[Group], window: int) -> list[dict[str, Any]]
     """
     training = {group.label: np.array([[_success(run, window)] for run in group.runs]) for group in groups}
     result = [_compare(TRAINING, [f"last {window} training episodes"], training)]
+    result[0]["reading"] += _flown_differently(groups)
     conditions, evaluated, steps = _evaluated(groups)
     if conditions:
         part = _compare(EVALUATION, [_told(condition) for condition in conditions], evaluated)
@@ -62,6 +63,14 @@ def _not_compared(groups: Sequence[Group], conditions: list[tuple[str, ...]]) ->
     return sentences
 
 
+def _flown_differently(groups: Sequence[Group]) -> list[str]:
+    """A sentence, if the runs have not flown equally long."""
+    flown = sorted({len(run.episodes) for group in groups for run in group.runs})
+    if len(flown) < 2:
+        return []
+    return [f"The runs have not flown equally long: {flown[0]:,} to {flown[-1]:,} episodes, of which the last count."]
+
+
 def _success(run: Any, window: int) -> float:
     return float(np.mean([episode.outcome == "arrived" for episode in run.episodes[-window:]]))
 
@@ -70,7 +79,7 @@ def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], tupl
     """Success and training steps by what was flown; of two evaluations of the same the longer trained counts.
 
     The same is what agrees in environment, valleys, seed, number of tasks, and changes of environment and sensor, and
-    in the dynamic valley, where planes move with the steps of all, in the number of UAVs.
+    with planes, which move with the steps of all, in the number of UAVs.
     Older files, without ``overrides``, tell the last in the name alone that ``uavrl-evaluate`` gave them.
     What a policy that learns nothing flew (``policy=straight``) is none of the run's.
     """
@@ -85,7 +94,10 @@ def _conditions(evaluations: list[dict[str, Any]]) -> dict[tuple[str, ...], tupl
 
 
 def _together(evaluation: dict[str, Any]) -> str:
-    return str(evaluation.get("num_uavs")) if evaluation.get("env") == "dynamic" else ""
+    planes = evaluation.get("planes")
+    if planes is None:  # an older file
+        planes = evaluation.get("env") == "dynamic" or "env.world.planes=" in _changes(evaluation)
+    return str(evaluation.get("num_uavs")) if planes else ""
 
 
 def _changes(evaluation: dict[str, Any]) -> str:
