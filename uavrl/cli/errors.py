@@ -29,17 +29,24 @@ def was_interrupted(error: BaseException | None) -> bool:
     return False
 
 
+def sentence(error: BaseException | None) -> str:
+    """What the user can mend.
+
+    Examples:
+        >>> sentence(UavrlError("Give a run.")), sentence(OSError("No space left"))
+        ('Give a run.', 'No space left. Check the folder and the space left on its disk.')
+    """
+    return f"{error}. Check the folder and the space left on its disk." if isinstance(error, OSError) else str(error)
+
+
 @contextmanager
 def one_sentence() -> Iterator[None]:
     """Prints what the user can mend, without a traceback, and exits with 1; Ctrl-C exits with 130."""
     try:
         yield
-    except UavrlError as error:
-        print(f"uavrl: {error}", file=sys.stderr)
-        raise SystemExit(1) from None
-    except OSError as error:
-        print(f"uavrl: {error}. Check the folder and the space left on its disk.", file=sys.stderr)
-        raise SystemExit(1) from None
+    except (UavrlError, OSError) as error:
+        print(f"uavrl: {sentence(error)}", file=sys.stderr)
+        raise SystemExit(1) from error
     except BaseException as error:
         if not was_interrupted(error):
             raise

@@ -11,7 +11,7 @@ from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence, was_interrupted
+from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence, sentence, was_interrupted
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
 from uavrl.errors import UavrlError
 
@@ -32,8 +32,10 @@ def _main(config: DictConfig) -> None:
     except SystemExit as end:
         if end.code == CTRL_C:
             raise
-        # Hydra waits for the other runs, whatever launched them, and then ends with this sentence and exit code 1.
-        raise CompactHydraException(f"uavrl: a run of the sweep failed, see above: {config.run_dir}") from None
+        # Hydra waits for the other runs, whatever launched them, and then ends with this sentence and exit code 1. It
+        # holds the reason: what a cluster's job prints lies in a file of its own.
+        failed = f"uavrl: the run {config.run_dir} of the sweep failed: {sentence(end.__cause__)}"
+        raise CompactHydraException(failed) from None
 
 
 def _train(config: DictConfig) -> None:
