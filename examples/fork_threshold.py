@@ -15,23 +15,27 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-import tensordict
 import torch
+from tensordict import TensorDictBase
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
+from uavrl.buffers import FrameStorage
 from uavrl.models import RewardNet, SystemNet
-from uavrl.training.checkpoint import latest_checkpoint
+from uavrl.training.checkpoint import latest_checkpoint, read_config
 from uavrl.training.episodes import read_episodes
 
 FRAME = 35
 
 
-def replay_data(run: Path, folder: Path) -> tensordict.TensorDictBase:
+def replay_data(run: Path, folder: Path) -> TensorDictBase:
     """The transitions in the newest checkpoint of a run."""
+    config = read_config(run)
+    storage = FrameStorage(config.buffer.capacity, frames=config.perception.frames)
     with zipfile.ZipFile(latest_checkpoint(run)) as archive:
         prefix = json.loads(archive.read("manifest.json"))["components"]["replay_data"]["path"]
         archive.extractall(folder, [name for name in archive.namelist() if name.startswith(prefix)])
-    return tensordict.load(folder / prefix / "storage")
+    storage.loads(folder / prefix / "storage")
+    return storage.get(slice(0, len(storage)))
 
 
 def main() -> None:
@@ -47,7 +51,7 @@ def main() -> None:
     arrived = [e.episode_return for e in episodes[len(episodes) // 2 :] if e.outcome == "arrived"]
     print(f"mean return of {len(arrived)} arrivals: {sum(arrived) / max(len(arrived), 1):.0f}")
     with tempfile.TemporaryDirectory() as folder:
-        data = replay_data(args.run, Path(folder)).clone()
+        data = replay_data(args.run, Path(folder))
     state, action, reward = data["observation"], data["action"], data["next", "reward"]
     following = data["next", "observation"]
     unchanged = torch.cat([state[:, FRAME:], state[:, -FRAME:]], -1)
@@ -55,9 +59,10 @@ def main() -> None:
     system, rewards = SystemNet(state.shape[-1], 4), RewardNet(state.shape[-1], 4)
     optimizer = torch.optim.Adam([*system.parameters(), *rewards.parameters()], lr=3e-4, fused=True)
     low, high = state.amin(0), state.amax(0)
+    first = min(5000, len(state))
     recent: list[tuple[float, float]] = []
     for update in range(1, args.updates + 1):
-        stored = 5000 + (len(state) - 5000) * update // args.updates
+        stored = first + (len(state) - first) * update // args.updates
         row = torch.randint(stored, (args.batch_size,))
         system_loss = smooth_l1_loss(system(state[row], action[row]).clamp(low, high), following[row])
         reward_loss = mse_loss(rewards(state[row], following[row], action[row]), reward[row])
@@ -65,7 +70,7 @@ def main() -> None:
         (system_loss + reward_loss).backward()
         optimizer.step()
         recent = [*recent[-99:], (system_loss.item(), reward_loss.item())]
-        if update in (100, 300, 1000) or update % (args.updates // 10) == 0:
+        if update in (100, 300, 1000) or update % max(args.updates // 10, 1) == 0:
             means = torch.tensor(recent).mean(0).tolist()
             print(f"{update:>7,} updates: system loss {means[0]:.5f}, reward loss {means[1]:.1f}")
 

@@ -166,7 +166,11 @@ def test_an_enhancers_yaml_holds_every_field_and_the_default_of_the_dataclass(na
     schema = GROUPS["enhancer"][name]
     written = yaml.safe_load((conf_dir() / "enhancer" / f"{name}.yaml").read_text())
     del written["defaults"]
-    assert plain(written) == plain(asdict(schema()))
+    defaults = plain(asdict(schema()))
+    assert written.keys() == defaults.keys()
+    literal = {key for key, value in written.items() if "${" not in str(value)}  # the others are composed below
+    assert len(literal) >= len(written) - 1
+    assert plain({key: written[key] for key in literal}) == {key: defaults[key] for key in literal}
 
 
 @pytest.mark.parametrize("name", ENHANCED)
@@ -257,6 +261,17 @@ def test_a_collision_costs_less_with_lifeguard(reward: str) -> None:
     assert (cost("algo=td3_lg"), cost("algo=sac_lg")) == (-10.0, -10.0)
     assert cost("algo=td3_lg", "algo.lifeguard=null") == -50.0
     assert cost("algo=td3_lg", "reward.collided_reward=-50") == -50.0
+
+
+def test_forks_weight_fades_at_a_return_that_the_reward_can_reach() -> None:
+    def fades_at(*overrides: str) -> float:
+        fork = settings("config", "algo=td3_fork", *overrides).algo.fork
+        assert fork is not None
+        return fork.max_reward
+
+    assert (fades_at(), fades_at("reward=navigation"), fades_at("scheme=abr_plus")) == (460.0, 460.0, 460.0)
+    assert (fades_at("reward=traditional"), fades_at("scheme=tr")) == (66.0, 66.0)
+    assert fades_at("scheme=tr", "algo.fork.max_reward=80") == 80.0
 
 
 def test_the_prize_is_what_loitering_for_ever_would_earn() -> None:

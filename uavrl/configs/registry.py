@@ -35,6 +35,7 @@ def conf_dir() -> Path:
 def register_schemas() -> None:
     """Puts every dataclass into Hydra's ConfigStore; yaml files name theirs as ``<group>/<name>_schema``."""
     OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
+    OmegaConf.register_new_resolver("with_traditional_reward", _with_traditional_reward, replace=True)
     OmegaConf.register_new_resolver("on_walker", _on_walker, replace=True)
     OmegaConf.register_new_resolver("learner", lambda *, _root_: learner(_root_), replace=True)
     ConfigStore.__deepcopy__ = _shared  # type: ignore[attr-defined]
@@ -56,6 +57,11 @@ def _shared(store: ConfigStore, _: dict[int, Any]) -> ConfigStore:
 def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:
     """``${with_lifeguard:A,B}`` is A where the algorithm has a LifeGuard, else B."""
     return without if OmegaConf.select(_root_, "algo.lifeguard") is None else value
+
+
+def _with_traditional_reward(value: float, otherwise: float, *, _root_: DictConfig) -> float:
+    """``${with_traditional_reward:A,B}`` is A where the traditional reward pays, else B."""
+    return value if OmegaConf.select(_root_, "reward.name") == "traditional" else otherwise
 
 
 def _on_walker(choice: str, otherwise: str, *, _root_: DictConfig) -> str:

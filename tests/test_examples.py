@@ -1,0 +1,22 @@
+"""Examples that read a run do so with a run of today."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.cli.test_bad_input import TINY, in_process
+from uavrl.cli import train as train_command
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def test_forks_threshold_is_measured_on_a_run(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert in_process(train_command.main, *TINY, f"run_dir={run}") == 0
+    script = [sys.executable, EXAMPLES / "fork_threshold.py", run, "--updates", "20"]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert "system loss of predicting no change: 0." in done.stdout
+    assert "20 updates: system loss" in done.stdout
