@@ -49,8 +49,10 @@ def test_it_succeeds_as_often_as_its_evaluation_states(name: str) -> None:
     finally:
         torch.set_num_threads(threads)
         env.close()
-    # An interval, since the last digits depend on the processor and may decide a flight, most of all among planes.
+    # An interval, since the last digits depend on the processor and may decide a flight, most of all among planes. With
+    # one flight more, since where nearly all arrive the interval ends below the last one.
     now = [flight.outcome for flight in flights]
     then = [flight["outcome"] for flight in stated["flights"][:TASKS]]
-    interval = wilson(then.count("arrived"), TASKS)
-    assert interval["low"] <= now.count("arrived") / TASKS <= interval["high"]
+    arrived = then.count("arrived")
+    low, high = wilson(arrived, TASKS)["low"], wilson(min(arrived + 1, TASKS), TASKS)["high"]
+    assert low <= now.count("arrived") / TASKS <= high

@@ -197,6 +197,30 @@ def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
     assert not errors, errors
 
 
+def test_a_browser_plays_and_steps_by_keys_wherever_the_mouse_has_been(browser: Any) -> None:
+    from selenium.webdriver import ActionChains, Keys
+
+    clock = "return document.getElementById('clock').textContent"
+
+    def step() -> int:
+        return int(browser.execute_script(clock).split("step ")[1].split(" /")[0])
+
+    def press(key: str) -> None:
+        ActionChains(browser).send_keys(key).perform()
+
+    browser.execute_script("play(false); show(3);")
+    browser.find_element("css selector", "#views button").click()
+    press(Keys.ARROW_RIGHT)
+    assert step() == 4
+    browser.execute_script("document.getElementById('slider').focus();")
+    press(Keys.ARROW_LEFT)
+    assert step() == 3, "one step, not two"
+    press(" ")
+    assert browser.execute_script("return playing"), "the slider leaves Space to playing"
+    press(" ")
+    assert not browser.execute_script("return playing")
+
+
 def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
     flight = small_replay().flights[1]
     shown = browser.execute_async_script("""

@@ -181,13 +181,23 @@ def _smooth(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return mesh.vertices, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
+def _moment(times: np.ndarray, time: float) -> int:
+    """The newest moment that a time has reached.
+
+    Examples:
+        >>> [_moment(np.array([0.0, 0.1, 0.2]), time) for time in (0.0, 0.05, 0.1, 9.0)]
+        [0, 0, 1, 2]
+    """
+    return max(int(np.searchsorted(times, time + 1e-9, side="right")) - 1, 0)
+
+
 def _titled(image: np.ndarray, flight: RecordedFlight, time: float) -> np.ndarray:
     """Writes time, speed and distance into a picture, and at the end the outcome."""
     from PIL import Image, ImageDraw, ImageFont  # imageio brings it
 
     picture = Image.fromarray(image)
     draw, font = ImageDraw.Draw(picture, "RGBA"), ImageFont.load_default(15)
-    moment = min(int(np.searchsorted(flight.times, time + 1e-9)), len(flight.times) - 1)
+    moment = _moment(flight.times, time)
     speed, distance = float(np.linalg.norm(flight.velocities[moment])), float(flight.distances[moment])
     text = f"task {flight.summary.task}   {time:4.1f} s   {speed:.1f} m/s   {distance:.1f} m to the goal"
     draw.rounded_rectangle((8, 8, 20 + draw.textlength(text, font), 34), 6, fill=(20, 26, 32, 150))

@@ -19,14 +19,24 @@ POINTS = 240  # of a curve: enough for a screen
 def moving_mean(values: Sequence[float] | np.ndarray, window: int) -> np.ndarray:
     """Mean of the last ``window`` values (or of as many as there are), after each value.
 
+    It is NaN where one of them is no finite number.
+
     Examples:
         >>> moving_mean([0.0, 1.0, 2.0, 3.0], window=2).tolist()
         [0.0, 0.5, 1.5, 2.5]
+        >>> moving_mean([0.0, float("nan"), 2.0, 3.0], window=2).tolist()
+        [0.0, nan, nan, 2.5]
     """
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    ends = np.arange(1, len(total))
+    numbers = np.asarray(values, float)
+    finite = np.isfinite(numbers)
+    ends = np.arange(1, len(numbers) + 1)
     count = np.minimum(ends, window)
-    return (total[ends] - total[ends - count]) / count
+
+    def summed(each: np.ndarray) -> np.ndarray:
+        total = np.concatenate([[0.0], np.cumsum(each)])
+        return total[ends] - total[ends - count]
+
+    return np.where(summed(~finite) == 0, summed(np.where(finite, numbers, 0.0)) / count, np.nan)
 
 
 def moving_rates(episodes: Sequence[Episode], window: int = 500) -> tuple[np.ndarray, dict[str, np.ndarray]]:

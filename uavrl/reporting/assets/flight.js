@@ -399,10 +399,13 @@ function start() {
   $("play").addEventListener("click", () => play(!playing));
   document.addEventListener("keydown", (event) => {
     const steps = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    if (["SELECT", "INPUT", "BUTTON"].includes(event.target.tagName)) return;
-    if (event.key === " ") { event.preventDefault(); play(!playing); }
-    if (steps) { play(false); show(moment + steps); }
+    const on = event.target.tagName;
+    if (on === "SELECT") return;
+    if (event.key === " " && on !== "BUTTON") { event.preventDefault(); play(!playing); }
+    if (steps && on !== "INPUT") { play(false); show(moment + steps); }  // the slider moves by itself
   });
+  // A button that the mouse has pressed gives the keys back; one that the keyboard has pressed (detail 0) keeps them.
+  document.addEventListener("click", (event) => { if (event.detail) event.target.closest("button")?.blur(); });
   window.addEventListener("resize", () => { for (const chart of charts) { chart.draw(); chart.move(moment); } });
   choose(0).then(() => {
     $("scene").on("plotly_relayout", (event) => {
