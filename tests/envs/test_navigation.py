@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torchrl.collectors import Collector
 from torchrl.envs import ParallelEnv, SerialEnv, check_env_specs
 
 from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg, wrap_degrees
@@ -165,12 +167,26 @@ def test_a_seed_repeats_bit_identically_also_after_other_use(
     assert not differing(first, rollout(fresh, 6))
 
 
-def test_a_new_seed_takes_effect_at_a_full_reset_only(make: Callable[..., NavigationEnv]) -> None:
-    env = make(2)
+def test_partial_resets_draw_the_new_seeds_tasks_and_a_full_one_rebuilds(make: Callable[..., NavigationEnv]) -> None:
+    one_of_two = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
+    env, fresh = make(2, seed=1), make(2, seed=5)
+    with pytest.raises(RuntimeError, match="first reset must be of all UAVs"):
+        env.reset(one_of_two.clone())
     env.reset()
     env.set_seed(5)
-    with pytest.raises(RuntimeError, match="reset all UAVs first"):
-        env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    expected = fresh.reset()
+    assert env.reset(one_of_two.clone())["goal"][0].tolist() == expected["goal"][0].tolist()
+    after = env.reset()
+    assert not differing(after, expected)
+
+
+def test_a_collector_takes_a_seed(make: Callable[..., NavigationEnv]) -> None:
+    collector = Collector(partial(make, 2, max_steps=3), None, frames_per_batch=16, total_frames=32)
+    try:
+        collector.set_seed(0)
+        assert sum(batch.numel() for batch in collector) == 32
+    finally:
+        collector.shutdown()
 
 
 def test_task_k_is_the_same_for_every_policy(make: Callable[..., NavigationEnv]) -> None:

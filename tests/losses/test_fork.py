@@ -16,7 +16,7 @@ from tests.contracts import LossContract
 from tests.losses.test_lifeguard import episodes, lifeguard, sampler, trained
 from tests.losses.test_sac import critics, stochastic_actor
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Enhancer, Fork, SACLoss, TD3Loss
-from uavrl.models import Actor, RewardNet, SystemNet
+from uavrl.models import Actor, Critic, RewardNet, SystemNet
 
 SPEC = Bounded(-2.0, 2.0, (2,))
 
@@ -505,3 +505,25 @@ def test_an_actor_of_several_keys_is_refused() -> None:
     values = [TensorDictModule(Scale(1.0, 1.0), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
     with pytest.raises(ValueError, match="reads one key"):
         fork(TD3Loss(policy, values, action_spec=SPEC))
+
+
+@pytest.mark.parametrize("renamed_after", [False, True])
+@pytest.mark.parametrize("base", [td3, ddpg])
+def test_keys_may_be_nested_and_renamed(base: object, renamed_after: bool) -> None:
+    state, act = (("agent", "state"), ("agent", "act"))
+    first = ("observation", "action") if renamed_after else (state, act)
+    actor_ = TensorDictModule(Actor(6, 2, (8,)), [first[0]], [first[1]])
+    q = [TensorDictModule(Critic(6, 2, (8,)), list(first), ["state_action_value"]) for _ in range(2)]
+    loss = TD3Loss(actor_, q, action_spec=SPEC) if base is td3 else DDPGLoss(actor_, q[0])
+    if base is td3 and not renamed_after:
+        loss.set_keys(action=act)
+    enhanced = fork(loss)
+    if renamed_after:
+        enhanced.set_keys(observation=state, action=act)
+    data = TensorDict({state: torch.randn(5, 6), act: torch.randn(5, 2), "next": {"reward": torch.randn(5, 1)}}, [5])
+    data["next", "agent", "state"] = torch.randn(5, 6)
+    for one in (enhanced.system_loss, enhanced.reward_loss):
+        assert one(data)[0].isfinite()
+    if not renamed_after:
+        enhanced.update_gate(0.0)
+        assert enhanced.actor_loss(data)[0].isfinite()

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import NestedKey, TensorDict
 from torch import tensor
-from torchrl.envs import TransformedEnv
+from torchrl.envs import TransformedEnv, check_env_specs
 
 from tests.contracts import TransformContract
 from tests.transforms.small_env import SmallEnv
@@ -119,3 +119,13 @@ class TestNavigationReward(TransformContract):
 
 def test_angles_fold_to_their_size() -> None:
     assert fold_degrees(tensor([0.0, 180.0, 181.0, 359.0, 360.0])).tolist() == [0.0, 180.0, 179.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize("key", ["reward", "shaped", ("agent", "reward")])
+@pytest.mark.parametrize("transform", [NavigationReward, TraditionalReward])
+def test_the_reward_goes_where_it_is_wanted(transform: type, key: NestedKey) -> None:
+    env = TransformedEnv(SmallEnv(), transform(out_key=key))
+    check_env_specs(env)
+    assert key in env.reward_keys
+    flown = env.rollout(3)
+    assert torch.equal(flown["next"].get(key), transform()(flown.clone())["next", "reward"])

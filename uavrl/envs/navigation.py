@@ -43,7 +43,7 @@ class NavigationEnv(EnvBase):
     one seed meet the same tasks (only a plane in the way makes the environment draw it anew). ``reset(task=k)``
     goes on with task ``k``.
     ``set_seed`` also rebuilds physics and traffic at the next full reset: what follows is bit-identical
-    to a newly built environment with that seed.
+    to a newly built environment with that seed. Partial resets before that draw the new seed's tasks already.
 
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
@@ -141,6 +141,7 @@ class NavigationEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self._seed = 0 if seed is None else int(seed)
         self._stale = True
+        self._next_task = 0
 
     def _rebuild(self) -> None:
         """Builds physics, traffic and generators anew from the seed; meshes and the ray-casting scene stay."""
@@ -176,9 +177,9 @@ class NavigationEnv(EnvBase):
         mask = np.ones(self.num_uavs, dtype=bool)
         if tensordict is not None and (reset := tensordict.get("_reset", None)) is not None:
             mask = reset.reshape(self.num_uavs).cpu().numpy()
-        if self._stale or self._simulation is None:
-            if not mask.all():
-                raise RuntimeError("A new seed takes effect at a full reset: reset all UAVs first.")
+        if self._simulation is None and not mask.all():
+            raise RuntimeError("The first reset must be of all UAVs: reset the whole environment first.")
+        if self._simulation is None or (self._stale and mask.all()):
             self._rebuild()
         self._next_task = self._next_task if task is None else task
         self._place(np.flatnonzero(mask))

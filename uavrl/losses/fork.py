@@ -82,7 +82,7 @@ class Fork(Enhancer):
 
     @dataclass
     class _AcceptedKeys(Enhancer._AcceptedKeys):
-        """The keys that FORK reads of a transition; ``observation`` is first what the actor reads.
+        """The keys that FORK reads of a transition; ``observation`` and ``action`` are first the actor's.
 
         ``episode_reward`` is what TorchRL's ``RewardSum`` writes under ``"next"``: where it is there, it gives the
         returns of :meth:`Fork.observe`, which are then those from before another transform changed the rewards.
@@ -124,13 +124,11 @@ class Fork(Enhancer):
     ) -> None:
         _check(variant, reward_network, max_reward)
         super().__init__(base)
-        self.tensor_keys.observation = _state_key(base)
-        state, action = self.tensor_keys.observation, self.tensor_keys.action
-        following = unravel_key(("next", state))
-        self._add_network("system_network", system_network, [state, action], following)
+        self.tensor_keys.observation, self.tensor_keys.action = _state_key(base), _action_key(base)
+        self._wrapped: list[str] = []  # networks that came without keys
+        self._add_network("system_network", system_network, ("next", self.tensor_keys.observation))
         if reward_network is not None:
-            reward = unravel_key(("next", self.tensor_keys.reward))
-            self._add_network("reward_network", reward_network, [state, following, action], reward)
+            self._add_network("reward_network", reward_network, ("next", self.tensor_keys.reward))
         self.variant = variant
         self.gamma = gamma
         self.threshold = threshold
@@ -150,9 +148,21 @@ class Fork(Enhancer):
         self._last_losses = (math.nan, math.nan)
         self._openings, self._updates = 0, 0
 
-    def _add_network(self, name: str, network: nn.Module, in_keys: list[NestedKey], out_key: NestedKey) -> None:
-        module = network if isinstance(network, TensorDictModuleBase) else TensorDictModule(network, in_keys, [out_key])
-        self.convert_to_functional(module, name)
+    def _add_network(self, name: str, network: nn.Module, out_key: NestedKey) -> None:
+        if not isinstance(network, TensorDictModuleBase):
+            network = TensorDictModule(network, self._read_by(name), [unravel_key(out_key)])
+            self._wrapped.append(name)
+        self.convert_to_functional(network, name)
+
+    def _read_by(self, name: str) -> list[NestedKey]:
+        state, action = self.tensor_keys.observation, self.tensor_keys.action
+        return [state, action] if name == "system_network" else [state, unravel_key(("next", state)), action]
+
+    def set_keys(self, **kwargs: NestedKey | None) -> None:
+        """As :meth:`Enhancer.set_keys`; networks that are given without keys of their own read the new ones."""
+        super().set_keys(**kwargs)
+        for name in self._wrapped:
+            getattr(self, name).in_keys = self._read_by(name)
 
     # ------------------------------------------------------------------ the actor
 
@@ -371,6 +381,11 @@ def _state_key(base: ActorCriticLoss) -> NestedKey:
     if len(keys) != 1:
         raise ValueError(f"Fork expected an actor that reads one key, the state, got {keys}: concatenate them first.")
     return keys[0]
+
+
+def _action_key(base: ActorCriticLoss) -> NestedKey:
+    own = base.unenhanced
+    return getattr(own.tensor_keys, "action", own.actor_network.out_keys[-1])
 
 
 def _check(variant: str, reward_network: nn.Module | None, max_reward: float | None) -> None:

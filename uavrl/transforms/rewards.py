@@ -140,10 +140,15 @@ class _RewardTransform(Transform):
 
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
         """The reward is one unbounded float per environment."""
-        key = self.out_keys[0]
-        spec = reward_spec[key]
-        reward_spec[key] = Unbounded(shape=spec.shape, dtype=spec.dtype, device=spec.device)
-        return reward_spec
+        return with_reward(reward_spec, self.out_keys[0])
+
+
+def with_reward(reward_spec: TensorSpec, key: NestedKey) -> TensorSpec:
+    """The rewards' spec with an unbounded float under ``key``, in the place of an environment's own or beside it."""
+    known = reward_spec.keys(True, True)
+    like = reward_spec[key if key in known else next(iter(known))]
+    reward_spec[key] = Unbounded(shape=like.shape, dtype=like.dtype, device=like.device)
+    return reward_spec
 
 
 class TraditionalReward(_RewardTransform):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data import TensorSpec, Unbounded
+from torchrl.data import TensorSpec
 from torchrl.envs.transforms import Transform
+
+from uavrl.transforms.rewards import with_reward
 
 
 def walker_reward(reward_t: Tensor, fell_t: Tensor, *, fall_reward: float = -5.0, scale: float = 5.0) -> Tensor:
@@ -81,7 +83,4 @@ class WalkerReward(Transform):
 
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
         """The reward is one unbounded float per environment."""
-        key = self.out_keys[0]
-        spec = reward_spec[key]
-        reward_spec[key] = Unbounded(shape=spec.shape, dtype=spec.dtype, device=spec.device)
-        return reward_spec
+        return with_reward(reward_spec, self.out_keys[0])
