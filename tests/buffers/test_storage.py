@@ -255,3 +255,30 @@ def test_a_prioritised_sampler_draws_the_same() -> None:
             batch.set("td_error", batch["next", "observation"].abs().sum(-1) + Tensor([0.1]))
             buffer.update_tensordict_priority(batch)
     assert drawn[0] == drawn[1]
+
+
+@pytest.mark.parametrize(("capacity", "before"), [(30, 0), (30, 4), (10, 3)])
+def test_after_a_refused_write_nothing_is_read_that_was_not_written(capacity: int, before: int) -> None:
+    ours, _ = pair(capacity, 3)
+    if before:
+        ours.extend(flight(before, 3, 0))
+    wrong, right = flight(5, 3, 1), flight(5, 3, 2)
+    wrong["next", "observation"][2, 0] += 1
+    with pytest.raises(ValueError, match="moved up by one"):
+        ours.extend(wrong)
+    with pytest.raises(ValueError, match="a write before this one was refused"):
+        ours.extend(right.clone())
+    ours.empty()
+    ours.extend(right.clone())
+    assert bits(ours[:].exclude("index")) == bits(right)
+
+
+def test_an_empty_storage_has_a_state_too(tmp_path: Path) -> None:
+    empty, filled = FrameStorage(20, 3), FrameStorage(20, 3)
+    empty.dumps(tmp_path / "empty")
+    for load in (lambda: filled.loads(tmp_path / "empty"), lambda: filled.load_state_dict(empty.state_dict())):
+        filled.set(range(4), flight(4, 3, 0))
+        load()
+        assert len(filled) == 0
+    filled.set(range(4), flight(4, 3, 1))
+    assert bits(filled[:]) == bits(flight(4, 3, 1))

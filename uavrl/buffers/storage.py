@@ -61,7 +61,8 @@ class FrameStorage(GatheringStorage):
         device: where everything lies.
 
     Raises:
-        ValueError: at a write, for observations that are no stack of F frames, each moved up by one.
+        ValueError: at a write, for observations that are no stack of F frames, each moved up by one. TorchRL's writer
+            has then moved on already: empty the buffer before the next write, which is refused too.
         KeyError: at a write, when an observation is missing.
 
     Examples:
@@ -98,6 +99,7 @@ class FrameStorage(GatheringStorage):
             raise TypeError(f"Expected transitions as a TensorDict, got {type(data).__name__}.")
         if not len(data):
             return
+        self._refuse_a_hole(cursor, len(data))
         data = data.to(self.device)
         before, after = (self._unstacked(data, key) for key in self.keys)
         if not _same(before[:, 1:], after[:, :-1]).all():
@@ -130,8 +132,11 @@ class FrameStorage(GatheringStorage):
     def state_dict(self) -> dict[str, Any]:
         """What is filled: ``transitions``, the ``frames [n, W]`` that they need, and how many make a state.
 
-        An observation begins at ``frames[first_frame]``, the next one a row later; ``stacked`` is F.
+        An observation begins at ``frames[first_frame]``, the next one a row later; ``stacked`` is F, and there alone
+        where nothing is stored.
         """
+        if not len(self):
+            return {"stacked": torch.tensor(self.frames)}
         transitions = super().get(slice(0, len(self))).copy()
         oldest = int(transitions[FIRST].min())
         transitions.set(FIRST, transitions[FIRST] - oldest)
@@ -146,6 +151,9 @@ class FrameStorage(GatheringStorage):
         """
         if int(state_dict["stacked"]) != self.frames:
             raise ValueError(f"Expected states of {self.frames} frames, got those of {int(state_dict['stacked'])}.")
+        if "transitions" not in state_dict:
+            self._empty()
+            return
         transitions, frames = (state_dict[key].clone().to(self.device) for key in ("transitions", "frames"))
         self._empty()
         super().set(torch.arange(len(transitions)), transitions)
@@ -165,6 +173,18 @@ class FrameStorage(GatheringStorage):
         super()._empty()
         self._ring = None
         self._oldest = self._end = 0
+
+    def _refuse_a_hole(self, cursor: Any, count: int) -> None:
+        """Keeps places that nothing was written to from being read: they would lie between the old and the new ones."""
+        if isinstance(cursor, slice):
+            return
+        last = int(cursor.max() if isinstance(cursor, Tensor) else max(cursor))
+        length = min(len(self) + count, self.max_size)
+        if last >= length:
+            raise ValueError(
+                f"Expected a write to the places below {length}, got place {last}: a write before this one was "
+                f"refused. Empty the buffer (buffer.empty()) and write again."
+            )
 
     def _unstacked(self, data: TensorDictBase, key: NestedKey) -> Tensor:
         """The frames ``[T, F, W]`` of an observation."""
