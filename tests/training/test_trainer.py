@@ -11,10 +11,12 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
+from tests.composing import composed
 from tests.training.test_resume import small_config
 from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
+from uavrl.training import run
 from uavrl.training.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.run import _build, create_run, seed_everything, train
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
@@ -281,3 +283,23 @@ def test_half_an_episode_is_refused(done: list[bool]) -> None:
     batch = TensorDict({"next": {"done": torch.tensor(done)[:, None]}}, [len(done)])
     with pytest.raises(ValueError, match="whole episodes"):
         list(split_episodes(batch))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "warns"),
+    [
+        ([], False),
+        (["trainer.checkpoint_interval=9600"], False),
+        (["trainer.checkpoint_interval=9599"], True),
+        (["trainer.checkpoint_interval=9599", "collector=async"], False),
+        (["env=bipedal_hardcore", "algo=td3_walker"], False),
+        (["env=bipedal_hardcore", "algo=td3_walker", "trainer.checkpoint_interval=7999"], True),
+    ],
+)
+def test_checkpoints_that_hide_time_outs_are_warned_of(
+    monkeypatch: pytest.MonkeyPatch, overrides: list[str], warns: bool
+) -> None:
+    said: list[tuple[object, ...]] = []
+    monkeypatch.setattr(run.log, "warning", lambda *message: said.append(message))
+    run._warn_of_frequent_checkpoints(to_dataclass(composed("config", *overrides)))
+    assert bool(said) == warns

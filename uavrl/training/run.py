@@ -139,6 +139,7 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
 
 def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
+    _warn_of_frequent_checkpoints(settings)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     checkpoint = _checked_checkpoint(run_dir, config) if resume else None
@@ -173,6 +174,18 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
     finally:
         trainer.progress.close()
         trainer.shutdown()
+
+
+def _warn_of_frequent_checkpoints(settings: TrainConfig) -> None:
+    """A checkpoint drops the episodes that are open, which are the long ones more often than the short ones."""
+    fewest = 4 * getattr(settings.env, "num_uavs", 1) * settings.env.max_steps
+    if settings.collector.name == "sync" and settings.trainer.checkpoint_interval < fewest:
+        log.warning(
+            "trainer.checkpoint_interval=%d makes time-outs look rarer than they are: each checkpoint drops the "
+            "flights that are open, long ones more often than short ones. Choose at least %d.",
+            settings.trainer.checkpoint_interval,
+            fewest,
+        )
 
 
 def free(run_dir: Path) -> None:
