@@ -297,7 +297,7 @@ class Fork(Enhancer):
             system_loss: mean loss of the system network on a batch.
             reward_loss: that of the reward network, for :meth:`diagnostics`.
         """
-        self._last_losses = (float(system_loss), float(reward_loss))
+        self._last_losses = (_number(system_loss), _number(reward_loss))
         self._gate_open = self._last_losses[0] < self.threshold
         self._openings += self._gate_open
         self._updates += 1
@@ -374,6 +374,10 @@ def _call(network: TensorDictModuleBase, params: TensorDictBase, inputs: TensorD
     """What a network with these parameters writes; the inputs are not modified."""
     with params.to_module(network, preserve_module_state=False):
         return network(inputs.select(*network.in_keys)).get(network.out_keys[0])
+
+
+def _number(value: Tensor | float) -> float:
+    return value.item() if isinstance(value, Tensor) else float(value)
 
 
 def _state_key(base: ActorCriticLoss) -> NestedKey:
