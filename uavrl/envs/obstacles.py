@@ -1,4 +1,4 @@
-"""Obstacles of the valley: trees, rocks, leaning poles, arches and overhangs."""
+"""Obstacles of the valley, about equally dense from the ground to the ceiling and from wall to wall."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ import numpy as np
 
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.shapes import blob, tube, turned
-from uavrl.envs.terrain import WALL_WIDTH, HeightField
+from uavrl.envs.terrain import HeightField
 
 ROOT = -1.2  # m: obstacles reach this far below the ground at their middle, so that none floats over a slope
 GAP = 1.3  # m that the circles around two obstacles keep between them where there is room
 ATTEMPTS = 40  # places tried for one obstacle before the roomiest of them is taken
+MARGIN = 1.0  # m from the border within which nothing but a buttress has its middle: there the wall is the obstacle
+FOOT = 1.5  # m around its middle within which an obstacle stands on the lowest ground
+TALL = 6.5  # m: what towers over the ceiling of 5 m is at least this tall
 
 
 @dataclass(frozen=True)
@@ -34,90 +37,177 @@ class Obstacle:
 
 
 def tree(rng: np.random.Generator) -> Mesh:
-    """Returns a trunk with a canopy around 4 m height.
+    """Returns a fir that reaches past the ceiling, with three tiers of branches around the flight level.
 
     Examples:
-        >>> bool(tree(np.random.default_rng(0)).vertices[:, 2].max() > 3.5)
+        >>> bool(tree(np.random.default_rng(0)).vertices[:, 2].max() > TALL)
         True
     """
-    girth, height = rng.uniform(0.12, 0.22), rng.uniform(3.4, 4.4)
-    lean, wide = rng.uniform(-0.3, 0.3), rng.uniform(0.45, 0.85)
+    girth, lean, height = rng.uniform(0.14, 0.26), rng.uniform(-0.5, 0.5), rng.uniform(TALL, 8.5)
     along = np.linspace(0, 1, 4)
-    path = np.stack([lean * along**2, ROOT + (height - ROOT) * along], -1)
-    trunk = tube(path, girth * (1.3 - 0.5 * along), sides=7)
-    canopy = blob(rng, (wide, wide * rng.uniform(0.8, 1.1), rng.uniform(0.9, 1.5)), roughness=0.25)
-    return Mesh.merge([trunk, canopy.translated((lean, 0.0, height))])
+    path = np.stack([lean * along**2, _from_root(height, along)], -1)
+    parts = [tube(path, girth * (1.3 - 0.5 * along), sides=7)]
+    wide, low, rise = rng.uniform(0.8, 1.2), rng.uniform(1.4, 2.6), rng.uniform(1.2, 1.5)
+    for tier in range(3):
+        level = low + rise * tier
+        cone = np.stack([np.full(3, lean * (level / height) ** 2), level + rise * np.array([-0.15, 0.0, 1.2])], -1)
+        parts.append(tube(cone, wide * (1 - 0.15 * tier) * np.array([0.3, 1.0, 0.15]), sides=9))
+    return Mesh.merge(parts)
 
 
-def rock(rng: np.random.Generator) -> Mesh:
-    """Returns a boulder; most tower over the flight level, some stay below it.
+def spire(rng: np.random.Generator) -> Mesh:
+    """Returns a tower of rock that reaches past the ceiling.
 
     Examples:
-        >>> len(rock(np.random.default_rng(0)).faces)
-        320
+        >>> bool(spire(np.random.default_rng(0)).vertices[:, 2].max() > TALL)
+        True
     """
-    wide, height = rng.uniform(0.75, 1.25), rng.uniform(3.0, 6.0)
-    boulder = blob(rng, (wide, wide * rng.uniform(0.7, 1.0), height), roughness=0.25)
-    x, y, z = boulder.vertices.T
-    return Mesh(np.stack([x, y, np.where(z < 0, z * -ROOT / height, z)], -1), boulder.faces)
+    return _rock(rng, rng.uniform(0.7, 1.15), rng.uniform(TALL + 1.0, 9.0), steepness=0.4)
+
+
+def boulder(rng: np.random.Generator) -> Mesh:
+    """Returns a boulder that stays below the flight level.
+
+    Examples:
+        >>> bool(boulder(np.random.default_rng(0)).vertices[:, 2].max() < 3.5)
+        True
+    """
+    return _rock(rng, rng.uniform(0.8, 1.4), rng.uniform(1.2, 2.4))
+
+
+def _rock(rng: np.random.Generator, wide: float, height: float, steepness: float = 1.0) -> Mesh:
+    """A bumpy dome on the ground, or with a smaller ``steepness`` a tower that is as wide near its top as below."""
+    rough = blob(rng, (wide, wide * rng.uniform(0.7, 1.0), 1.0), roughness=0.25)
+    x, y, z = rough.vertices.T
+    return Mesh(np.stack([x, y, np.where(z < 0, -ROOT * z, height * np.abs(z) ** steepness)], -1), rough.faces)
+
+
+def mushroom(rng: np.random.Generator) -> Mesh:
+    """Returns a wide cap of rock on a thin stem, at or above the flight level.
+
+    Examples:
+        >>> bool(mushroom(np.random.default_rng(0)).vertices[:, 2].max() > 3.5)
+        True
+    """
+    level, wide, thick = rng.uniform(3.6, 4.8), rng.uniform(0.9, 1.5), rng.uniform(0.8, 1.3)
+    along = np.linspace(0, 1, 4)
+    stem = tube(np.stack([np.zeros(4), _from_root(level, along)], -1), rng.uniform(0.2, 0.35) * np.linspace(1.4, 1, 4))
+    cap = blob(rng, (wide, wide * rng.uniform(0.8, 1.0), thick), roughness=0.2)
+    return Mesh.merge([stem, cap.translated((0.0, 0.0, level))])
 
 
 def pole(rng: np.random.Generator) -> Mesh:
-    """Returns a pole that leans by 5° to 25°.
+    """Returns a pole that leans by 5° to 30° and reaches past the ceiling.
 
     Examples:
-        >>> bool(pole(np.random.default_rng(0)).vertices[:, 2].max() > 3.5)
+        >>> bool(pole(np.random.default_rng(0)).vertices[:, 2].max() > TALL)
         True
     """
-    girth, top = rng.uniform(0.1, 0.2), rng.uniform(4.8, 7.0)
-    along = np.linspace(ROOT, top, 6)
-    path = np.stack([along * np.tan(np.radians(rng.uniform(5, 25))), along], -1)
+    girth, height = rng.uniform(0.12, 0.22), rng.uniform(TALL, 8.0)
+    rise = _from_root(height, np.linspace(0, 1, 6))
+    path = np.stack([rise * np.tan(np.radians(rng.uniform(5, 30))), rise], -1)
     return tube(path, np.linspace(1.2, 0.8, 6) * girth)
 
 
 def arch(rng: np.random.Generator) -> Mesh:
-    """Returns a stone arch with a passage wide enough for the UAV at 3.5 m.
+    """Returns a stone arch whose crown hangs below, at or above the flight level.
 
     Examples:
-        >>> bool(arch(np.random.default_rng(0)).vertices[:, 2].max() > 3.5)
+        >>> bool(arch(np.random.default_rng(0)).vertices[:, 2].max() > 2.0)
         True
     """
-    half_span, top = rng.uniform(1.5, 2.0), rng.uniform(5.0, 6.0)
+    half_span, top = rng.uniform(1.5, 2.3), rng.uniform(3.0, 6.5)
     angle = np.linspace(np.pi, 0, 13)
     path = np.stack([half_span * np.cos(angle), ROOT + (top - ROOT) * np.sin(angle) ** 0.8], -1)
-    return tube(path, rng.uniform(0.2, 0.35) * (1 + 0.3 * np.abs(np.cos(angle))))
+    return tube(path, rng.uniform(0.25, 0.4) * (1 + 0.3 * np.abs(np.cos(angle))))
 
 
 def overhang(rng: np.random.Generator) -> Mesh:
-    """Returns a rock pillar that bends over and hangs out at the flight level.
+    """Returns a rock pillar that bends over and hangs out, below, at or above the flight level.
 
     Examples:
-        >>> bool(overhang(np.random.default_rng(0)).vertices[:, 2].max() > 3.5)
+        >>> bool(overhang(np.random.default_rng(0)).vertices[:, 2].max() > 2.0)
         True
     """
-    reach, height = rng.uniform(0.9, 1.5), rng.uniform(3.6, 4.4)
+    reach, height = rng.uniform(1.2, 2.0), rng.uniform(3.2, 6.0)
     along = np.linspace(0, np.pi / 2, 8)
     path = np.stack([reach * (1 - np.cos(along)), ROOT + (height - ROOT) * np.sin(along)], -1)
-    return tube(path, rng.uniform(0.7, 0.95) * np.linspace(0.75, 0.4, 8), sides=9)
+    return tube(path, rng.uniform(0.7, 0.95) * np.linspace(0.8, 0.5, 8), sides=9)
+
+
+def bridge(rng: np.random.Generator) -> Mesh:
+    """Returns a trunk that has fallen across two stumps of rock, at any height below the ceiling.
+
+    Examples:
+        >>> bool(bridge(np.random.default_rng(0)).vertices[:, 2].max() < 6.0)
+        True
+    """
+    half_span, levels = rng.uniform(1.6, 2.6), rng.uniform(1.0, 4.6) + rng.uniform(-0.4, 0.4, 2)
+    x = half_span * np.array([-1.25, -0.4, 0.4, 1.25])
+    log = tube(np.stack([x, np.interp(x, (-half_span, half_span), levels)], -1), np.full(4, rng.uniform(0.2, 0.3)))
+    parts = [log]
+    for end, level in zip((-half_span, half_span), levels, strict=True):
+        wide = rng.uniform(0.4, 0.6)
+        parts.append(_rock(rng, wide, level + 0.2, steepness=0.5).translated((end, 0.0, 0.0)))
+    return Mesh.merge(parts)
+
+
+def buttress(rng: np.random.Generator) -> Mesh:
+    """Returns a rib of rock that stands out from the wall behind it, which is at -x, and reaches past the ceiling.
+
+    Examples:
+        >>> bool(buttress(np.random.default_rng(0)).vertices[:, 2].max() > TALL)
+        True
+    """
+    reach, broad, top = rng.uniform(2.2, 4.5), rng.uniform(0.6, 1.1), rng.uniform(TALL, 7.5)
+    rib = blob(rng, (reach, broad, 1.0), roughness=0.25)
+    x, y, z = rib.vertices.T
+    rise = np.where(z < 0, -ROOT * z, top * np.abs(z) ** 0.5)
+    return Mesh(np.stack([np.where(x < 0, 0.1 * x, x), y, rise], -1), rib.faces)
+
+
+def _from_root(height: float, along: np.ndarray) -> np.ndarray:
+    """Heights from the root, below the ground, to ``height`` in m, at shares ``along`` of the way."""
+    return ROOT + (height - ROOT) * along
 
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "tree": tree,
-    "rock": rock,
+    "spire": spire,
     "pole": pole,
     "arch": arch,
     "overhang": overhang,
+    "mushroom": mushroom,
+    "boulder": boulder,
+    "bridge": bridge,
+    "buttress": buttress,
 }
-MIX = ("tree", "rock", "pole", "arch", "tree", "rock", "overhang", "tree", "pole")  # dealt out in this order
+# dealt out in this order
+MIX = (
+    "tree",
+    "spire",
+    "buttress",
+    "pole",
+    "mushroom",
+    "spire",
+    "arch",
+    "tree",
+    "overhang",
+    "spire",
+    "tree",
+    "boulder",
+    "bridge",
+)
 
 
-def make_obstacle(rng: np.random.Generator, kind: str, scale: float = 1.0) -> Mesh:
-    """Returns one obstacle of the kind with a random yaw, its outline centred over the origin.
+def make_obstacle(rng: np.random.Generator, kind: str, scale: float = 1.0, yaw: float | None = None) -> Mesh:
+    """Returns one obstacle of the kind, its outline centred over the origin.
 
     Args:
         rng: Source of sizes and yaw.
         kind: A key of ``KINDS``.
         scale: Factor on all its lengths.
+        yaw: Turn about the z axis in rad; drawn if None.
 
     Examples:
         >>> mesh = make_obstacle(np.random.default_rng(0), "pole", scale=2.0)
@@ -125,7 +215,8 @@ def make_obstacle(rng: np.random.Generator, kind: str, scale: float = 1.0) -> Me
         True
     """
     shape = KINDS[kind](rng)
-    mesh = turned(Mesh(shape.vertices * scale, shape.faces), rng.uniform(0, 2 * np.pi))
+    yaw = rng.uniform(0, 2 * np.pi) if yaw is None else yaw
+    mesh = turned(Mesh(shape.vertices * scale, shape.faces), yaw)
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     return mesh.translated((-middle[0], -middle[1], 0.0))
 
@@ -140,29 +231,52 @@ def outline_radius(mesh: Mesh) -> float:
     return float(np.linalg.norm(mesh.vertices[:, :2], axis=1).max())
 
 
-def choose_place(rng: np.random.Generator, radius: float, circles: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Returns the first random place with ``GAP`` to all circles, or the roomiest of ``ATTEMPTS`` places.
+def choose_place(places: np.ndarray, radius: float, circles: np.ndarray) -> int:
+    """Returns the index of the first place with ``GAP`` to all circles, or that of the roomiest place.
 
     Args:
-        rng: Source of the places.
+        places: ``[P, 2]`` in metres.
         radius: Radius of the new circle in metres.
         circles: ``[K, 3]``: x, y and radius of what stands already, in metres.
-        half: ``[2]``: places lie within ± this, in metres.
 
     Examples:
-        >>> taken = np.array([[0.0, 0.0, 1.0]])
-        >>> place = choose_place(np.random.default_rng(0), 1.0, taken, np.array([9.0, 9.0]))
-        >>> bool(np.linalg.norm(place) >= 2.0 + GAP)
-        True
+        >>> choose_place(np.array([[1.0, 0.0], [9.0, 0.0]]), 1.0, np.array([[0.0, 0.0, 1.0]]))
+        1
     """
-    places = rng.uniform(-half, half, size=(ATTEMPTS, 2))
     apart = np.linalg.norm(places[:, None] - circles[:, :2], axis=-1) - circles[:, 2] - radius
-    room = np.minimum(apart.min(1, initial=np.inf), GAP)
-    return places[room.argmax()]
+    return int(np.minimum(apart.min(1, initial=np.inf), GAP).argmax())
+
+
+def lowest_ground(ground: HeightField, xy: np.ndarray, radius: float) -> float:
+    """Returns the least height in metres of the ground within about ``radius`` of ``xy [2]``, so that nothing floats.
+
+    Examples:
+        >>> slope = HeightField(np.array([[0.0, 0.0], [1.0, 1.0]]), (2.0, 2.0))
+        >>> round(lowest_ground(slope, np.zeros(2), 0.5), 3)
+        0.25
+    """
+    angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    rim = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+    return float(ground.at(np.concatenate([[xy], xy + rim / 2, xy + rim])).min())
+
+
+def wall_places(rng: np.random.Generator, half: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns random points ``[count, 2]`` on a rectangle's border and the directions ``[count]`` inwards in rad.
+
+    Examples:
+        >>> places, inwards = wall_places(np.random.default_rng(0), np.array([20.0, 15.0]), 2)
+        >>> bool((abs(places) / [20.0, 15.0]).max(1).min() == 1.0), inwards.shape
+        (True, (2,))
+    """
+    along = rng.uniform(0, 2 * half.sum(), count)
+    side, across = rng.choice((-1.0, 1.0), count), along < 2 * half[0]
+    free = np.where(across, along - half[0], along - 2 * half[0] - half[1])
+    places = np.where(across[:, None], np.stack([free, side * half[1]], -1), np.stack([side * half[0], free], -1))
+    return places, np.where(across, -side * np.pi / 2, np.where(side > 0, np.pi, 0.0))
 
 
 def place_obstacles(rng: np.random.Generator, count: int, scale: float, ground: HeightField) -> list[Obstacle]:
-    """Returns ``count`` obstacles on the ground between the walls.
+    """Returns ``count`` obstacles on the ground from wall to wall; buttresses stand against the walls.
 
     Args:
         rng: Source of sizes, yaws and places.
@@ -173,16 +287,22 @@ def place_obstacles(rng: np.random.Generator, count: int, scale: float, ground: 
     Examples:
         >>> flat = HeightField(np.zeros((2, 2)), (40.0, 30.0))
         >>> [o.kind for o in place_obstacles(np.random.default_rng(0), 4, 1.0, flat)]
-        ['tree', 'rock', 'pole', 'arch']
+        ['tree', 'spire', 'buttress', 'pole']
     """
-    half = np.maximum(np.array(ground.size) / 2 - WALL_WIDTH, 0.0)
+    half = np.maximum(np.array(ground.size) / 2 - MARGIN, 0.0)
     circles = np.zeros((0, 3))
     obstacles = []
     for kind in (MIX[i % len(MIX)] for i in range(count)):
-        mesh = make_obstacle(rng, kind, scale)
+        mesh = make_obstacle(rng, kind, scale, 0.0)
         radius = outline_radius(mesh)
-        x, y = choose_place(rng, radius, circles, half)
-        z = float(ground.at(np.array([[x, y]]))[0])
+        if kind == "buttress":
+            places, yaws = wall_places(rng, np.maximum(half + MARGIN - radius, 0.0), ATTEMPTS)
+        else:
+            places, yaws = rng.uniform(-half, half, (ATTEMPTS, 2)), rng.uniform(0, 2 * np.pi, ATTEMPTS)
+        chosen = choose_place(places, radius, circles)
+        x, y = places[chosen].tolist()
+        mesh = turned(mesh, yaws[chosen])
+        z = lowest_ground(ground, places[chosen], min(radius, FOOT))
         circles = np.concatenate([circles, [[x, y, radius]]])
-        obstacles.append(Obstacle(kind, (float(x), float(y), z), radius, mesh.translated((x, y, z))))
+        obstacles.append(Obstacle(kind, (x, y, z), radius, mesh.translated((x, y, z))))
     return obstacles

@@ -108,20 +108,23 @@ def _split(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.nd
     return points, np.concatenate([np.stack(corners, -1) for corners in split])
 
 
-def blob(rng: np.random.Generator, radii: tuple[float, float, float], roughness: float = 0.2) -> Mesh:
-    """Returns a closed, bumpy ellipsoid of 320 triangles around the origin.
+def blob(
+    rng: np.random.Generator, radii: tuple[float, float, float], roughness: float = 0.2, subdivisions: int = 2
+) -> Mesh:
+    """Returns a closed, bumpy ellipsoid around the origin.
 
     Args:
         rng: Source of the bumps.
         radii: Half axes in metres along x, y and z.
         roughness: Largest share by which a bump moves the surface in or out, below 1.
+        subdivisions: As in :func:`icosphere`: 1 gives 80 triangles, 2 gives 320.
 
     Examples:
         >>> smooth = blob(np.random.default_rng(0), (1.0, 2.0, 3.0), roughness=0.0)
         >>> smooth.vertices.max(0).round(1).tolist()
         [1.0, 2.0, 3.0]
     """
-    sphere = icosphere(2)
+    sphere = icosphere(subdivisions)
     waves, phases = rng.normal(size=(3, 5)) * 2.0, rng.uniform(0, 2 * np.pi, 5)
     bumps = np.cos(sphere.vertices @ waves + phases).mean(1, keepdims=True)
     return Mesh(sphere.vertices * (1 + roughness * bumps) * np.asarray(radii), sphere.faces)

@@ -27,11 +27,9 @@ class WorldConfig:
         size: Extent of a valley along x and y in m.
         obstacles: Number of obstacles per valley.
         obstacle_scale: Factor on all lengths of the obstacles.
-        flight_level: Height in m (world z) at which flights start and planes fly.
-        ceiling: Height above the ground in m at which a flight ends.
+        flight_level: Height in m (world z) at which flights start.
+        ceiling: Height above the ground in m at which a flight ends; the goal cylinder reaches up to it.
         goal_radius: Radius of the goal cylinder in m.
-        goal_height: Height of the goal cylinder in m.
-        goal_base: Lower end of the goal cylinder in m (world z).
         min_goal_distance: Least horizontal distance from start to goal in m.
         min_clearance: Least distance in m from start and goal, at flight level, to the geometry.
         uav_radius: Radius in m of a ball around the UAV; corridors are wide enough for it.
@@ -50,10 +48,8 @@ class WorldConfig:
     obstacles: int = 45
     obstacle_scale: float = 1.0
     flight_level: float = 3.5
-    ceiling: float = 8.0
+    ceiling: float = 5.0
     goal_radius: float = 1.0
-    goal_height: float = 7.0
-    goal_base: float = 0.0
     min_goal_distance: float = 10.0
     min_clearance: float = 1.5
     uav_radius: float = 0.35
@@ -70,7 +66,7 @@ class WorldConfig:
             raise ValueError(f"seeds takes one non-negative integer per valley, got {self.seeds}; pass (0,) for one.")
         if len(self.size) != 2:
             raise ValueError(f"size takes two lengths in metres, got {self.size}; pass (40.0, 30.0) for 1200 m².")
-        positive = ("obstacle_scale", "flight_level", "ceiling", "goal_radius", "goal_height", "uav_radius")
+        positive = ("obstacle_scale", "flight_level", "ceiling", "goal_radius", "uav_radius")
         for name in (*positive, "plane_wingspan", "size", "plane_speed"):
             if not np.all(np.asarray(getattr(self, name)) > 0):
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}; give it in metres (or m/s).")
@@ -81,20 +77,10 @@ class WorldConfig:
             raise ValueError(
                 f"plane_speed takes the least and the greatest speed, got {self.plane_speed}; pass (2.5, 4.0)."
             )
-        if not self.goal_base <= self.flight_level <= self.goal_base + self.goal_height:
-            raise ValueError(
-                f"The goal cylinder must cross the flight level of {self.flight_level} m, got {self.goal_base} m to "
-                f"{self.goal_base + self.goal_height} m; change goal_base or goal_height."
-            )
         if self.flight_level >= self.ceiling:
             raise ValueError(
                 f"flight_level must be below the ceiling of {self.ceiling} m, got {self.flight_level} m; raise ceiling."
             )
-
-    @property
-    def goal_z(self) -> float:
-        """Mid-height of the goal cylinder in m (world z)."""
-        return self.goal_base + self.goal_height / 2
 
 
 @dataclass(frozen=True)
@@ -106,7 +92,7 @@ class Valley:
         origin: ``[2]``, the valley's middle in the world in metres. All else is in the valley's own frame around it.
         ground: The height field.
         obstacles: What stands on it.
-        flight: Its free space at flight level.
+        flight: Its free space, from the ground to the ceiling.
     """
 
     seed: int
@@ -138,9 +124,15 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
     """
     ground = valley_ground(np.random.default_rng([seed, 0]), config.size)
     obstacles = place_obstacles(np.random.default_rng([seed, 1]), config.obstacles, config.obstacle_scale, ground)
-    solid = Mesh.merge([_NOTHING, *(obstacle.mesh for obstacle in obstacles)])
-    clearances = (config.uav_radius, config.min_clearance, config.min_goal_distance)
-    flight = flight_map(ground, solid, config.flight_level, *clearances)
+    flight = flight_map(
+        ground,
+        Mesh.merge([_NOTHING, *(obstacle.mesh for obstacle in obstacles)]),
+        level=config.flight_level,
+        ceiling=config.ceiling,
+        uav_radius=config.uav_radius,
+        min_clearance=config.min_clearance,
+        min_distance=config.min_goal_distance,
+    )
     if not len(flight.candidates):
         raise UavrlError(
             f"A valley needs a start and a goal {config.min_goal_distance} m apart, {config.min_clearance} m clear of "
@@ -188,7 +180,7 @@ class World:
         self._heights = np.stack([valley.ground.heights for valley in self.valleys])
 
     def sample_task(self, rng: np.random.Generator, valley: int | None = None, avoid: np.ndarray | None = None) -> Task:
-        """Draws a solvable task: a free corridor for the UAV's radius joins start and goal at flight level.
+        """Draws a solvable task: a corridor, free in three dimensions for the UAV's radius, joins start and goal.
 
         Args:
             rng: Source of the task.
@@ -209,7 +201,8 @@ class World:
         yaw = float(rng.uniform(-np.pi, np.pi))
         if avoid is not None and len(avoid):
             start = self._start_apart(rng, place, start, goal, np.asarray(avoid)[:, :2])
-        return Task(np.append(start, config.flight_level), yaw, np.append(goal, config.goal_z), index, place.seed)
+        middle = self.ground_height(goal[None])[0] + config.ceiling / 2
+        return Task(np.append(start, config.flight_level), yaw, np.append(goal, middle), index, place.seed)
 
     def _start_apart(
         self, rng: np.random.Generator, place: Valley, start: np.ndarray, goal: np.ndarray, planes: np.ndarray
@@ -242,6 +235,4 @@ class World:
 
     def arrived(self, positions: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Returns which positions ``[N, 3]`` are in the cylinders around ``goals [N, 3]``: ``bool [N]``."""
-        apart = positions - goals
-        level = np.linalg.norm(apart[:, :2], axis=1) <= self.config.goal_radius
-        return level & (np.abs(apart[:, 2]) <= self.config.goal_height / 2)
+        return np.linalg.norm((positions - goals)[:, :2], axis=1) <= self.config.goal_radius

@@ -98,7 +98,7 @@ def make_scenery(world: World, valley: int, perception: PerceptionConfig, sensor
         kind_names=names,
         plane_vertices=plane.vertices,
         plane_triangles=plane.faces,
-        goal=np.array([config.goal_radius, config.goal_height]),
+        goal=np.array([config.goal_radius, config.ceiling]),
         ball=perception.radius,
         statistic=perception.statistic,
         sensor=np.array(sensor),
