@@ -3,7 +3,8 @@
 Run `python benchmarks/update.py [--json FILE]`. All rows make the same update: state 105, action 4, networks 400-300,
 batch 100, float32, Adam for critics and actor, actor and targets every second step, on one thread and on a ready-made
 batch; Stable-Baselines3's row also draws its batch, as its `train` does. "matrix products" times the products of an
-update alone, which no implementation can do without. Rows are interleaved and repeated; medians count.
+update alone, which no implementation can do without. The library's rows and the products alone are multiplied by what
+`--products` says, the others by PyTorch's default. Rows are interleaved and repeated; medians count.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from torchrl.objectives import TD3Loss as StockTD3Loss
 
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
+from uavrl.training.arithmetic import Products, multiplied_by, multiply_by
 from uavrl.training.gradients import Execution
 from uavrl.training.stepper import ActorCriticStepper
 
@@ -197,6 +199,16 @@ def matrix_products() -> Row:
     return torch.no_grad()(step)
 
 
+def multiplied(products: Products, row: Row) -> Row:
+    """The row, multiplied by this library."""
+
+    def run() -> None:
+        multiply_by(products)
+        row()
+
+    return run
+
+
 def measure(rows: dict[str, Row], repeats: int, steps: int) -> dict[str, float]:
     """Returns the median time of each row in milliseconds."""
     times: dict[str, list[float]] = {name: [] for name in rows}
@@ -217,19 +229,23 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=30, help="rounds")
     parser.add_argument("--steps", type=int, default=20, help="updates of each row in a round")
     parser.add_argument("--skip-compiled", action="store_true", help="leave out the row that needs a C++ compiler")
+    choices = ("mkl", "onednn", "bf16", "auto")
+    parser.add_argument("--products", choices=choices, default="auto", help="what multiplies in uavrl's rows")
     args = parser.parse_args()
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)  # as uavrl-train does; it helps every row
     torch.manual_seed(0)
     names: list[Execution] = ["eager", "captured"] if args.skip_compiled else ["eager", "captured", "compiled"]
-    rows: dict[str, Row] = {f"uavrl, {name}": ours(name) for name in names}
-    rows |= {
+    others: dict[str, Row] = {
         "hand-written, eager": handwritten(),
         "TorchRL's TD3Loss": stock(),
         "Stable-Baselines3": stable_baselines(),
-        "matrix products alone": matrix_products(),
     }
-    milliseconds = measure(rows, args.repeats, args.steps)
+    with multiplied_by(args.products) as products:
+        rows = {f"uavrl, {name}": multiplied(products, ours(name)) for name in names}
+        rows |= {name: multiplied("mkl", row) for name, row in others.items()}
+        rows["matrix products alone"] = multiplied(products, matrix_products())
+        milliseconds = measure(rows, args.repeats, args.steps)
     chosen = f"uavrl, {names[-1]}"  # what trainer.execution=auto takes
     default = milliseconds[chosen]
     ratios = {
@@ -238,12 +254,15 @@ def main() -> None:
         "vs_sb3": default / milliseconds["Stable-Baselines3"],
         "vs_matmul": default / milliseconds["matrix products alone"],
     }
-    print(f"one thread, median of {args.repeats} rounds of {args.steps} updates\n")
+    print(f"one thread, products by {products}, median of {args.repeats} rounds of {args.steps} updates\n")
     for name, value in milliseconds.items():
         print(f"{name:24}{value:8.3f} ms{value / default:8.2f} x {chosen}")
     print("\n" + ", ".join(f"{name} {value:.2f}" for name, value in ratios.items()))
     if args.json:
-        args.json.write_text(json.dumps({**ratios, "row": chosen, "threads": 1, "ms": milliseconds}, indent=2) + "\n")
+        args.json.write_text(
+            json.dumps({**ratios, "row": chosen, "products": products, "threads": 1, "ms": milliseconds}, indent=2)
+            + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -472,6 +472,7 @@ OUT_OF_RANGE = [
     ("trainer.keep_checkpoints", "0"),
     ("trainer.threads", "0"),
     ("trainer.execution", "fast"),
+    ("trainer.products", "blas"),
     ("logger.name", "mlflow"),
     ("logger.interval", "0"),
 ]
@@ -571,6 +572,7 @@ def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> No
         ("episodes", "0"),
         ("num_uavs", "0"),
         ("threads", "0"),
+        ("products", "blas"),
         ("seed", "-1"),
         ("valleys", "[]"),
         ("valleys", "[-1]"),

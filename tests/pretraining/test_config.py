@@ -71,6 +71,7 @@ def test_constructors_default_to_the_configuration() -> None:
     [
         ("seed", "-1"),
         ("threads", "0"),
+        ("products", "blas"),
         ("pretrain.states", "0"),
         ("pretrain.features", "0"),
         ("pretrain.hidden", "0"),

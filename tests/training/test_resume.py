@@ -40,6 +40,7 @@ SMALL = [
     "trainer.checkpoint_interval=50",
     "trainer.keep_checkpoints=10",
     "trainer.progress=false",
+    "trainer.products=mkl",  # `auto` could turn with the machine's load
     "trainer.execution=captured",  # compiling takes longer than these runs
 ]
 

@@ -46,6 +46,7 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
+    from uavrl.training.arithmetic import multiplied_by
     from uavrl.training.factory import make_device
 
     torch.set_num_threads(settings.threads)
@@ -64,13 +65,13 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
         _only_in_the_valley(env_config, "valleys")
         env_config = replace(env_config, world=replace(env_config.world, seeds=settings.valleys))
     told = {"seed": settings.seed, "env": env_config.name, "overrides": _telling(overrides)}
-    if isinstance(env_config, BipedalConfig):
-        result, text = _walk(settings, env_config, perception, policy, {**told, **source})
-    else:
+    if not isinstance(env_config, BipedalConfig):
         told["valleys"] = list(env_config.world.seeds)
         told["planes"] = env_config.world.planes
         told["num_uavs"] = min(settings.num_uavs, settings.episodes)  # planes move with the steps of all
-        result, text = _fly(settings, env_config, perception, policy, {**told, **source})
+    fly = _walk if isinstance(env_config, BipedalConfig) else _fly
+    with multiplied_by(settings.products, settings.threads) as told["products"]:
+        result, text = fly(settings, env_config, perception, policy, {**told, **source})
     with replacing(output) as partial:
         partial.write_text(json.dumps(result, indent=1) + "\n")
     print(text)
@@ -123,7 +124,7 @@ def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
 
 def _telling(overrides: list[str]) -> list[str]:
     """Those overrides that tell which tasks were flown by what, beside how many."""
-    return told_apart(overrides, ("run", "episodes", "output", "device", "threads", "progress"))
+    return told_apart(overrides, ("run", "episodes", "output", "device", "threads", "products", "progress"))
 
 
 if __name__ == "__main__":

@@ -28,8 +28,10 @@ def _pretrain(config: DictConfig) -> None:
     settings: PretrainConfig = to_dataclass(config)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
+    from uavrl.training.arithmetic import multiplied_by
 
-    about = pretrain(settings)
+    with multiplied_by(settings.products, settings.threads):
+        about = pretrain(settings)
     source, learned, elbow = about["source"], about["classifier"], about["sse"]["elbow"]
     print(f"{source['states_drawn']:,} of {source['states']:,} states in {source['episodes']:,} episodes")
     print(f"{about['k']} classes" + (f" (elbow of the SSE curve: {elbow})" if elbow is not None else ""))

@@ -51,6 +51,7 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.reporting.flight_page import needs_plotly, write_page
     from uavrl.reporting.flight_video import needs_imageio, write_video
+    from uavrl.training.arithmetic import multiplied_by
     from uavrl.training.flight import load_replay, save_replay
 
     needs_plotly()
@@ -59,7 +60,8 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     # All that can be wrong with the input is found before a folder is made or anything is flown.
     loaded = load_replay(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
     outputs = _outputs(settings, overrides)
-    shown = loaded() if callable(loaded) else loaded
+    with multiplied_by(settings.products, settings.threads):
+        shown = loaded() if callable(loaded) else loaded
     for flight in shown.flights:
         summary = flight.summary
         print(
@@ -77,7 +79,7 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
 
 def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
     """Where page, data and film go, found writable before anything is flown."""
-    plain = ("run", "flight", "output", "video", "data", "points", "device", "threads", "progress")
+    plain = ("run", "flight", "output", "video", "data", "points", "device", "threads", "products", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
     paths = {
         "output": Path(settings.output or folder / (name_of_output("replay", told_apart(overrides, plain)) + ".html"))

@@ -21,6 +21,11 @@ def require_one_of(value: str, key: str, choices: Sequence[str]) -> None:
     require(value in choices, key, f"one of {', '.join(choices)}", value)
 
 
+def require_products(value: str, key: str = "products") -> None:
+    """Raises one clear sentence unless ``value`` names what multiplies matrices."""
+    require_one_of(value, key, ("mkl", "onednn", "bf16", "auto"))
+
+
 def require_widths(widths: Sequence[int], key: str) -> None:
     """Raises one clear sentence unless ``widths`` are those of hidden layers."""
     require(len(widths) > 0 and min(widths) >= 1, key, "one or more widths above 0", list(widths))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from uavrl.configs.checks import require
+from uavrl.configs.checks import require, require_products
 
 
 @dataclass
@@ -24,6 +24,7 @@ class EvaluateConfig:
     num_uavs: int = 8
     device: str = "cpu"
     threads: int = 1
+    products: str = "mkl"
     progress: bool = True
 
     def __post_init__(self) -> None:
@@ -35,3 +36,4 @@ class EvaluateConfig:
             seeds is None or (len(seeds) > 0 and min(seeds) >= 0), "valleys", "null or a list of seeds from 0", seeds
         )
         require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
+        require_products(self.products)

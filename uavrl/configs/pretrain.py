@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from uavrl.configs.checks import require, require_widths
+from uavrl.configs.checks import require, require_products, require_widths
 
 THESIS_CLUSTERS = (100, 250, 500, 750, 1000, *range(1500, 6001, 500))
 
@@ -68,11 +68,13 @@ class PretrainConfig:
     pretrain: PretrainRecipe = field(default_factory=PretrainRecipe)
     seed: int = 0
     threads: int = 1
+    products: str = "mkl"
     progress: bool = True
 
     def __post_init__(self) -> None:
         """Checks ranges."""
         require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
+        require_products(self.products)
         require(self.threads >= 1, "threads", "at least 1", self.threads)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from uavrl.configs.checks import require
+from uavrl.configs.checks import require, require_products
 from uavrl.configs.valley import EnvConfig, PerceptionConfig
 
 MOST_FLIGHTS = 50  # in one page
@@ -33,6 +33,7 @@ class ReplayConfig:
     points: int = 1500
     device: str = "cpu"
     threads: int = 1
+    products: str = "mkl"
     progress: bool = True
 
     def __post_init__(self) -> None:
@@ -56,6 +57,7 @@ class ReplayConfig:
             seeds is None or (len(seeds) > 0 and min(seeds) >= 0), "valleys", "null or a list of seeds from 0", seeds
         )
         require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
+        require_products(self.products)
 
     @property
     def task_numbers(self) -> tuple[int, ...]:

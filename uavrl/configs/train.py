@@ -14,7 +14,7 @@ from uavrl.configs.buffer import (
     PrioritizedBufferConfig,
     UniformBufferConfig,
 )
-from uavrl.configs.checks import require, require_one_of
+from uavrl.configs.checks import require, require_one_of, require_products
 from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
 
@@ -43,12 +43,14 @@ class TrainerConfig:
     keep_checkpoints: int = 2
     threads: int = 1
     execution: str = "auto"
+    products: str = "auto"
     record_states: bool = False
     progress: bool = True
 
     def __post_init__(self) -> None:
         """Checks ranges."""
         require_one_of(self.execution, "trainer.execution", ("eager", "captured", "compiled", "auto"))
+        require_products(self.products, "trainer.products")
         for key in ("episodes", "window", "checkpoint_interval", "keep_checkpoints", "threads"):
             require(getattr(self, key) >= 1, f"trainer.{key}", "at least 1", getattr(self, key))
         require(self.updates_per_step > 0, "trainer.updates_per_step", "above 0", self.updates_per_step)

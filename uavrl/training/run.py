@@ -7,7 +7,7 @@ import logging
 import platform
 import random
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from torchrl.data import ReplayBuffer
+from torchrl.envs import EnvBase
 
 import uavrl
 from uavrl.configs import learner, to_dataclass
@@ -28,6 +29,7 @@ from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER
 from uavrl.pretraining.recording import StateRecorder
+from uavrl.training.arithmetic import Products, chosen_products, denormals_flushed, multiplied_by, multiply_by
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
@@ -76,7 +78,9 @@ def create_run(config: DictConfig) -> Path:
             f"The run folder {run_dir} holds a run already: "
             f"go on with it by resume={run_dir}, or choose another run_dir."
         )
-    config.trainer.execution = chosen_execution(config.trainer.execution)  # recorded: it bears on the last digits
+    # recorded: both bear on the last digits
+    config.trainer.execution = chosen_execution(config.trainer.execution)
+    config.trainer.products = chosen_products(config.trainer.products, config.trainer.threads)
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
         with (run_dir / CONFIG).open("x") as file:
@@ -106,22 +110,6 @@ def locked(run_dir: Path) -> Iterator[None]:
         lock.release()
 
 
-@contextmanager
-def denormals_flushed() -> Iterator[None]:
-    """Rounds denormal numbers to zero, and gives the caller's arithmetic back at the end.
-
-    Adam's moments of idle units decay into denormals, which the processor handles many times slower. The mode is the
-    processor's: left on, it would reach every other library in this thread.
-    """
-    smallest = torch.tensor(torch.finfo(torch.float32).tiny)
-    flushed_before = bool(smallest / 2 == 0)
-    torch.set_flush_denormal(True)
-    try:
-        yield
-    finally:
-        torch.set_flush_denormal(flushed_before)
-
-
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
     """Trains until the configured number of episodes is flown.
 
@@ -133,18 +121,19 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     Returns:
         What ``summary.json`` holds.
     """
-    with locked(run_dir), denormals_flushed():
-        return _train(config, run_dir, resume=resume)
+    products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
+    with locked(run_dir), denormals_flushed(), multiplied_by(products, config.trainer.threads) as chosen:
+        return _train(config, run_dir, chosen, resume=resume)
 
 
-def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]:
+def _train(config: DictConfig, run_dir: Path, products: Products, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
     _warn_of_frequent_checkpoints(settings)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     checkpoint = _checked_checkpoint(run_dir, config) if resume else None
     try:
-        trainer = _build(settings, config, run_dir)
+        trainer = _build(settings, config, run_dir, products)
     except BaseException:
         if not resume:
             free(run_dir)
@@ -210,10 +199,10 @@ def seed_everything(seed: int) -> None:
     torch.manual_seed(seed)
 
 
-def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
+def _build(settings: TrainConfig, config: DictConfig, run_dir: Path, products: Products) -> EpisodeTrainer:
     device = make_device(settings.device)
     new_env = partial(make_env, settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
-    env = new_env if settings.collector.name == "async" else new_env()
+    env = partial(_in_worker, products, new_env) if settings.collector.name == "async" else new_env()
     spaces = make_spaces(settings.env, settings.perception)
     actor = make_actor(settings.algo, spaces, device)
     loss = make_loss(settings.algo, actor, spaces, device)
@@ -237,6 +226,12 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         logger=make_logger(settings.logger, run_dir),
         log_interval=settings.logger.interval,
     )
+
+
+def _in_worker(products: Products, new_env: Callable[[], EnvBase]) -> EnvBase:
+    """Makes the environment in the process that flies, whose policy multiplies as the learner does."""
+    multiply_by(products)
+    return new_env()
 
 
 def _make_replay(settings: TrainConfig, buffer: ReplayBuffer) -> EpisodeReplay:

@@ -9,6 +9,7 @@ from typing import Literal
 from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
+from uavrl.training.arithmetic import FLOAT32, chosen_products
 from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, fingerprint
 from uavrl.training.episodes import read_episodes
 from uavrl.training.gradients import chosen_execution
@@ -27,7 +28,7 @@ def take_place(config: DictConfig) -> Literal["new", "begun", "finished"]:
         UavrlError: when another process trains there, or when what was flown there has lost its checkpoints.
     """
     config.trainer.execution = chosen_execution(config.trainer.execution)
-    run_dir = Path(f"{config.run_dir}_{fingerprint(config)[:NAME_DIGITS]}")
+    run_dir = _place(config)
     OmegaConf.update(config, "run_dir", str(run_dir))
     if not (run_dir / CONFIG).exists():
         return "new"
@@ -43,6 +44,20 @@ def take_place(config: DictConfig) -> Literal["new", "begun", "finished"]:
             )
         free(run_dir)
     return "new"
+
+
+def _place(config: DictConfig) -> Path:
+    """The run's folder. Where ``trainer.products=auto`` has chosen before, that choice is kept."""
+    wanted = config.trainer.products
+    for products in FLOAT32 if wanted == "auto" else ():
+        if (_named(config, products) / CONFIG).exists():
+            return _named(config, products)
+    return _named(config, chosen_products(wanted, config.trainer.threads))
+
+
+def _named(config: DictConfig, products: str) -> Path:
+    config.trainer.products = products
+    return Path(f"{config.run_dir}_{fingerprint(config)[:NAME_DIGITS]}")
 
 
 def _episodes(run_dir: Path) -> int:

@@ -1,0 +1,151 @@
+"""How a process computes: which library multiplies matrices, in how many digits, and what is rounded to zero."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Literal, cast
+
+import torch
+from torch import Tensor
+
+from uavrl.errors import UavrlError
+
+log = logging.getLogger(__name__)
+Products = Literal["mkl", "onednn", "bf16"]
+FLOAT32: tuple[Products, ...] = ("mkl", "onednn")  # those that `auto` chooses among
+LARGEST_ERROR = 1e-3  # of a float32 product of PROBE: some 1e-5 to 1e-4; with factors of 8 bits it is 0.1 and more
+PROBE = (100, 400, 300)  # the largest product of the thesis's networks: batch and both hidden layers
+GAIN = 0.95  # onednn is taken from this share of mkl's time on: a tie does not turn with the machine's load
+_ON_CPU: Any = torch.backends.mkldnn.matmul  # type: ignore[attr-defined]  # PyTorch's setting; other devices have theirs
+ISA = "ONEDNN_MAX_CPU_ISA"  # oneDNN reads it once, at the process's first product
+
+
+def chosen_products(name: str, threads: int = 1) -> Products:
+    """``name``, found possible here, or for ``"auto"`` the faster of ``"mkl"`` and ``"onednn"``.
+
+    ``mkl`` is PyTorch's default. ``onednn`` is float32 too: PyTorch hands products to oneDNN where it may round to
+    bfloat16, and ``ONEDNN_MAX_CPU_ISA=AVX512_CORE`` keeps oneDNN from the instructions that would. ``bf16`` lets it
+    use them. Hence one process has either ``onednn`` or ``bf16``.
+
+    Args:
+        name: ``"auto"``, ``"mkl"``, ``"onednn"`` or ``"bf16"``.
+        threads: CPU threads that will multiply.
+
+    Raises:
+        UavrlError: for another name, and when the library cannot do it in this process.
+
+    Examples:
+        >>> chosen_products("mkl")
+        'mkl'
+    """
+    if name not in ("auto", "mkl", "onednn", "bf16"):
+        raise UavrlError(f"products must be one of auto, mkl, onednn, bf16, got {name!r}.")
+    if name != "bf16":
+        os.environ.setdefault(ISA, "AVX512_CORE")
+    if name == "auto":
+        return _faster(threads)
+    if obstacle := _obstacle(name):
+        raise UavrlError(f"products={name} is not possible here: {obstacle}.")
+    return cast(Products, name)
+
+
+@contextmanager
+def multiplied_by(name: str, threads: int = 1) -> Iterator[Products]:
+    """Multiplies by :func:`chosen_products`, yields its name, and gives the caller's choice back at the end.
+
+    Products on other devices than the CPU stay as they are.
+    """
+    chosen = chosen_products(name, threads)
+    with _multiplied_by(chosen):
+        yield chosen
+
+
+def multiply_by(products: Products) -> None:
+    """Sets what multiplies in this process from now on."""
+    _ON_CPU.fp32_precision = "ieee" if products == "mkl" else "bf16"
+
+
+@contextmanager
+def denormals_flushed() -> Iterator[None]:
+    """Rounds denormal numbers to zero, and gives the caller's arithmetic back at the end.
+
+    Adam's moments of idle units decay into denormals, which the processor handles many times slower. The mode is the
+    processor's: left on, it would reach every other library in this thread.
+    """
+    smallest = torch.tensor(torch.finfo(torch.float32).tiny)
+    flushed_before = bool(smallest / 2 == 0)
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(flushed_before)
+
+
+@contextmanager
+def _multiplied_by(products: Products) -> Iterator[None]:
+    before = _ON_CPU.fp32_precision
+    multiply_by(products)
+    try:
+        yield
+    finally:
+        _ON_CPU.fp32_precision = before
+
+
+def product(products: Products, one: Tensor, other: Tensor) -> Tensor:
+    """``one @ other`` by this library, whatever the process multiplies by."""
+    with _multiplied_by(products):
+        return one @ other
+
+
+def _probe() -> tuple[Tensor, Tensor]:
+    rows, inner, columns = PROBE
+    generator = torch.Generator().manual_seed(0)  # the process's own stays as it is
+    return torch.randn(rows, inner, generator=generator), torch.randn(inner, columns, generator=generator)
+
+
+def _obstacle(name: str) -> str | None:
+    """Why this process cannot multiply so; None where it can, which a product shows."""
+    if name == "mkl":
+        return None
+    one, other = _probe()
+    result = product(cast(Products, name), one, other)
+    if torch.equal(result, product("mkl", one, other)):
+        return "PyTorch does not hand products to oneDNN on this machine; choose mkl"
+    error = float((result - one.double() @ other.double()).abs().max())
+    if name == "onednn" and error > LARGEST_ERROR:
+        return (
+            f"oneDNN computes in less than float32 in this process (error {error:.1g}); start Python with "
+            f"{ISA}=AVX512_CORE, or choose mkl"
+        )
+    if name == "bf16" and error <= LARGEST_ERROR:
+        return (
+            f"oneDNN computes in float32 in this process (error {error:.1g}), for want of instructions or by "
+            f"{ISA}={os.environ.get(ISA, '')}; choose mkl or onednn"
+        )
+    return None
+
+
+def _faster(threads: int) -> Products:
+    """Times the products of a layer's update with both libraries in turn, for some milliseconds."""
+    if _obstacle("onednn"):
+        return "mkl"
+    state, weight = _probe()
+    gradient = state @ weight
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    best = dict.fromkeys(FLOAT32, float("inf"))
+    try:
+        for _ in range(20):
+            for name in FLOAT32:
+                begin = time.perf_counter()
+                for one, other in ((state, weight), (gradient, weight.T), (state.T, gradient)):
+                    product(name, one, other)
+                best[name] = min(best[name], time.perf_counter() - begin)
+    finally:
+        torch.set_num_threads(before)
+    log.debug("Products by MKL take %.3f ms, by oneDNN %.3f ms.", 1e3 * best["mkl"], 1e3 * best["onednn"])
+    return "onednn" if best["onednn"] < GAIN * best["mkl"] else "mkl"
