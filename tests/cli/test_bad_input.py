@@ -389,6 +389,13 @@ def test_an_evaluation_changes_one_value_of_the_runs_environment_and_says_so_in_
     assert json.loads((run_dir / "evaluation_valleys=4-5_episodes=2.json").read_text())["valleys"] == [4, 5]
 
 
+@pytest.mark.parametrize("override", ["perception.blind=true", "perception.blind_to=planes"])
+def test_an_evaluation_may_take_the_sight_from_a_policy_that_was_trained_seeing(run_dir: Path, override: str) -> None:
+    assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, override) == 0
+    result = json.loads((run_dir / f"evaluation_{override}_episodes=2.json").read_text())
+    assert override in result["overrides"]
+
+
 def test_what_the_policy_was_trained_with_cannot_change(run_dir: Path, refused: Callable[..., str]) -> None:
     sentence = refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION, "perception.frames=7")
     assert "perception.frames belongs to the run" in sentence

@@ -92,6 +92,14 @@ def test_the_page_goes_into_the_run_and_its_name_tells_what_was_changed(run_dir:
     page.unlink()
 
 
+def test_a_policy_that_sees_nothing_is_shown_without_points(run_dir: Path, tmp_path: Path) -> None:
+    data = tmp_path / "blind.npz"
+    assert in_process(command.main, f"run={run_dir}", "perception.blind=true", f"data={data}", *SMALL) == 0
+    (flight,) = load_replay(data).flights
+    assert not flight.faces.any() and len(flight.points) == 0
+    (run_dir / "replay_perception.blind=true.html").unlink()
+
+
 def test_flights_in_a_file_make_the_same_page_again(tmp_path: Path) -> None:
     first = ["policy=straight", "env.max_steps=4", "episodes=2", *WORLD, f"data={tmp_path / 'f.npz'}"]
     assert in_process(command.main, *first, f"output={tmp_path / 'a.html'}", *SMALL) == 0

@@ -23,14 +23,15 @@ PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies,
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
     """The run's configuration with what the command line says about environment and sensor.
 
-    ``env=NAME`` replaces the environment, ``env.key=value`` and ``perception.lidar.key=value`` change one value.
+    ``env=NAME`` replaces the environment; ``env.key=value``, ``perception.lidar.key=value``, ``perception.blind=value``
+    and ``perception.blind_to=value`` change one value. The rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
     keys = [override.split("=", 1)[0] for override in overrides]
     if "env" in keys:
         result.env = composed.env
     for key in keys:
-        if key.startswith(("env.", "perception.lidar.")):
+        if key.startswith(("env.", "perception.lidar.")) or key in ("perception.blind", "perception.blind_to"):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
         elif key.split(".")[0] in ("perception", "reward"):
             raise UavrlError(f"{key} belongs to the run and cannot change when its policy flies: leave it out.")

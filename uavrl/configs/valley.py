@@ -43,6 +43,8 @@ class PerceptionConfig:
     statistic: str = "face"
     angles: str = "folded"
     frames: int = 3
+    blind: bool = False
+    blind_to: str | None = None
     lidar: LidarConfig = field(default_factory=lambda: LidarConfig(max_range=4.0))
 
     def __post_init__(self) -> None:
@@ -51,6 +53,7 @@ class PerceptionConfig:
         require(self.frames >= 1, "perception.frames", "at least 1", self.frames)
         require_one_of(self.statistic, "perception.statistic", ("face", "range"))
         require_one_of(self.angles, "perception.angles", ("folded", "raw"))
+        require(self.blind_to in (None, "planes"), "perception.blind_to", "null or planes", self.blind_to)
 
 
 @dataclass

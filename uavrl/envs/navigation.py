@@ -19,6 +19,7 @@ from uavrl.envs.traffic import Traffic
 from uavrl.envs.world import World, WorldConfig
 
 GoalAngle = Literal["elevation", "course"]
+Hidden = Literal["planes"]
 CONTROL_RATE = 10  # Hz
 PHYSICS_RATE = 240  # Hz
 ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1)
@@ -53,6 +54,9 @@ class NavigationEnv(EnvBase):
         aerodynamics: drag, wind and gusts.
         max_steps: steps until an episode is truncated (Table 4.1: 300).
         goal_angle: ``"elevation"``, or ``"course"`` for the other reading of g.
+        blind: whether the LiDAR reports nothing at all, so that only altitude and angles tell the UAV anything; nothing
+            is cast then.
+        blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
         seed: seed of tasks, traffic, gusts and sensor noise.
         device: where the outputs go. The simulation itself runs on the CPU.
@@ -78,6 +82,8 @@ class NavigationEnv(EnvBase):
         aerodynamics: Aerodynamics | None = None,
         max_steps: int = 300,
         goal_angle: GoalAngle = "elevation",
+        blind: bool = False,
+        blind_to: Hidden | None = None,
         measure_clearance: bool = False,
         seed: int = 0,
         device: torch.device | str = "cpu",
@@ -86,10 +92,14 @@ class NavigationEnv(EnvBase):
             raise ValueError(f"num_uavs and max_steps must be at least 1, got {num_uavs} and {max_steps}.")
         if goal_angle not in ("elevation", "course"):
             raise ValueError(f"goal_angle must be 'elevation' or 'course', got {goal_angle!r}.")
+        if blind_to not in (None, "planes"):
+            raise ValueError(f"blind_to must be None or 'planes', got {blind_to!r}.")
         super().__init__(device=device, batch_size=torch.Size([num_uavs]))
         self.num_uavs = num_uavs
         self.max_steps = max_steps
         self.goal_angle = goal_angle
+        self.blind = blind
+        self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
         self.world = World(world or WorldConfig())
         self.airframe = airframe or Airframe()
@@ -164,7 +174,7 @@ class NavigationEnv(EnvBase):
             control_rate=CONTROL_RATE,
             rng=gust_rng,
         )
-        if self._lidar is None:
+        if self._lidar is None and not self.blind:
             self._lidar = Lidar(self.world.meshes, mesh, self._lidar_config)
         self._next_task = 0
         self._stale = False
@@ -263,23 +273,24 @@ class NavigationEnv(EnvBase):
         return np.column_stack([self._traffic.positions, self._traffic.yaws])
 
     def _scan(self, index: np.ndarray) -> np.ndarray:
-        simulation, lidar = self._simulation, self._lidar
-        assert simulation is not None and lidar is not None
-        planes = self.plane_poses() if self.world.config.planes else None
+        points = None if self._lidar is None else self._cast(self._lidar, index)
+        if points is not None and len(index) == self.num_uavs:
+            return points
+        cloud = np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
+        if points is not None:
+            cloud[index] = points
+        return cloud
+
+    def _cast(self, lidar: Lidar, index: np.ndarray) -> np.ndarray:
+        simulation = self.simulation
+        planes = self.plane_poses() if self.world.config.planes and self.blind_to != "planes" else None
         position, rotation = simulation.lidar_position[index], simulation.rotation[index]
         velocity = simulation.velocity[index]
         spin = (rotation @ simulation.angular_velocity[index][:, :, None])[:, :, 0]
         if lidar.config.motion_distortion:  # the scan is the spin that ends now
             position = position - velocity / CONTROL_RATE
             rotation = Rotation.from_rotvec(-spin / CONTROL_RATE).as_matrix() @ rotation
-        points = lidar.scan(
-            position, rotation, planes, velocities=velocity, angular_velocities=spin, rng=self._lidar_rng
-        )
-        if len(index) == self.num_uavs:
-            return points
-        cloud = np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
-        cloud[index] = points
-        return cloud
+        return lidar.scan(position, rotation, planes, velocities=velocity, angular_velocities=spin, rng=self._lidar_rng)
 
     def _pack(self, data: dict[str, np.ndarray]) -> TensorDict:
         tensors = {

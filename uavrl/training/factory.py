@@ -27,7 +27,7 @@ from uavrl.configs.train import TrainConfig
 from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
 from uavrl.envs.bipedal import BipedalEnv
-from uavrl.envs.navigation import GoalAngle, NavigationEnv
+from uavrl.envs.navigation import GoalAngle, Hidden, NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.models import OneShotClassifier, TrajectoryClassifier
 from uavrl.models.trajectory_classifier import packaged_artifact
@@ -99,6 +99,8 @@ def make_env(
         aerodynamics=env.aerodynamics,
         max_steps=env.max_steps,
         goal_angle=cast(GoalAngle, env.goal_angle),
+        blind=perception.blind,
+        blind_to=cast(Hidden | None, perception.blind_to),
         measure_clearance=measure_clearance,
         seed=seed,
     )

@@ -1,0 +1,120 @@
+"""What a policy may be kept from seeing: everything, or the planes alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torchrl.envs import check_env_specs
+
+from uavrl.configs.valley import EnvConfig, PerceptionConfig
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.world import WorldConfig
+from uavrl.training.factory import make_env
+
+STAY = torch.zeros(1, 4)
+FACES = 32
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., NavigationEnv]]:
+    made: list[NavigationEnv] = []
+
+    def build(**kwargs: Any) -> NavigationEnv:
+        made.append(NavigationEnv(1, lidar=LidarConfig(max_range=20.0), **kwargs))
+        made[-1].reset()
+        return made[-1]
+
+    yield build
+    for env in made:
+        env.close(raise_if_closed=False)
+
+
+def place(env: NavigationEnv, position: np.ndarray, yaw: float = 0.0) -> None:
+    env.simulation.reset(np.array([0]), position[None], np.array([yaw]))
+
+
+def scan(env: NavigationEnv) -> np.ndarray:
+    return env._scan(np.array([0]))[0]
+
+
+def beside_a_rock(env: NavigationEnv) -> np.ndarray:
+    """A place whose nearest thing, to the side, is 0.8 to 1.5 m from the sensor."""
+    rng = np.random.default_rng(0)
+    for xy in rng.uniform(-0.4, 0.4, (2000, 2)) * env.world.config.size:
+        place(env, np.array([*xy, 3.0]))
+        points = scan(env)
+        if 0.8 < np.nanmin(np.linalg.norm(points, axis=-1), initial=np.inf) < 1.5:
+            return env.simulation.position[0]
+    raise AssertionError("no rock")
+
+
+def test_a_blind_policy_reads_nothing_near_beside_a_rock_and_the_same_altitude_and_angles() -> None:
+    config = EnvConfig(num_uavs=1)
+    seeing, blind = (make_env(config, PerceptionConfig(blind=blind), seed=3) for blind in (False, True))
+    resets = [env.reset() for env in (seeing, blind)]
+    rock = beside_a_rock(seeing.base_env)
+    states = []
+    for env, state in zip((seeing, blind), resets, strict=True):
+        place(env.base_env, rock, yaw=0.5)
+        states.append(env.step(state.set("action", STAY))["next"])
+    frames = [state["observation"][0].unflatten(0, (3, -1))[-1] for state in states]
+    assert frames[0][:FACES].max() > 0.1
+    assert not frames[1][:FACES].any() and not states[1]["faces"].any()
+    torch.testing.assert_close(frames[0][FACES:], frames[1][FACES:], rtol=0, atol=0)
+    for env in (seeing, blind):
+        env.close()
+
+
+def test_a_blind_environment_casts_nothing(make: Callable[..., NavigationEnv]) -> None:
+    env = make(blind=True)
+    assert env._lidar is None
+    check_env_specs(env)
+    cloud = env.step(env.reset().set("action", STAY))["next", "point_cloud"]
+    assert cloud.shape == (1, 28928, 3) and cloud.isnan().all()
+
+
+def ahead_of_a_plane(env: NavigationEnv) -> tuple[np.ndarray, float]:
+    """A place 2 m ahead of a plane over the middle of the valley, and the yaw that looks at it."""
+    while np.linalg.norm(env.plane_poses()[0, :2]) > 9.0:
+        env.step(env.reset().set("action", STAY))
+    x, y, z, yaw = env.plane_poses()[0]
+    return np.array([x + 2.0 * np.cos(yaw), y + 2.0 * np.sin(yaw), z]), yaw + np.pi
+
+
+def test_hidden_planes_are_not_seen_and_the_rest_of_the_scan_is(make: Callable[..., NavigationEnv]) -> None:
+    seeing, hidden = (make(world=WorldConfig(planes=1), blind_to=name) for name in (None, "planes"))
+    clear = make(world=WorldConfig(planes=0))
+    (position, yaw), _ = (ahead_of_a_plane(env) for env in (seeing, hidden))
+    np.testing.assert_array_equal(seeing.plane_poses(), hidden.plane_poses())
+    clouds = []
+    for env in (seeing, hidden, clear):
+        place(env, position, yaw)
+        clouds.append(scan(env))
+    np.testing.assert_array_equal(clouds[1], clouds[2])
+    changed = ~np.isclose(clouds[0], clouds[1], equal_nan=True).all(-1)
+    assert changed.sum() > 100
+    assert (np.linalg.norm(clouds[0][changed], axis=-1) < 4.0).all()
+    assert (clouds[0][changed, 0] > 0).mean() == 1.0, "the plane is ahead"
+
+
+def test_hidden_planes_collide(make: Callable[..., NavigationEnv]) -> None:
+    env = make(world=WorldConfig(planes=1, obstacles=0), blind_to="planes")
+    state = env.reset()
+    place(env, *ahead_of_a_plane(env))
+    ends = []
+    while not any(ends) and len(ends) < 10:  # it comes at 2.5 m/s or more
+        state = env.step(state.set("action", STAY))["next"]
+        ends.append(state["collided"].item())
+    assert ends[-1] and not ends[0]
+    gap = np.linalg.norm(env.plane_poses()[0, :3] - env.simulation.position[0])
+    assert gap < 1.5, "it is the plane that was hit: there is nothing else in the air"
+
+
+def test_an_unknown_thing_to_hide_is_refused() -> None:
+    with pytest.raises(ValueError, match="blind_to must be None or 'planes', got 'rocks'"):
+        NavigationEnv(1, blind_to="rocks")  # type: ignore[arg-type]
