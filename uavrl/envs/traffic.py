@@ -1,18 +1,22 @@
-"""Planes that cross the valleys at flight level."""
+"""Planes that cross the valleys between the obstacles."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from uavrl.envs.mesh import Mesh
+from uavrl.envs.routes import STEP
 from uavrl.envs.shapes import loft, tube
 from uavrl.envs.world import World
 
+WING_GAP = 0.36  # between the two wings of a plane, as a share of its wingspan
+
 
 def plane_mesh(wingspan: float) -> Mesh:
-    """Returns a plane around the origin: nose along +x, wings along y, fin along +z.
+    """Returns a biplane around the origin: nose along +x, wings along y, fin along +z.
 
     Args:
         wingspan: In metres; all else is in proportion to it.
@@ -20,16 +24,26 @@ def plane_mesh(wingspan: float) -> Mesh:
     Examples:
         >>> mesh = plane_mesh(2.0)
         >>> np.ptp(mesh.vertices, axis=0).astype(float).round(1).tolist()
-        [1.7, 2.0, 0.5]
+        [1.7, 2.0, 0.9]
     """
     fuselage = tube(
         np.stack([np.array([0.45, 0.38, 0.2, -0.15, -0.35]), np.zeros(5)], -1),
-        np.array([0.015, 0.045, 0.06, 0.045, 0.02]),
+        np.array([0.015, 0.06, 0.09, 0.06, 0.02]),
     )
-    wings = _sections(np.array([-0.5, 0.0, 0.5]), np.array([0.1, 0.2, 0.1]), np.array([0.02, 0.1, 0.02]), 0.012)
-    tail = _sections(np.array([-0.18, 0.0, 0.18]), np.array([0.06, 0.1, 0.06]), np.array([-0.34, -0.3, -0.34]), 0.008)
-    fin = _sections(np.array([0.0, 0.17]), np.array([0.12, 0.07]), np.array([-0.29, -0.33]), 0.008)
-    parts = Mesh.merge([fuselage, loft(wings), loft(tail), loft(fin[..., [0, 2, 1]])])
+    wing = loft(_sections(np.array([-0.5, 0.0, 0.5]), np.array([0.12, 0.2, 0.12]), np.array([0.06, 0.1, 0.06]), 0.014))
+    tail = _sections(np.array([-0.18, 0.0, 0.18]), np.array([0.06, 0.1, 0.06]), np.array([-0.34, -0.3, -0.34]), 0.01)
+    fin = _sections(np.array([0.0, 0.22]), np.array([0.14, 0.08]), np.array([-0.27, -0.32]), 0.01)
+    strut = tube(np.array([[0.02, -WING_GAP / 2], [0.02, WING_GAP / 2]]), np.array([0.02, 0.02]), sides=4)
+    parts = Mesh.merge(
+        [
+            fuselage,
+            wing.translated((0.0, 0.0, WING_GAP / 2)),
+            wing.translated((0.0, 0.0, -WING_GAP / 2)),
+            *(strut.translated((0.0, y, 0.0)) for y in (-0.42, -0.16, 0.16, 0.42)),
+            loft(tail),
+            loft(fin[..., [0, 2, 1]]),
+        ]
+    )
     return Mesh(parts.vertices * wingspan, parts.faces)
 
 
@@ -42,51 +56,47 @@ def _sections(span: np.ndarray, chord: np.ndarray, lead: np.ndarray, thickness: 
 
 
 class Leg:
-    """The straight flight of one plane across its valley, and the plane's own source of the next ones.
+    """The flight of one plane along a route of its valley, and the plane's own source of the next ones.
 
     Args:
         rng: The plane's own generator.
-        size: Extent of the valley along x and y in metres.
+        routes: As :func:`uavrl.envs.routes.plan_routes` gives them; each can be flown either way.
         speed: Least and greatest speed in m/s.
 
     Examples:
-        >>> leg = Leg(np.random.default_rng(0), (40.0, 30.0), (2.5, 4.0))
-        >>> path = leg.fly(steps=3, dt=0.1)
-        >>> path.shape, bool(2.5 <= np.linalg.norm(path[1, :2] - path[0, :2]) / 0.1 <= 4.0)
-        ((3, 3), True)
+        >>> along = np.linspace(0.0, 10.0, 41)
+        >>> route = np.stack([along, np.zeros(41), np.full(41, 3.0), np.zeros(41)], -1)
+        >>> path = Leg(np.random.default_rng(0), [route], (2.5, 4.0)).fly(steps=3, dt=0.1)
+        >>> path.shape, bool(0.25 <= abs(path[1, 0] - path[0, 0]) <= 0.4)
+        ((3, 4), True)
     """
 
-    def __init__(self, rng: np.random.Generator, size: tuple[float, float], speed: tuple[float, float]) -> None:
-        self._rng, self._half, self._speeds = rng, np.array(size) / 2, speed
+    def __init__(self, rng: np.random.Generator, routes: Sequence[np.ndarray], speed: tuple[float, float]) -> None:
+        self._rng, self._routes, self._speeds = rng, routes, speed
         self._enter()
         self.flown = float(rng.uniform(0, self.length))
 
     def _enter(self) -> None:
-        """Draws a leg from one edge to another, at least half as long as the valley's shorter side."""
-        while True:
-            edges = self._rng.permutation(4)[:2]
-            self.start, end = (self._on_edge(edge) for edge in edges)
-            self.length = float(np.linalg.norm(end - self.start))
-            if self.length >= self._half.min():
-                break
-        self.direction = (end - self.start) / self.length
+        """Draws a route, which way to fly it, and a speed."""
+        self.route, self.backwards = int(self._rng.integers(len(self._routes))), bool(self._rng.random() < 0.5)
         self.speed = float(self._rng.uniform(*self._speeds))
         self.flown = 0.0
 
-    def _on_edge(self, edge: int) -> np.ndarray:
-        """Returns a random point ``[2]`` on edge 0 to 3: -x, +x, -y, +y."""
-        point = self._rng.uniform(-self._half, self._half)
-        point[edge // 2] = self._half[edge // 2] * (1 if edge % 2 else -1)
-        return point
+    @property
+    def length(self) -> float:
+        """Of the route, in metres."""
+        return (len(self._routes[self.route]) - 1) * STEP
 
     def pose(self, flown: np.ndarray) -> np.ndarray:
-        """Returns x, y and yaw ``[N, 3]`` in metres and rad after ``flown [N]`` metres of this leg."""
-        xy = self.start + np.asarray(flown)[:, None] * self.direction
-        yaw = np.arctan2(self.direction[1], self.direction[0])
-        return np.column_stack([xy, np.full(len(xy), yaw)])
+        """Returns x, y, z and yaw ``[N, 4]`` in metres and rad after ``flown [N]`` metres of this leg."""
+        route = self._routes[self.route]
+        at = (self.length - np.asarray(flown) if self.backwards else np.asarray(flown)) / STEP
+        poses = np.stack([np.interp(at, np.arange(len(route)), axis) for axis in route.T], -1)
+        poses[:, 3] += np.pi if self.backwards else 0.0
+        return poses
 
     def fly(self, steps: int, dt: float) -> np.ndarray:
-        """Flies on and returns x, y and yaw ``[steps, 3]`` after each step; a new leg starts where one ends."""
+        """Flies on and returns x, y, z and yaw ``[steps, 4]`` after each step; a new leg starts when one ends."""
         path: list[np.ndarray] = []
         elapsed = 0.0  # s, at the start of the current leg, or 0
         while len(path) < steps:
@@ -96,27 +106,29 @@ class Leg:
                 elapsed += (self.length - self.flown) / self.speed
                 self._enter()
         self.flown += self.speed * (steps * dt - elapsed)
-        return np.array(path).reshape(steps, 3)
+        return np.array(path).reshape(steps, 4)
 
     def state_dict(self) -> dict[str, Any]:
         """Returns all that the rest of the flight depends on."""
-        names = ("start", "direction", "length", "speed", "flown")
-        return {"generator": self._rng.bit_generator.state} | {name: np.copy(getattr(self, name)) for name in names}
+        names = ("route", "backwards", "speed", "flown")
+        return {"generator": self._rng.bit_generator.state} | {name: getattr(self, name) for name in names}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Flies on as the leg that ``state_dict`` was taken from."""
         self._rng.bit_generator.state = state["generator"]
-        self.start, self.direction = np.array(state["start"]), np.array(state["direction"])
-        self.length, self.speed, self.flown = (float(state[name]) for name in ("length", "speed", "flown"))
+        self.route, self.backwards = int(state["route"]), bool(state["backwards"])
+        self.speed, self.flown = float(state["speed"]), float(state["flown"])
 
 
 class Traffic:
     """All planes of the world: they fly on whatever the episodes do, and do not see the UAVs.
 
-    Each crosses its valley in straight legs at flight level, at a constant speed drawn per leg, and re-enters from a
-    random edge. All randomness comes from ``rng``, and does not depend on how the time is cut into calls.
+    Each comes in over a wall, dives between the obstacles, crosses the valley at a height that UAVs use and leaves over
+    another wall, at a constant speed drawn per leg; then it comes in again elsewhere. All randomness comes from
+    ``rng``, and does not depend on how the time is cut into calls.
 
-    Source: Chansuparp (2022), §4.1: three planes at the UAV's flight level with a constant speed above 2 m/s.
+    Source: Chansuparp (2022), §4.1: three planes at the UAV's flight level with a constant speed above 2 m/s. A UAV may
+    leave that level, so the planes' levels are spread over all heights below the ceiling (this library's choice).
 
     Args:
         world: Gives the valleys and, in its config, the number, speed and wingspan of the planes.
@@ -125,18 +137,20 @@ class Traffic:
     Examples:
         >>> from uavrl.envs.world import WorldConfig
         >>> traffic = Traffic(World(WorldConfig(planes=3)), np.random.default_rng(0))
-        >>> traffic.advance(steps=24, dt=1 / 240).shape, traffic.positions[:, 2].tolist()
-        ((24, 3, 4), [3.5, 3.5, 3.5])
+        >>> traffic.advance(steps=24, dt=1 / 240).shape, traffic.positions.shape
+        ((24, 3, 4), (3, 3))
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         config = world.config
         self.mesh = plane_mesh(config.plane_wingspan)
         self.valleys = np.repeat(np.arange(len(world.valleys)), config.planes)
-        self._level = config.flight_level
         self._origins = np.array([world.valleys[v].origin for v in self.valleys]).reshape(-1, 2)
         seeds = rng.integers(2**63, size=len(self.valleys))
-        self._legs = [Leg(np.random.default_rng(seed), config.size, config.plane_speed) for seed in seeds]
+        self._legs = [
+            Leg(np.random.default_rng(seed), world.valleys[valley].routes, config.plane_speed)
+            for seed, valley in zip(seeds, self.valleys, strict=True)
+        ]
 
     @property
     def positions(self) -> np.ndarray:
@@ -159,7 +173,7 @@ class Traffic:
             ``[steps, K, 4]``: x, y, z in metres and yaw in rad after each of the steps.
         """
         paths = [leg.fly(steps, dt) for leg in self._legs]
-        return self._in_world(np.stack(paths, axis=1) if paths else np.zeros((steps, 0, 3)))
+        return self._in_world(np.stack(paths, axis=1) if paths else np.zeros((steps, 0, 4)))
 
     def state_dict(self) -> dict[str, Any]:
         """Returns all that the rest of the traffic depends on."""
@@ -178,9 +192,9 @@ class Traffic:
     def _poses(self) -> np.ndarray:
         """Returns x, y, z and yaw ``[K, 4]`` now."""
         poses = [leg.pose(np.array([leg.flown]))[0] for leg in self._legs]
-        return self._in_world(np.array(poses).reshape(-1, 3))
+        return self._in_world(np.array(poses).reshape(-1, 4))
 
     def _in_world(self, poses: np.ndarray) -> np.ndarray:
-        """Turns x, y, yaw ``[..., K, 3]`` of the valleys' frames into x, y, z, yaw ``[..., K, 4]`` of the world."""
-        level = np.full((*poses.shape[:-1], 1), self._level)
-        return np.concatenate([poses[..., :2] + self._origins, level, poses[..., 2:]], axis=-1)
+        """Moves x, y, z and yaw ``[..., K, 4]`` from the valleys' frames into the world's, the yaws to [-π, π]."""
+        yaw = (poses[..., 3:] + np.pi) % (2 * np.pi) - np.pi
+        return np.concatenate([poses[..., :2] + self._origins, poses[..., 2:3], yaw], axis=-1)

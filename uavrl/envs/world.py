@@ -8,11 +8,13 @@ import numpy as np
 
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
+from uavrl.envs.routes import plan_routes
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
 from uavrl.errors import UavrlError
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
+ROUTES = 12  # ways of planes through a valley
 MESH_FACES = 10_000  # about, per mesh: PyBullet takes at most 32,768 indices on macOS
 
 
@@ -54,8 +56,8 @@ class WorldConfig:
     min_clearance: float = 1.5
     uav_radius: float = 0.35
     planes: int = 0
-    plane_speed: tuple[float, float] = (2.5, 4.0)
-    plane_wingspan: float = 2.0
+    plane_speed: tuple[float, float] = (3.0, 4.0)
+    plane_wingspan: float = 3.0
     plane_keep_out: float = 6.0
 
     def __post_init__(self) -> None:
@@ -93,6 +95,7 @@ class Valley:
         ground: The height field.
         obstacles: What stands on it.
         flight: Its free space, from the ground to the ceiling.
+        routes: Ways of planes through it, ``[P, 4]`` each: x, y, z in metres and yaw in rad; none without planes.
     """
 
     seed: int
@@ -100,6 +103,7 @@ class Valley:
     ground: HeightField
     obstacles: list[Obstacle]
     flight: FlightMap
+    routes: list[np.ndarray]
 
     def meshes(self) -> list[Mesh]:
         """Returns its geometry in world coordinates: tiles of the ground, then the obstacles."""
@@ -139,7 +143,17 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
             f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
             "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
         )
-    return Valley(seed, origin, ground, obstacles, flight)
+    return Valley(seed, origin, ground, obstacles, flight, _routes(config, seed, ground, obstacles))
+
+
+def _routes(config: WorldConfig, seed: int, ground: HeightField, obstacles: list[Obstacle]) -> list[np.ndarray]:
+    """Plans the planes' ways, where there are planes."""
+    if not config.planes:
+        return []
+    radius = config.plane_wingspan / 2
+    top = float(np.ceil(ground.heights.max() + radius))
+    solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
+    return plan_routes(np.random.default_rng([seed, 2]), solid, config.size, top, config.ceiling, radius, ROUTES)
 
 
 _NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3)))
