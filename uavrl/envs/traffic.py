@@ -24,7 +24,7 @@ def plane_mesh(wingspan: float) -> Mesh:
     Examples:
         >>> mesh = plane_mesh(2.0)
         >>> np.ptp(mesh.vertices, axis=0).astype(float).round(1).tolist()
-        [1.7, 2.0, 0.9]
+        [1.7, 2.0, 0.8]
     """
     fuselage = tube(
         np.stack([np.array([0.45, 0.38, 0.2, -0.15, -0.35]), np.zeros(5)], -1),
