@@ -64,6 +64,7 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
             reduction=reduction,
             **kwargs,
         )
+        self.out_keys = ["loss_actor", "loss_value", "pred_value", "target_value", "pred_value_max", "target_value_max"]
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
 
     @property
