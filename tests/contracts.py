@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from typing import ClassVar
 
 import pytest
@@ -12,6 +13,7 @@ import torch._inductor.config
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs import Compose, EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv, check_env_specs
+from torchrl.objectives import SoftUpdate, ValueEstimators
 
 
 class TransformContract:
@@ -222,6 +224,41 @@ class LossContract:
         with pytest.raises(ValueError, match="no_such_key"):
             self.make_loss().set_keys(no_such_key="observation")
 
+    def test_out_keys_can_be_selected(self) -> None:
+        loss = self.make_loss()
+        every, wanted = list(loss.out_keys), loss.out_keys[:1]
+        assert loss.select_out_keys(*wanted) is loss
+        assert loss.out_keys == wanted
+        assert sorted(loss(self.make_data()).keys()) == wanted
+        data = self.make_data().items(True, True)
+        assert loss(**{"_".join(k) if isinstance(k, tuple) else k: v for k, v in data}).shape == ()
+        assert self.make_loss().out_keys == every  # the selection is that of one instance
+        loss.reset_out_keys()
+        assert loss.out_keys == every
+        assert set(every) <= set(loss(self.make_data()).keys())
+
+    def test_parameters_are_drawn_anew_by_each_network(self) -> None:
+        """Each linear layer as PyTorch draws it: within 1 / √inputs, and near it; targets are copies."""
+        loss = self.seeded_loss()
+        constant = ("log_alpha", "system_network_params.module.net.0.bias", "system_network_params.module.net.2.bias")
+        drawn = {key: value.clone() for key, value in loss.named_parameters() if not key.endswith(constant)}
+        loss.reset_parameters_recursive()
+        new = dict(loss.named_parameters())
+        assert drawn and [key for key in drawn if torch.equal(drawn[key], new[key])] == []
+        for key, value in new.items():
+            if key.endswith("weight") and value.shape[-1] > 1 and "system_network" not in key:
+                assert value.abs().amax() * value.shape[-1] ** 0.5 <= 1.00001, key
+                assert value.abs().amax() * value.shape[-1] ** 0.5 > 0.6, key
+            assert value.ndim < 3 or not torch.equal(*value), key  # two critics
+        for key, target in loss.state_dict().items():
+            if "target_" in key and isinstance(target, torch.Tensor) and key.replace("target_", "") in new:
+                assert torch.equal(target, new[key.replace("target_", "")]), key
+
+    def test_moving_to_another_type_moves_targets_too(self) -> None:
+        loss = self.make_loss().double()
+        floats = [value for value in loss.state_dict().values() if value.is_floating_point()]
+        assert all(value.dtype == torch.float64 for value in floats)
+
     def test_float64(self, method: str) -> None:
         loss = self.make_loss().double()
         assert self.evaluate(loss, method, self.make_data(torch.float64)).dtype == torch.float64
@@ -253,3 +290,53 @@ class LossContract:
         value = self.evaluate(loss, method, self.make_data().to("cuda"))
         assert value.is_cuda
         assert value.isfinite()
+
+
+class ActorCriticLossContract(LossContract):
+    """The contract of losses that have an actor, critics and targets, and of enhancers around them."""
+
+    def test_the_value_estimator_can_be_changed(self) -> None:
+        data, loss = self.make_data(), self.seeded_loss()
+        assert loss.make_value_estimator(ValueEstimators.TD0, gamma=0.0) is loss
+        assert loss.value_estimator.gamma == 0.0
+        target = loss.value_loss(data)[1]["target_value"]
+        torch.testing.assert_close(target, data["next", "reward"].squeeze(-1))
+
+    def test_a_soft_update_moves_the_targets(self) -> None:
+        """Whatever TorchRL's updater finds: each target by τ towards its own source, and no other entry."""
+        loss = self.make_loss()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # TorchRL warns while no updater is associated
+            updater = SoftUpdate(loss, tau=0.25)
+            moving = [p for key, p in loss.named_parameters() if "log_alpha" not in key]
+            with torch.no_grad():
+                for p in moving:
+                    p.add_(torch.rand_like(p))
+            before = {key: value.clone() for key, value in loss.state_dict().items()}
+            updater.step()
+            loss(self.make_data())
+        after = loss.state_dict()
+        targets = [key for key in before if ".target_" in f".{key}"]
+        assert targets
+        for key in targets:
+            expected = 0.75 * before[key] + 0.25 * before[key.replace("target_", "")]
+            torch.testing.assert_close(after[key], expected)
+            assert before[key].numel() == 0 or not torch.equal(before[key], after[key])
+
+    def test_all_keys_can_be_renamed(self, method: str) -> None:
+        """Every entry of a transition that the loss reads, one after the other, named otherwise."""
+        for name in ("reward", "done", "terminated"):
+            data, loss = self.make_data(), self.seeded_loss()
+            data["next", f"my_{name}"] = data["next"].pop(name)
+            loss.set_keys(**{name: f"my_{name}"})
+            assert torch.equal(self.evaluate(loss, method, data), self.evaluate(self.seeded_loss(), method)), name
+            assert ("next", f"my_{name}") in loss.in_keys, name
+            loss.set_keys(**{name: None})
+            assert torch.equal(self.evaluate(loss, method), self.evaluate(self.seeded_loss(), method)), name
+
+    def test_a_renamed_priority_is_written(self) -> None:
+        loss, data = self.make_loss(), self.make_data()
+        loss.set_keys(priority="urgency")
+        loss(data)
+        assert data["urgency"].shape == data.batch_size
+        assert "td_error" not in data.keys()  # noqa: SIM118

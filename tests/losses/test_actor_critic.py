@@ -7,7 +7,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torchrl.data import Bounded
 
-from tests.contracts import LossContract
+from tests.contracts import ActorCriticLossContract
 from uavrl.losses import DDPGLoss, TD3Loss
 from uavrl.models import Actor, Critic
 
@@ -20,7 +20,7 @@ def critic() -> TensorDictModule:
     return TensorDictModule(Critic(6, 2, (8,)), ["observation", "action"], ["state_action_value"])
 
 
-class TestTD3(LossContract):
+class TestTD3(ActorCriticLossContract):
     def make_loss(self, **kwargs: object) -> TD3Loss:
         return TD3Loss(actor(), [critic(), critic()], action_spec=Bounded(-2.0, 2.0, (2,)), **kwargs)
 
@@ -96,7 +96,7 @@ class TestTD3(LossContract):
             TD3Loss(actor(), [critic()], action_spec=Bounded(-2.0, 2.0, (2,)))
 
 
-class TestDDPG(LossContract):
+class TestDDPG(ActorCriticLossContract):
     def make_loss(self, **kwargs: object) -> DDPGLoss:
         return DDPGLoss(actor(), critic(), **kwargs)
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.fx.experimental.proxy_tensor import make_fx
 from torchrl.data import Bounded
 
-from tests.contracts import LossContract
+from tests.contracts import ActorCriticLossContract
 from tests.losses.test_lifeguard import episodes, lifeguard, sampler, trained
 from tests.losses.test_sac import critics, stochastic_actor
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Enhancer, Fork, SACLoss, TD3Loss
@@ -53,7 +53,7 @@ class Push(Enhancer):
         return acted["action"].square().sum(-1), {"push": acted["action"].detach()}
 
 
-class ForkContract(LossContract):
+class ForkContract(ActorCriticLossContract):
     methods: ClassVar[dict[str, str]] = {
         "value_loss": "critic",
         "actor_loss": "actor",

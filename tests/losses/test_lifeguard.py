@@ -14,7 +14,7 @@ from tensordict.nn import TensorDictModule
 from torch.fx.experimental.proxy_tensor import make_fx
 from torchrl.data import Bounded
 
-from tests.contracts import LossContract
+from tests.contracts import ActorCriticLossContract
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, TD3Loss
 from uavrl.models import Actor, Critic
 
@@ -71,7 +71,7 @@ def trained(loss: LifeGuard, rounds: int = 8) -> LifeGuard:
     return loss
 
 
-class _Contract(LossContract):
+class _Contract(ActorCriticLossContract):
     """The contract, of a LifeGuard that the actor listens to; the critic's loss is the base's."""
 
     compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)

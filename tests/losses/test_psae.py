@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 from tests.contracts import LossContract
+from uavrl.errors import UavrlError
 from uavrl.losses.psae import PSAELoss
 from uavrl.losses.psae_functional import neighbour_similarity, psae_loss, reconstruction_error
 from uavrl.models.psae import PSAE
@@ -92,6 +93,11 @@ def test_previous_and_next_are_told_from_the_anchor() -> None:
 def test_a_tradeoff_out_of_range_is_refused() -> None:
     with pytest.raises(ValueError, match=r"tradeoff must be in \[0, 1\], got 1.5"):
         PSAELoss(PSAE(6), tradeoff=1.5)
+
+
+def test_a_value_estimator_is_refused() -> None:
+    with pytest.raises(UavrlError, match=r"^PSAELoss compares states and knows no values"):
+        PSAELoss(PSAE(6)).make_value_estimator()
 
 
 def test_a_network_of_other_keys_is_refused() -> None:

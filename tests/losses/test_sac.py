@@ -7,7 +7,7 @@ from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from tests.contracts import LossContract
+from tests.contracts import ActorCriticLossContract
 from uavrl.losses import SACLoss
 from uavrl.losses.functional import squared_error, td_target
 from uavrl.models import Critic, GaussianActor
@@ -31,7 +31,7 @@ def critics() -> list[TensorDictModule]:
     return [TensorDictModule(Critic(6, 2, (8,)), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
 
 
-class TestSAC(LossContract):
+class TestSAC(ActorCriticLossContract):
     def make_loss(self, **kwargs: object) -> SACLoss:
         return SACLoss(stochastic_actor(), critics(), action_spec=SPEC, **kwargs)
 

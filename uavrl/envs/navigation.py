@@ -13,9 +13,10 @@ from torchrl.envs import EnvBase
 
 from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
+from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
-from uavrl.envs.traffic import Traffic
+from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig
 
 GoalAngle = Literal["elevation", "course"]
@@ -271,6 +272,11 @@ class NavigationEnv(EnvBase):
     def plane_poses(self) -> np.ndarray:
         """Returns x, y, z in m and yaw in rad of all planes, ``[K, 4]``."""
         return np.column_stack([self._traffic.positions, self._traffic.yaws])
+
+    @property
+    def plane_mesh(self) -> Mesh:
+        """The shape of a plane at the origin, x forward, in m; :meth:`plane_poses` says where each one is."""
+        return plane_mesh(self.world.config.plane_wingspan)
 
     def _scan(self, index: np.ndarray) -> np.ndarray:
         points = None if self._lidar is None else self._cast(self._lidar, index)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from tensordict import TensorDictBase, TensorDictParams
-from tensordict.nn import dispatch
+from tensordict.nn import TensorDictModuleBase, dispatch
 from tensordict.utils import NestedKey
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.objectives import LossModule
+from torchrl.objectives.value import ValueEstimatorBase
 
 from uavrl.losses.functional import deterministic_policy_objective
 
@@ -32,6 +33,9 @@ class ActorCriticLoss(_LossModule):
 
     actor_network_params: TensorDictParams
 
+    out_keys = TensorDictModuleBase.out_keys  # TorchRL's lists hold for all instances: no key could be selected
+    """What :meth:`forward` writes."""
+
     actor_reads_target = False
     """Whether the actor ascends the target critics in place of the online ones."""
 
@@ -48,6 +52,31 @@ class ActorCriticLoss(_LossModule):
     def _accepted_keys(self) -> set[str]:
         """The names that :meth:`set_keys` takes."""
         return set(self._AcceptedKeys.__dataclass_fields__)
+
+    def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
+        """Chooses how values of next states become targets, as :meth:`torchrl.objectives.LossModule.make_value_estimator`.
+
+        Args:
+            value_type: one of :class:`torchrl.objectives.ValueEstimators`, by default TD(0).
+            **hyperparams: such as ``gamma``; what is not given has TorchRL's default, not that of the constructor.
+        """
+        super().make_value_estimator(value_type, **hyperparams)
+        return self
+
+    def reset_parameters_recursive(self) -> None:
+        """Draws the weights of all networks anew, each by its modules' ``reset_parameters``; targets become copies.
+
+        What is no weight of a network stays, such as SAC's temperature.
+        """
+        for name, network in self.__dict__.items():
+            params = self._modules.get(f"{name}_params")
+            if not isinstance(network, TensorDictModuleBase) or not isinstance(params, TensorDictParams):
+                continue
+            for one in params.data.unbind(0) if params.batch_dims else (params.data,):  # the critics are stacked
+                with one.to_module(network, preserve_module_state=False):
+                    network.reset_parameters_recursive()
+            if isinstance(target := self._modules.get(f"target_{name}_params"), TensorDictParams):
+                target.data.update_(params.data)
 
     @property
     @abstractmethod
@@ -99,7 +128,8 @@ class ActorCriticLoss(_LossModule):
 class Enhancer(ActorCriticLoss, LossModule):
     """Adds a term to the actor's objective of another loss, and trains the models that the term needs.
 
-    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change it asks of ``base``.
+    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change it asks of ``base``, whose
+    networks it shows as its own: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``.
 
     Args:
         base: the loss to enhance, or another enhancer.
@@ -116,6 +146,7 @@ class Enhancer(ActorCriticLoss, LossModule):
     def __init__(self, base: ActorCriticLoss) -> None:
         super().__init__()
         self.base = base
+        self._has_update_associated = base._has_update_associated  # one updater serves both
         self.reduction = base.reduction
         self.use_prioritized_weights = base.use_prioritized_weights
         self.loss_mask_key = base.loss_mask_key
@@ -182,6 +213,27 @@ class Enhancer(ActorCriticLoss, LossModule):
         loss_actor, metadata = self.actor_loss(tensordict)
         return losses.update({"loss_actor": loss_actor, **metadata})
 
+    def named_children(self) -> Iterator[tuple[str, nn.Module]]:
+        """Its modules, and the base's target networks: TorchRL's updaters look for them here."""
+        yield from super().named_children()
+        yield from (pair for pair in self.base.named_children() if pair[0].startswith("target_"))
+
+    def children(self) -> Iterator[nn.Module]:
+        """Its modules."""
+        return (module for _, module in super().named_children())
+
+    def __getattr__(self, name: str) -> Any:
+        """The base's networks and their parameters, where there is nothing of that name here."""
+        modules = self.__dict__.get("_modules", {})
+        if "_network" in name and name.removeprefix("target_") not in modules and "base" in modules:
+            return getattr(modules["base"], name)
+        return super().__getattr__(name)
+
+    def reset_parameters_recursive(self) -> None:
+        """Draws the weights of all networks anew, the base's and its own; what was observed stays."""
+        self.base.reset_parameters_recursive()
+        super().reset_parameters_recursive()
+
     # ------------------------------------------------------------------ what is asked of the base
 
     @property
@@ -216,6 +268,20 @@ class Enhancer(ActorCriticLoss, LossModule):
     def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
         """The base's value."""
         return self.base.action_value(acted, target=target)
+
+    def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
+        """The base's; the γ of FORK's predicted steps is an argument of its own."""
+        self.base.make_value_estimator(value_type, **hyperparams)
+        return self
+
+    @property
+    def value_estimator(self) -> ValueEstimatorBase:
+        """The base's."""
+        return self.base.value_estimator
+
+    def set_vmap_randomness(self, value: str) -> None:
+        """The base's: what its critics do with random layers."""
+        self.base.set_vmap_randomness(value)
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The base's critic loss."""

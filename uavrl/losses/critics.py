@@ -4,14 +4,38 @@ from __future__ import annotations
 
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
-from torch import Tensor
+from torch import Tensor, nn
+
+
+def is_stackable(network: nn.Module) -> bool:
+    """Whether :func:`stacked_values` says the same as the network.
+
+    A network does that wraps a module whose ``forward`` has a ``forward_stacked`` beside it, in the same class: where a
+    subclass has another ``forward``, the inherited ``forward_stacked`` is that of another network.
+
+    Examples:
+        >>> from uavrl.models import Critic
+        >>> class Doubled(Critic):
+        ...     def forward(self, observation, action):
+        ...         return 2 * super().forward(observation, action)
+        >>> [is_stackable(TensorDictModule(c(6, 4), ["s", "a"], ["q"])) for c in (Critic, Doubled)]
+        [True, False]
+    """
+    if _owner(network, "forward") is not TensorDictModule or network._kwargs is not None or network.method is not None:
+        return False
+    return "forward_stacked" in vars(_owner(network.module, "forward"))
+
+
+def _owner(instance: object, method: str) -> type:
+    """The class that a method comes from."""
+    return next((cls for cls in type(instance).__mro__ if method in vars(cls)), object)
 
 
 def stacked_values(network: TensorDictModule, params: TensorDictBase, states: Tensor, actions: Tensor) -> Tensor:
     """What ``vmap`` over K critics gives, without its cost.
 
     Args:
-        network: wraps a :class:`uavrl.models.Critic`.
+        network: one that :func:`is_stackable`.
         params: its parameters, stacked: ``[K]``.
         states: ``[K, *B, observations]``.
         actions: ``[K, *B, actions]``.

@@ -6,6 +6,7 @@ from typing import Any
 
 from tensordict import TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule
+from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.objectives import DDPGLoss as _DDPGLoss
 from torchrl.objectives import ValueEstimators
@@ -64,7 +65,14 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
             reduction=reduction,
             **kwargs,
         )
+        self.out_keys = ["loss_actor", "loss_value", "pred_value", "target_value", "pred_value_max", "target_value_max"]
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    def _set_in_keys(self) -> None:
+        """What :meth:`forward` needs; TorchRL's list has more, by which selected out-keys take a batch for arguments."""
+        flags = (self.tensor_keys.reward, self.tensor_keys.done, self.tensor_keys.terminated)
+        following = [unravel_key(("next", key)) for key in (*self.actor_network.in_keys, *flags)]
+        self._in_keys = list(dict.fromkeys([*self.actor_network.in_keys, *self.value_network.in_keys, *following]))
 
     @property
     def critic_network_params(self) -> TensorDictParams:

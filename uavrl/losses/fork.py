@@ -164,6 +164,12 @@ class Fork(Enhancer):
         for name in self._wrapped:
             getattr(self, name).in_keys = self._read_by(name)
 
+    def reset_parameters_recursive(self) -> None:
+        """As :meth:`Enhancer.reset_parameters_recursive`; the gate is closed until the new models' losses are known."""
+        super().reset_parameters_recursive()
+        self._gate_open = False
+        self._last_losses = (math.nan, math.nan)
+
     # ------------------------------------------------------------------ the actor
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor | None, dict[str, Tensor]]:

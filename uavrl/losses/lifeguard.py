@@ -169,6 +169,15 @@ class LifeGuard(Enhancer):
         counts, evaluations = self.evaluations.stored, int(self.evaluations.seen)
         self._active = is_trusted(counts, evaluations, self.min_evaluations, self.min_true_negative_rate)
 
+    def reset_parameters_recursive(self) -> None:
+        """As :meth:`Enhancer.reset_parameters_recursive`; nothing is known yet of how good the new classifier is."""
+        super().reset_parameters_recursive()
+        for module in self.classifier.modules():
+            if hasattr(module, "reset_parameters"):
+                module.reset_parameters()
+        self.evaluations.clear()
+        self._refresh()
+
     # ------------------------------------------------------------------ the actor
 
     def _features(self, tensordict: TensorDictBase) -> Tensor:

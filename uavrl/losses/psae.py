@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase, dispatch
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
+from uavrl.errors import UavrlError
 from uavrl.losses.psae_functional import neighbour_similarity, psae_loss, reconstruction_error
 
 
@@ -85,6 +86,14 @@ class PSAELoss(LossModule):
 
     def _forward_value_estimator_keys(self, **kwargs: object) -> None:
         """There is no value estimator."""
+
+    def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> NoReturn:
+        """Not for use.
+
+        Raises:
+            UavrlError: always.
+        """
+        raise UavrlError("PSAELoss compares states and knows no values: make the value estimator of your critic's loss.")
 
     def psae_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Eq. 3.3.

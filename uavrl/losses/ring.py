@@ -49,3 +49,8 @@ class Ring(nn.Module):
         index = torch.arange(first, first + len(kept), device=self.rows.device) % len(self.rows)
         self.rows[index] = kept.detach().to(self.rows)
         self.seen += len(rows)
+
+    def clear(self) -> None:
+        """Forgets all rows."""
+        self.rows.zero_()
+        self.seen.zero_()

@@ -15,8 +15,7 @@ from torchrl.objectives import ValueEstimators
 from torchrl.objectives.utils import distance_loss
 
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.critics import stacked_values
-from uavrl.models import Critic
+from uavrl.losses.critics import is_stackable, stacked_values
 
 
 class SACLoss(ActorCriticLoss, _SACLoss):
@@ -91,12 +90,13 @@ class SACLoss(ActorCriticLoss, _SACLoss):
             reduction=reduction,
             **kwargs,
         )
+        self.out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy"]
         _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an enhancer
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
 
     def _make_vmap(self) -> None:
         super()._make_vmap()
-        if type(self.qvalue_network.module) is Critic:
+        if is_stackable(self.qvalue_network):
             self._vmap_qnetworkN0 = self._stacked_critics
 
     def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:

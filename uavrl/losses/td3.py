@@ -13,8 +13,7 @@ from torchrl.objectives import TD3Loss as _TD3Loss
 from torchrl.objectives import ValueEstimators
 
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.critics import stacked_values
-from uavrl.models import Critic
+from uavrl.losses.critics import is_stackable, stacked_values
 
 
 class TD3Loss(ActorCriticLoss, _TD3Loss):
@@ -85,6 +84,8 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
             reduction=reduction,
             **kwargs,
         )
+        values = ["pred_value", "state_action_value_actor", "next_state_value", "target_value"]
+        self.out_keys = ["loss_actor", "loss_qvalue", *values]
         half_range = (self.max_action - self.min_action) / 2
         del self.policy_noise, self.noise_clip
         self.register_buffer("policy_noise", policy_noise * half_range)
@@ -93,7 +94,7 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
 
     def _make_vmap(self) -> None:
         super()._make_vmap()
-        if type(self.qvalue_network.module) is Critic:
+        if is_stackable(self.qvalue_network):
             self._vmap_qvalue_network00 = self._stacked_critics
 
     def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.func import functional_call
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
@@ -104,24 +106,36 @@ class Critic(nn.Module):
         return self.net(torch.cat([observation, action], -1))
 
     def forward_stacked(self, parameters: Mapping[str, Tensor], observation: Tensor, action: Tensor) -> Tensor:
-        """Evaluates K critics with stacked parameters in one batched product for each layer.
+        """Evaluates K critics with stacked parameters, linear layers in one batched product.
 
         Args:
-            parameters: ``net.<i>.weight [K, out, in]`` and ``net.<i>.bias [K, out]``.
+            parameters: ``net.<i>.weight [K, out, in]``, ``net.<i>.bias [K, out]``, and whatever other layers have.
             observation: ``[K, B, observations]``.
             action: ``[K, B, actions]``.
 
         Returns:
             ``[K, B, 1]``.
         """
-        hidden = torch.cat([observation, action], -1)
-        for i, layer in enumerate(self.net):
-            if isinstance(layer, nn.Linear):
-                weight, bias = parameters[f"net.{i}.weight"], parameters[f"net.{i}.bias"]
-                hidden = _StackedLinear.apply(hidden, weight, bias)
-            else:
-                hidden = layer(hidden)
-        return hidden
+        return _stacked(self.net, _below("net", parameters), torch.cat([observation, action], -1))
+
+
+def _stacked(layer: nn.Module, parameters: Mapping[str, Tensor], inputs: Tensor) -> Tensor:
+    """What a layer with stacked parameters ``[K, ...]`` makes of ``[K, B, in]``."""
+    if type(layer) is nn.Sequential:
+        for name, child in layer._modules.items():
+            inputs = _stacked(child, _below(name, parameters), inputs)
+        return inputs
+    if type(layer) is nn.Linear and parameters.keys() == {"weight", "bias"}:
+        return _StackedLinear.apply(inputs, parameters["weight"], parameters["bias"])
+    if parameters:
+        return torch.vmap(partial(functional_call, layer))(dict(parameters), (inputs,))
+    return layer(inputs)
+
+
+def _below(name: str, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The entries ``name.*`` without their prefix."""
+    prefix = f"{name}."
+    return {key.removeprefix(prefix): value for key, value in parameters.items() if key.startswith(prefix)}
 
 
 class _StackedLinear(torch.autograd.Function):

@@ -39,6 +39,11 @@ class LinearClassifier(nn.Module):
         self.register_buffer("intercept", torch.zeros((), dtype=torch.float64))
         self.register_buffer("t", torch.zeros((), dtype=torch.int64))
 
+    def reset_parameters(self) -> None:
+        """Forgets what was learnt."""
+        for buffer in (self.weight, self.intercept, self.t):
+            buffer.zero_()
+
     def forward(self, x: Tensor) -> Tensor:
         """Features ``[*B, F]`` to logits ``[*B]`` of the same type, differentiable in the features."""
         return decision_function(x, self.weight.to(x.dtype), self.intercept.to(x.dtype))

@@ -28,6 +28,10 @@ class SystemNet(nn.Module):
     def __init__(self, observations: int, actions: int, hidden: Sequence[int] = (400, 300)) -> None:
         super().__init__()
         self.net = mlp(observations + actions, hidden, observations)
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Draws the weights anew."""
         for layer in self.net:
             if isinstance(layer, nn.Linear):
                 nn.init.xavier_uniform_(layer.weight)

@@ -98,6 +98,8 @@ def initial_time(alpha: float) -> float:
 def learning_rate(t: float, alpha: float) -> float:
     """Chansuparp (2022), Eq. 3.10: ``lr = 1 / (α (t_0 + t))``.
 
+    The sum is scikit-learn's, ``(t_0 + t') - 1`` with ``t' = t + 1``: early steps amplify its rounding a thousandfold.
+
     Args:
         t: number of samples seen before.
         alpha: α.
@@ -106,7 +108,11 @@ def learning_rate(t: float, alpha: float) -> float:
         >>> round(learning_rate(0, 1e-4), 6), round(learning_rate(1000, 1e-4), 6)
         (10.0, 5.0)
     """
-    return 1.0 / (alpha * (initial_time(alpha) + t))
+    return _step(t, alpha, initial_time(alpha))
+
+
+def _step(t: float, alpha: float, t_0: float) -> float:
+    return 1.0 / (alpha * (t_0 + (t + 1) - 1))
 
 
 def sgd_epoch(
@@ -152,7 +158,7 @@ def sgd_epoch(
     t_0 = initial_time(alpha)
     scale = 1.0  # the weights are scale * w: their decay costs one product
     for row, label in zip(rows, y.tolist(), strict=True):
-        step = 1.0 / (alpha * (t_0 + t))
+        step = _step(t, alpha, t_0)
         # Summed in order: early steps amplify a rounding error thirtyfold a sample, so another order is another model.
         logit = scale * float(np.add.accumulate(w * row)[-1]) + j
         update = -step * _slope(logit, label)

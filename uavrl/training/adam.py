@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from uavrl.errors import UavrlError
+
 
 class DirectAdam(torch.optim.Adam):
     """PyTorch's fused Adam for parameters that all have a gradient at every step: same numbers, same ``state_dict``.
@@ -15,9 +17,14 @@ class DirectAdam(torch.optim.Adam):
     ``torch.optim.Adam.step`` regroups its tensors at every call, which costs as much as the update itself when the
     networks are small. Here they are gathered once, and :meth:`descend` takes the place of ``step``.
 
+    The kernel walks through the memory of each tensor and asks for no strides: what it is given lies as the parameter does.
+
     Args:
         params: the parameters.
         lr: step size.
+
+    Raises:
+        UavrlError: for a parameter that shares or skips memory, such as an expanded one.
 
     Examples:
         >>> weight = torch.nn.Parameter(torch.ones(2))
@@ -30,10 +37,16 @@ class DirectAdam(torch.optim.Adam):
     def __init__(self, params: Iterable[Tensor], lr: float) -> None:
         super().__init__(params, lr=lr, fused=True)
         self._gathered: tuple[list[Tensor], ...] | None = None
+        for parameter in self.param_groups[0]["params"]:
+            if torch.empty_like(parameter).stride() != parameter.stride():
+                raise UavrlError(
+                    f"Expected parameters that fill their memory, got one of shape {tuple(parameter.shape)} with strides "
+                    f"{parameter.stride()}: give each network weights of its own, or clone them."
+                )
 
     @torch.no_grad()
     def descend(self, gradients: Sequence[Tensor]) -> None:
-        """One step along ``gradients``, which come in the order of the parameters."""
+        """One step along ``gradients``, which come in the order of the parameters and with any strides."""
         if self._gathered is None:
             self._gathered = self._gather()
         parameters, averages, squares, steps = self._gathered
@@ -41,7 +54,7 @@ class DirectAdam(torch.optim.Adam):
         group = self.param_groups[0]
         torch._fused_adam_(
             parameters,
-            list(gradients),
+            [_laid_out(gradient, like) for gradient, like in zip(gradients, parameters, strict=True)],
             averages,
             squares,
             [],
@@ -83,9 +96,16 @@ class DirectAdam(torch.optim.Adam):
                 state["step"] = torch.zeros((), dtype=torch.float32, device=parameter.device)
                 state["exp_avg"] = torch.zeros_like(parameter)
                 state["exp_avg_sq"] = torch.zeros_like(parameter)
+            for name in ("exp_avg", "exp_avg_sq"):  # loaded ones may lie otherwise
+                state[name] = _laid_out(state[name], parameter)
         step = self.state[parameters[0]]["step"]
         for parameter in parameters:
             self.state[parameter]["step"] = step
         states = [self.state[parameter] for parameter in parameters]
         averages, squares = [s["exp_avg"] for s in states], [s["exp_avg_sq"] for s in states]
         return list(parameters), averages, squares, [step] * len(states)
+
+
+def _laid_out(tensor: Tensor, like: Tensor) -> Tensor:
+    """The tensor with the strides of another; itself where it has them."""
+    return tensor if tensor.stride() == like.stride() else torch.empty_like(like).copy_(tensor)

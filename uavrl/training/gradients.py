@@ -42,7 +42,7 @@ def chosen_execution(name: str) -> Execution:
 
 
 class Gradients(NamedTuple):
-    """What one pass through a loss gives; all of it detached."""
+    """What one pass through a loss gives; all of it detached. A gradient may have other strides than its parameter."""
 
     loss: Tensor
     metadata: dict[str, Tensor]
@@ -50,15 +50,15 @@ class Gradients(NamedTuple):
 
 
 def differentiate(loss_method: LossMethod, parameters: Sequence[Tensor], batch: TensorDictBase) -> Gradients:
-    """Runs a loss and differentiates it with respect to ``parameters``.
+    """Runs a loss and differentiates it with respect to ``parameters``; what it does not depend on has a gradient of 0.
 
     Args:
         loss_method: gives the reduced loss and metadata.
-        parameters: leaves that the loss depends on.
+        parameters: leaves.
         batch: ``[B]``.
     """
     loss, metadata = loss_method(batch)
-    gradients = torch.autograd.grad(loss, list(parameters))
+    gradients = torch.autograd.grad(loss, list(parameters), allow_unused=True, materialize_grads=True)
     detached = {name: value.detach() for name, value in metadata.items()}
     return Gradients(loss.detach(), detached, gradients)
 
@@ -76,7 +76,7 @@ class LossGradients:
 
     Args:
         loss_method: gives the reduced loss and metadata.
-        parameters: leaves that the loss depends on.
+        parameters: leaves.
         in_keys: what the loss reads of a batch.
         execution: ``"eager"``, ``"captured"`` or ``"compiled"``.
         mode: names the branches that the loss would take now.

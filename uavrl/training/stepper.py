@@ -89,7 +89,7 @@ class ActorCriticStepper(OptimizationStepper):
         in_keys = [*loss.in_keys, loss.unenhanced.tensor_keys.priority_weight]
 
         def descent(method: LossMethod, parameters: Iterable[Any], lr: float, mode: Callable = tuple) -> Descent:
-            leaves = [p for p in parameters if isinstance(p, Tensor)]
+            leaves = [p for p in parameters if isinstance(p, Tensor) and p.requires_grad]  # no buffers
             return Descent(LossGradients(method, leaves, in_keys, execution, mode), lr)
 
         self.critic = descent(self._value_loss, loss.critic_network_params.values(True, True), critic_lr)
@@ -116,7 +116,7 @@ class ActorCriticStepper(OptimizationStepper):
             The detached losses and the mean value of the batch.
         """
         value = self.critic(sub_batch)
-        sub_batch.set("td_error", value.metadata["priority"])
+        sub_batch.set(self.loss.unenhanced.tensor_keys.priority, value.metadata["priority"])
         for fork, models in self.forks:
             fork.update_gate(**models(sub_batch).metadata)
         self.updates += 1
