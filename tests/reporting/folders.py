@@ -40,6 +40,7 @@ def episodes(outcomes: str, world_seed: int = 0) -> list[Episode]:
 def config(**changes: Any) -> dict[str, Any]:
     """The configuration of a real run, with values changed by dotted name (two underscores for a dot)."""
     result = yaml.safe_load(TEMPLATE.read_text())
+    result["perception"].setdefault("blind", False)  # a key that is younger than that run
     for key, value in changes.items():
         node = result
         *parents, leaf = key.split("__")
@@ -61,6 +62,15 @@ def run_folder(folder: Path, outcomes: str, **changes: Any) -> Path:
     (folder / "config.yaml").write_text(yaml.safe_dump(config(**changes), sort_keys=False))
     write_episodes(folder / "episodes.csv", episodes(outcomes))
     return folder
+
+
+WHEREABOUTS = {
+    "steps": 8,
+    "altitude": {"p5": 2.04, "p50": 3.46, "p95": 4.9},
+    "height_quarters": [0.125, 0.25, 0.5, 0.125],
+    "wall_distance": {"p5": 1.1, "p50": 6.2, "p95": 13.3},
+    "altitude_histogram": {"low": 2.0, "step": 0.25, "counts": [2, 0, 6]},
+}
 
 
 def evaluation(folder: Path, arrived: int, tasks: int, name: str = "evaluation.json", **changes: Any) -> Path:

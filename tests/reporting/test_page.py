@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from plotly.graph_objects import Figure
 
-from tests.reporting.folders import DOCUMENTED, evaluation, run_folder
+from tests.reporting.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
 from uavrl.cli.report import main
-from uavrl.reporting.figures import CDN, plotly_script
+from uavrl.reporting.figures import CDN, altitude_histograms, plotly_script
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 
@@ -130,6 +130,21 @@ def test_evaluations_with_missing_or_strange_values(tmp_path: Path) -> None:
     del content["steps_per_arrival"], content["valleys"]
     (folder / "evaluation_2.json").write_text(json.dumps(content))
     assert "evaluation_2.json" in page(make_report([tmp_path], window=2))
+
+
+def test_where_flights_went_is_shown_for_the_evaluations_that_tell_it(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "run", "ca")
+    evaluation(folder, 1, 2)
+    silent = page(make_report([tmp_path], window=2))
+    assert "Where the flights went" not in silent
+    evaluation(folder, 1, 2, "evaluation_valleys=7.json", whereabouts=WHEREABOUTS)
+    report = make_report([tmp_path], window=2)
+    html = page(report)
+    text = " ".join(re.sub(r"<[^>]+>", " ", html[html.index("Where the flights went</h3>") :]).split())
+    row = "evaluation_valleys=7.json 2.0 / 3.5 / 4.9 m 1.1 / 6.2 / 13.3 m 12.5 % 25.0 % 50.0 % 12.5 %"
+    assert row in text
+    (figure,) = altitude_histograms(report.facts())
+    assert '"x":[2.125,2.375,2.625]' in figure and '"y":[25.0,0.0,75.0]' in figure
 
 
 def test_more_groups_than_colours(tmp_path: Path) -> None:

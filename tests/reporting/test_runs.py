@@ -5,10 +5,11 @@ import random
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.reporting.folders import DOCUMENTED, ROOT, evaluation, run_folder
+from tests.reporting.folders import DOCUMENTED, ROOT, WHEREABOUTS, evaluation, run_folder
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 from uavrl.reporting.runs import Run, find_run_folders, read_runs
@@ -198,6 +199,25 @@ def test_a_damaged_evaluation_is_noted_and_left_out(tmp_path: Path, find: str, r
     path.write_text(text.replace(find, replace))
     run = only(tmp_path / "run")
     assert run.evaluations == []
+    assert run.notes == ["evaluation.json is not what uavrl-evaluate writes and was not read."]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"altitude": {"p5": 1.0, "p50": 2.0}},
+        {"height_quarters": [0.5, 0.5]},
+        {"wall_distance": {"p5": 1.0, "p50": float("nan"), "p95": 3.0}},
+        {"altitude_histogram": {"low": 2.0, "step": 0.25, "counts": []}},
+        {"altitude_histogram": "high"},
+    ],
+)
+def test_an_evaluation_with_damaged_whereabouts_is_noted_and_left_out(tmp_path: Path, damage: dict[str, Any]) -> None:
+    folder = run_folder(tmp_path / "run", "a")
+    evaluation(folder, 8, 10, whereabouts={**WHEREABOUTS, **damage})
+    evaluation(folder, 5, 10, "evaluation_2.json", whereabouts=WHEREABOUTS)
+    run = only(folder)
+    assert [e["file"] for e in run.evaluations] == ["evaluation_2.json"]
     assert run.notes == ["evaluation.json is not what uavrl-evaluate writes and was not read."]
 
 

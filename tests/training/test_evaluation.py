@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -138,6 +139,15 @@ def test_path_and_clearance_on_a_known_path() -> None:
     assert flights[6].clearance == 0.0, "a touch is no negative distance"
 
 
+@pytest.mark.parametrize("vehicles", [1, 2, 3])
+def test_the_places_after_every_step_of_the_tasks_that_count_are_watched(vehicles: int) -> None:
+    seen: list[np.ndarray] = []
+    flights = fly(StubEnv([5, 1, 2], vehicles), hover, 3, watch=seen.append)
+    assert sum(flight.steps for flight in flights) == 8
+    expected = [[1, 0, 0], [2, 0, 0], [3, 0, 0], [3, 1, 0], [3, 2, 0], [11, 0, 0], [21, 0, 0], [22, 0, 0]]
+    assert sorted(np.concatenate(seen).tolist()) == expected  # not where tasks 3, 4 … went meanwhile, nor the starts
+
+
 def flights_of(arrived: int, collided: int, timed_out: int) -> list[Flight]:
     outcomes = ["arrived"] * arrived + ["collided"] * collided + ["timed_out"] * timed_out
     return [Flight(k, 0, o, 10, 5.0, 10.0, 0.5) for k, o in enumerate(outcomes)]
@@ -204,7 +214,9 @@ def test_straight_policy(heading: float, altitude: float, action: list[float]) -
     torch.testing.assert_close(StraightPolicy()(state)["action"], torch.tensor([action]), atol=1e-5, rtol=0)
 
 
-def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(tmp_path: Path) -> None:
+def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     results = []
     for name in ("one", "other"):
         arguments = ["policy=straight", "episodes=6", "num_uavs=2", "env.max_steps=4", "progress=false"]
@@ -216,3 +228,7 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(tmp_path: Pat
     assert {f["world_seed"] for f in results[0]["flights"]} == {7, 9}
     assert [f["task"] for f in results[0]["flights"]] == list(range(6))
     assert all(1 <= f["steps"] <= 4 for f in results[0]["flights"])
+    went = results[0]["whereabouts"]
+    assert went["steps"] == sum(f["steps"] for f in results[0]["flights"])
+    assert 3.3 < went["altitude"]["p5"] <= went["altitude"]["p95"] < 3.7, "it starts at 3.5 m and keeps that height"
+    assert "altitude, 5 / 50 / 95 %" in capfd.readouterr().out

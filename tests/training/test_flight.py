@@ -116,6 +116,16 @@ def test_a_flight_is_that_of_the_evaluation() -> None:
         assert one.clearance == pytest.approx(other.clearance, abs=1e-3)
 
 
+def test_a_flight_tells_where_it_went() -> None:
+    flight = small_replay().flights[0]
+    altitudes = flight.positions[1:, 2].astype(float)
+    half = np.array(small_env().world.size) / 2
+    assert flight.whereabouts["steps"] == flight.summary.steps
+    assert flight.whereabouts["altitude"]["p50"] == pytest.approx(np.median(altitudes))
+    walls = (half - np.abs(flight.positions[1:, :2])).min(1)
+    assert flight.whereabouts["wall_distance"]["p50"] == pytest.approx(np.median(walls), abs=1e-4)
+
+
 def test_a_flight_does_not_depend_on_those_before_it() -> None:
     source = small_replay().source
     alone = record_flights(

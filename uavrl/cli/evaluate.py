@@ -89,14 +89,16 @@ def _fly(
     """What goes into the file, and onto the screen."""
     from uavrl.training.evaluation import fly, summarize_flights, table
     from uavrl.training.factory import make_env
+    from uavrl.training.whereabouts import Whereabouts
 
     count = min(settings.num_uavs, settings.episodes)
     env = make_env(env_config, perception, seed=settings.seed, num_uavs=count, measure_clearance=True)
     try:
-        flights = fly(env, policy, settings.episodes, progress=settings.progress)
+        places = Whereabouts(env.base_env.world)
+        flights = fly(env, policy, settings.episodes, watch=places.add, progress=settings.progress)
     finally:
         env.close()
-    result = summarize_flights(flights)
+    result = {**summarize_flights(flights), "whereabouts": places.summary()}
     return {**result, **told, "flights": [asdict(flight) for flight in flights]}, table(result)
 
 

@@ -53,6 +53,7 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     from uavrl.reporting.flight_video import needs_imageio, write_video
     from uavrl.training.arithmetic import multiplied_by
     from uavrl.training.flight import load_replay, save_replay
+    from uavrl.training.whereabouts import whereabouts_lines
 
     needs_plotly()
     if settings.video:
@@ -68,6 +69,7 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
             f"task {summary.task}: {summary.outcome.replace('_', ' ')} after {summary.steps} steps, path efficiency "
             f"{summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
         )
+        print("\n".join(f"  {line}" for line in whereabouts_lines(flight.whereabouts)))
     write_page(shown, outputs["output"])
     if settings.data:
         save_replay(shown, outputs["data"])

@@ -50,3 +50,12 @@ class Mesh:
             faces.append(mesh.faces + offset)
             offset += len(mesh.vertices)
         return Mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def halved(corners: np.ndarray) -> np.ndarray:
+    """Cuts triangles ``[T, 3, 3]`` in two at the middle of their longest edges: ``[2T, 3, 3]``."""
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)  # [T, 3]: a-b, b-c, c-a
+    order = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(corners, order[:, :, None], axis=1).transpose(1, 0, 2)
+    middle = (a + b) / 2.0
+    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])

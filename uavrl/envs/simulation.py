@@ -8,6 +8,7 @@ import numpy as np
 
 from uavrl.envs.bodies import PLANE, STATIC, add_fixed, add_vehicle, split_mesh
 from uavrl.envs.bullet import pybullet, silenced
+from uavrl.envs.clearance import Clearance
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import (
@@ -23,7 +24,6 @@ from uavrl.errors import UavrlError
 
 COMMAND_LIMIT = 2.0  # m/s and rad/s: Chansuparp (2022), Table 4.1
 TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz; 1 where it does not divide
-CLOSEST_DISTANCE_CAP = 5.0  # m
 CONTACT_DISTANCE = 1e-3  # m: Bullet stops a body where it touches, within rounding, before it penetrates
 
 
@@ -129,6 +129,7 @@ class Simulation:
             add_fixed(self._client, plane_mesh, PLANE) for _ in range(plane_count) if plane_mesh is not None
         ]
         self._vehicles = [add_vehicle(self._client, self.airframe) for _ in range(self.count)]
+        self._clearance = Clearance(self._client, meshes, self._statics + self._planes, self.airframe)
         self._row = {body: row for row, body in enumerate(self._vehicles)}
 
     # ------------------------------------------------------------------ reset and step
@@ -282,14 +283,7 @@ class Simulation:
 
     def closest_distance(self) -> np.ndarray:
         """Returns ``[N]``: m from each hull to the nearest geometry or plane, at most 5; below 0 inside."""
-        distances = np.full(self.count, CLOSEST_DISTANCE_CAP)
-        for row, vehicle in enumerate(self._vehicles):
-            for body in self._statics + self._planes:
-                points = pybullet.getClosestPoints(
-                    vehicle, body, distance=float(distances[row]), physicsClientId=self._client
-                )
-                distances[row] = min([distances[row], *(point[8] for point in points)])
-        return distances
+        return self._clearance.distances(self._vehicles, self.position)
 
     def close(self) -> None:
         """Frees the PyBullet world; a second call does nothing."""

@@ -146,6 +146,25 @@ def last_success(facts: dict[str, Any]) -> str:
     return _html(figure, "last-success", 110 + 46 * len(labels))
 
 
+def altitude_histograms(facts: dict[str, Any]) -> list[str]:
+    """HTML of one figure for each evaluation that tells where its flights went: its time at each altitude."""
+    place = {group["label"]: index for index, group in enumerate(facts["groups"])}
+    told = [evaluation for evaluation in facts["evaluations"] if evaluation["whereabouts"]]
+    return [_histogram(each["whereabouts"], colour(place[each["group"]]), i) for i, each in enumerate(told)]
+
+
+def _histogram(found: dict[str, Any], paint: str, index: int) -> str:
+    bars = found["altitude_histogram"]
+    shares = [100 * count / sum(bars["counts"]) for count in bars["counts"]]
+    middles = [bars["low"] + bars["step"] * (place + 0.5) for place in range(len(shares))]
+    figure = _objects().Figure()
+    hover = f"%{{y:.1f}} % of the time<br>within {bars['step'] / 2:g} m of %{{x:.3f}} m<extra></extra>"
+    figure.add_bar(x=middles, y=shares, width=bars["step"], marker={"color": paint}, hovertemplate=hover)
+    figure.update_xaxes(title="altitude, m", rangemode="tozero")
+    figure.update_yaxes(ticksuffix=" %", nticks=5)
+    return _html(figure, f"altitude-{index}", 200)
+
+
 def _scaled(values: list[float | None], scale: float) -> list[float | None]:
     return [None if value is None else round(scale * value, 3) for value in values]
 

@@ -126,6 +126,7 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
         "steps": summary.steps,
         "path_efficiency": summary.path_efficiency,
         "clearance": summary.clearance,
+        "whereabouts": flight.whereabouts,
     }
 
 

@@ -7,7 +7,16 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from uavrl.errors import UavrlError
-from uavrl.reporting.figures import AXES, CDN, QUANTITIES, colour, last_success, learning_curves, plotly_script
+from uavrl.reporting.figures import (
+    AXES,
+    CDN,
+    QUANTITIES,
+    altitude_histograms,
+    colour,
+    last_success,
+    learning_curves,
+    plotly_script,
+)
 from uavrl.reporting.report import Report
 
 NOTHING = "–"
@@ -75,6 +84,16 @@ def p_value(value: float | None) -> str:
     return NOTHING if value is None else "< 0.001" if value < 0.001 else f"{value:.2g}"
 
 
+def spread(percentiles: dict[str, float]) -> str:
+    """The 5, 50 and 95 % percentiles of a length in m.
+
+    Examples:
+        >>> spread({"p5": 2.0, "p50": 3.456, "p95": 4.9})
+        '2.0 / 3.5 / 4.9 m'
+    """
+    return f"{percentiles['p5']:.1f} / {percentiles['p50']:.1f} / {percentiles['p95']:.1f} m"
+
+
 def seeds(values: list[int]) -> str:
     """A list of seeds for a person.
 
@@ -137,7 +156,7 @@ def page(report: Report, cdn: bool = False) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters = (percent, whole_percent, points, interval, number, p_value, seeds, reached, made_by, config_text)
+    filters = (percent, whole_percent, points, interval, number, p_value, spread, seeds, reached, made_by, config_text)
     environment.filters.update({each.__name__: each for each in filters})
     facts = report.facts()
     return environment.get_template("report.html").render(
@@ -147,6 +166,7 @@ def page(report: Report, cdn: bool = False) -> str:
         colours=[colour(index) for index in range(len(report.groups))],
         curve_figures=learning_curves(facts),
         success_figure=last_success(facts),
+        altitude_figures=altitude_histograms(facts),
         plotly_script=plotly_script(cdn),
         plotly_source=CDN if cdn else "",
         warnings=report.warnings(),

@@ -15,7 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 from uavrl.configs import learner, to_dataclass
 from uavrl.configs.registry import ABSENT
 from uavrl.errors import UavrlError
-from uavrl.training.episodes import RATES, Episode, read_episodes
+from uavrl.reporting.evaluations import read_evaluations, read_json
+from uavrl.training.episodes import Episode, read_episodes
 
 CONFIG, EPISODES, SUMMARY, POLICY = "config.yaml", "episodes.csv", "summary.json", "policy.json"
 _DEPTH = 4  # of folders that are searched for runs
@@ -180,7 +181,7 @@ def read_run(folder: Path, name: str | None = None) -> Run:
         episodes=episodes,
         planned=planned,
         versions=_versions(folder, len(episodes), notes),
-        evaluations=_evaluations(folder, notes),
+        evaluations=read_evaluations(folder, notes),
         class_sizes=_class_sizes(folder, notes),
         notes=notes,
     )
@@ -245,23 +246,9 @@ def _read_episodes(path: Path, notes: list[str]) -> list[Episode]:
     return episodes
 
 
-def _json(path: Path, notes: list[str]) -> dict[str, Any] | None:
-    """A json file, or None where it is missing; a damaged one is noted."""
-    if not path.is_file():
-        return None
-    try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, OSError, RecursionError):
-        content = None
-    if not isinstance(content, dict):
-        notes.append(f"{path.name} is damaged and was not read.")
-        return None
-    return content
-
-
 def _class_sizes(folder: Path, notes: list[str]) -> dict[str, Any] | None:
     for made in ("artifact", "pretrained"):
-        about = _json(folder / made / "artifact.json", notes)
+        about = read_json(folder / made / "artifact.json", notes)
         if about is not None:
             return about.get("class_sizes")
     return None
@@ -269,7 +256,7 @@ def _class_sizes(folder: Path, notes: list[str]) -> dict[str, Any] | None:
 
 def _versions(folder: Path, episodes: int, notes: list[str]) -> dict[str, Any]:
     """From ``summary.json``; where the run has gone on since, from its newest checkpoint."""
-    summary = _json(folder / SUMMARY, notes) or {}
+    summary = read_json(folder / SUMMARY, notes) or {}
     told = summary.get("versions")
     ended = {key: value for key, value in told.items() if value is not None} if isinstance(told, dict) else {}
     return ended if ended and summary.get("episodes") == episodes else _versions_of_checkpoint(folder) or ended
@@ -284,30 +271,3 @@ def _versions_of_checkpoint(folder: Path) -> dict[str, Any]:
         except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
             continue  # being written, or damaged: another one may say it
     return {}
-
-
-def _evaluations(folder: Path, notes: list[str]) -> list[dict[str, Any]]:
-    found = []
-    for path in sorted(folder.glob("evaluation*.json")):
-        content = _json(path, notes)
-        if content is None:
-            continue
-        try:
-            rates = {name: _rate(content[name]) for name in RATES}
-            episodes = int(content["episodes"])
-            for value in content.values():
-                if isinstance(value, int):
-                    float(value)  # some are too large for a float, and could not be shown
-        except (KeyError, TypeError, ValueError, OverflowError):
-            notes.append(f"{path.name} is not what uavrl-evaluate writes and was not read.")
-            continue
-        content.pop("flights", None)
-        found.append({**content, "file": path.name, "episodes": episodes, **rates})
-    return found
-
-
-def _rate(content: dict[str, Any]) -> dict[str, float]:
-    rate, low, high = (float(content[key]) for key in ("rate", "low", "high"))
-    if not (0 <= low <= rate + 1e-9 and rate <= high + 1e-9 <= 1 + 2e-9):
-        raise ValueError("It is no rate with its interval.")
-    return {"rate": rate, "low": low, "high": high}

@@ -14,6 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
 from uavrl.training.episodes import RATES, outcome, wilson
+from uavrl.training.whereabouts import whereabouts_lines
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
@@ -73,13 +74,21 @@ class FlightRecorder:
 
 
 @torch.no_grad()
-def fly(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False) -> list[Flight]:
+def fly(
+    env: EnvBase,
+    policy: Policy,
+    episodes: int,
+    *,
+    watch: Callable[[np.ndarray], None] | None = None,
+    progress: bool = False,
+) -> list[Flight]:
     """Flies tasks 0 to ``episodes - 1`` of the environment's seed, each once, to its end.
 
     Args:
         env: batched navigation environment that emits ``clearance``.
         policy: reads the environment's output, writes ``action``.
         episodes: number of tasks.
+        watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
         progress: show a progress line.
 
     Returns:
@@ -99,6 +108,9 @@ def fly(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False) 
             raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before flying again.")
         while len(flights) < episodes:
             stepped, state = env.step_and_maybe_reset(policy(state))
+            if watch is not None:
+                after = stepped["next"]
+                watch(after["position"][after["task"][:, 0] < episodes].numpy())
             for flight in recorder.step(stepped, stepped["next"]):
                 if flight.task < episodes:
                     flights[flight.task] = flight
@@ -165,4 +177,6 @@ def table(result: dict[str, Any]) -> str:
     }
     for key, label in labels.items():
         lines.append(f"{label:<46}{'–' if result[key] is None else format(result[key], '.2f'):>8}")
+    if "whereabouts" in result:
+        lines += whereabouts_lines(result["whereabouts"])
     return "\n".join(lines)

@@ -15,7 +15,7 @@ from uavrl.errors import UavrlError
 from uavrl.files import replacing
 from uavrl.training.evaluation import Flight
 
-FORMAT = "uavrl flights 1"
+FORMAT = "uavrl flights 2"
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class RecordedFlight:
 
     Args:
         summary: Task, outcome, lengths and clearance, as an evaluation gives them.
+        whereabouts: Where it went, as :class:`uavrl.training.whereabouts.Whereabouts` sums it up.
         times: ``[T + 1]`` in s.
         positions: ``[T + 1, 3]``, the airframe's centre in m.
         attitudes: ``[T + 1, 4]``, quaternions (x, y, z, w) from body to world axes.
@@ -43,6 +44,7 @@ class RecordedFlight:
     """
 
     summary: Flight
+    whereabouts: dict[str, Any]
     times: np.ndarray
     positions: np.ndarray
     attitudes: np.ndarray
@@ -190,8 +192,8 @@ def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:
 
 def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> RecordedFlight:
     plain = about["items"][name]
-    names = tuple(plain["reward_names"])
-    return RecordedFlight(summary=Flight(**plain["summary"]), reward_names=names, **_of(arrays, name))
+    told = {"summary": Flight(**plain["summary"]), "reward_names": tuple(plain["reward_names"])}
+    return RecordedFlight(**{**plain, **told}, **_of(arrays, name))
 
 
 def _scenery(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> Scenery:

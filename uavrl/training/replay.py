@@ -29,6 +29,7 @@ from uavrl.training.factory import RewardConfig, make_env
 from uavrl.training.flight import RecordedFlight, Replay, Scenery, thinned
 from uavrl.training.learner import make_actor, make_loss
 from uavrl.training.spaces import make_spaces
+from uavrl.training.whereabouts import Whereabouts
 from uavrl.transforms.rewards import navigation_reward, traditional_reward
 
 Risk = Callable[[Tensor, Tensor], Tensor]
@@ -151,7 +152,7 @@ def record_flight(
             moments.append(_moment(base, stepped["next"], valley, max_points))
             steps.append(TensorDict({"action": stepped["action"][0], "reward": stepped["next", "reward"][0]}))
             state = step_mdp(stepped)
-    return _recorded(ended[0], moments, steps, origins[valley], goal, reward, risk)
+    return _recorded(ended[0], base.world, moments, steps, origins[valley], goal, reward, risk)
 
 
 def _moment(base: NavigationEnv, state: TensorDictBase, valley: int, max_points: int) -> dict[str, Any]:
@@ -168,6 +169,7 @@ def _moment(base: NavigationEnv, state: TensorDictBase, valley: int, max_points:
 
 def _recorded(
     summary: Flight,
+    world: World,
     moments: list[dict[str, Any]],
     taken: list[TensorDict],
     origin: np.ndarray,
@@ -179,8 +181,11 @@ def _recorded(
     steps = cast(TensorDict, torch.stack(cast(list[Tensor], taken)))
     terms = {"reward": steps["reward"][:, 0]} if reward is None else reward_terms(reward, states[:-1], states[1:])
     planes = np.stack([moment["planes"] for moment in moments])
+    places = Whereabouts(world)
+    places.add(states["position"][1:].numpy())
     return RecordedFlight(
         summary=summary,
+        whereabouts=places.summary(),
         times=np.arange(len(moments)) / CONTROL_RATE,
         positions=states["position"].numpy() - origin.astype(np.float32),
         attitudes=np.stack([moment["attitude"] for moment in moments]),

@@ -303,7 +303,8 @@ function choose(index) {
   $("outcome").textContent = name;
   $("outcome").style.background = colour;
   const facts = { task: flight.task, valley: flight.world_seed, steps: `${flight.steps} (${number(flight.steps / 10, 1)} s)`,
-    "path efficiency": number(flight.path_efficiency), "minimum clearance": `${number(flight.clearance)} m` };
+    "path efficiency": number(flight.path_efficiency), "minimum clearance": `${number(flight.clearance)} m`,
+    ...went(flight.whereabouts) };
   $("facts").replaceChildren(...Object.entries(facts).map(([term, value]) => {
     const item = element("div");
     element("dt", {}, item, term);
@@ -320,6 +321,12 @@ function choose(index) {
   const layout = { scene, margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", showlegend: false };
   return Plotly.react($("scene"), traces(flight), layout, { responsive: true, displayModeBar: false })
     .then(() => show(0));
+}
+
+function went({ altitude, height_quarters: quarters, wall_distance: wall }) { // 5, 50 and 95 % of the steps
+  const spread = ({ p5, p50, p95 }) => `${[p5, p50, p95].map((value) => number(value, 1)).join(" / ")} m`;
+  return { "altitude (5 / 50 / 95 %)": spread(altitude), "nearest wall (5 / 50 / 95 %)": spread(wall),
+    "quarters of the height": `${quarters.map((share) => Math.round(100 * share)).join(" / ")} %` };
 }
 
 function drawCharts() {

@@ -1,0 +1,112 @@
+"""Where flights go: how high, and how near to the walls.
+
+A success rate that is better than expected is a question; this is where its answer begins.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from uavrl.envs.world import World
+
+PERCENTILES = (5, 50, 95)
+BIN = 0.25  # m of altitude
+
+
+class Whereabouts:
+    """Collects the places where flights were at the end of each of their steps.
+
+    Args:
+        world: Where they fly. Its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each valley, are the walls
+            that distances are measured to: the space that may be flown ends there. The slopes of the walls reach
+            inwards from them.
+
+    Examples:
+        >>> from uavrl.envs.world import WorldConfig
+        >>> places = Whereabouts(World(WorldConfig()))
+        >>> places.add(np.array([[0.0, 0.0, 3.5], [12.0, 0.0, 3.0]]))
+        >>> places.summary()["wall_distance"]["p50"]
+        11.5
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._origins = np.stack([valley.origin for valley in world.valleys])
+        self._seen = [np.zeros((0, 3))]
+
+    def add(self, positions: np.ndarray) -> None:
+        """Takes in positions ``[M, 3]`` in m, in the world's frame."""
+        self._seen.append(np.array(positions, dtype=np.float64))
+
+    def summary(self) -> dict[str, Any]:
+        """What :func:`summarize_places` says of all of them."""
+        positions = np.concatenate(self._seen)
+        config = self._world.config
+        apart = np.linalg.norm(positions[:, None, :2] - self._origins, axis=-1)
+        inside = np.abs(positions[:, :2] - self._origins[apart.argmin(1)])
+        walls = (np.array(config.size) / 2 - inside).min(1)
+        shares = (positions[:, 2] - self._world.ground_height(positions[:, :2])) / config.ceiling
+        return summarize_places(positions[:, 2], shares, walls)
+
+
+def summarize_places(altitudes: np.ndarray, shares: np.ndarray, walls: np.ndarray) -> dict[str, Any]:
+    """Percentiles, time in each quarter of the height, and a histogram, over S places.
+
+    Args:
+        altitudes: ``[S]`` in m, world z.
+        shares: ``[S]``, height above the ground over the height of the ceiling above it.
+        walls: ``[S]``, distances to the nearest wall in m; below 0 behind it, which counts as 0.
+
+    Returns:
+        ``steps``: S; ``altitude`` and ``wall_distance``: 5, 50 and 95 % percentiles in m, as ``p5``, ``p50`` and
+        ``p95``; ``height_quarters``: shares of the time, lowest quarter first; ``altitude_histogram``: ``counts`` of
+        steps in bins of ``step`` m from ``low`` m on.
+
+    Raises:
+        ValueError: Without places.
+
+    Examples:
+        >>> found = summarize_places(np.array([1.0, 3.0]), np.array([0.2, 0.6]), np.array([5.0, 7.0]))
+        >>> found["altitude"]["p50"], found["height_quarters"], found["wall_distance"]["p50"]
+        (2.0, [0.5, 0.0, 0.5, 0.0], 6.0)
+        >>> found["altitude_histogram"]
+        {'low': 1.0, 'step': 0.25, 'counts': [1, 0, 0, 0, 0, 0, 0, 0, 1]}
+    """
+    if not len(altitudes):
+        raise ValueError("Expected at least one step to tell where flights went, got none.")
+    quarters = np.bincount(np.clip(4 * shares, 0, 3).astype(int), minlength=4) / len(shares)
+    bins = np.floor(altitudes / BIN).astype(int)
+    return {
+        "steps": len(altitudes),
+        "altitude": _percentiles(altitudes),
+        "height_quarters": quarters.tolist(),
+        "wall_distance": _percentiles(np.maximum(walls, 0.0)),
+        "altitude_histogram": {
+            "low": float(bins.min() * BIN),
+            "step": BIN,
+            "counts": np.bincount(bins - bins.min()).tolist(),
+        },
+    }
+
+
+def _percentiles(values: np.ndarray) -> dict[str, float]:
+    return {f"p{p}": float(value) for p, value in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
+
+
+def whereabouts_lines(found: dict[str, Any]) -> list[str]:
+    """A summary as lines for a person.
+
+    Examples:
+        >>> found = summarize_places(np.array([3.0]), np.array([0.6]), np.array([7.0]))
+        >>> whereabouts_lines(found)[0]
+        'altitude, 5 / 50 / 95 % of the steps [m]        3.00 / 3.00 / 3.00'
+    """
+    of = {key: " / ".join(f"{found[key][f'p{p}']:.2f}" for p in PERCENTILES) for key in ("altitude", "wall_distance")}
+    quarters = " / ".join(f"{100 * share:.0f}" for share in found["height_quarters"])
+    return [
+        f"{'altitude, 5 / 50 / 95 % of the steps [m]':<48}{of['altitude']}",
+        f"{'nearest wall, 5 / 50 / 95 % of the steps [m]':<48}{of['wall_distance']}",
+        f"{'time in quarters of the height, lowest first':<48}{quarters} %",
+    ]
