@@ -14,9 +14,9 @@ import yaml
 from uavrl.training.episodes import Episode
 
 ROOT = Path(__file__).resolve().parents[2]
-TEMPLATE = ROOT / "docs/data/enhancers/td3_seed0/config.yaml"
+TEMPLATE = ROOT / "docs/journal/data/enhancers/td3_seed0/config.yaml"
 DOCUMENTED = [
-    ROOT / "docs/data/enhancers" / name
+    ROOT / "docs/journal/data/enhancers" / name
     for name in (
         "td3_seed0",
         "td3_seed1",

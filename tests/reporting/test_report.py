@@ -264,7 +264,7 @@ def test_json_gives_back_the_facts(tmp_path: Path) -> None:
 def test_the_documented_runs_give_the_documented_numbers() -> None:
     report = make_report(DOCUMENTED, threshold=0.6)
     found = {(r["group"], r["seed"]): (r["last"]["success"]["rate"], r["steps_to_threshold"]) for r in report.runs}
-    assert found == {  # docs/reproduction.md
+    assert found == {  # docs/journal/open_valley.md
         ("td3", 0): (0.84, 65_980),
         ("td3", 1): (0.938, 131_838),
         ("td3_fork", 0): (0.932, 56_777),
@@ -278,7 +278,7 @@ def test_a_report_needs_neither_torch_nor_pybullet() -> None:
     code = (
         "import sys, pathlib\n"
         "from uavrl.reporting.page import page; from uavrl.reporting.report import make_report\n"
-        "page(make_report([pathlib.Path('docs/data/enhancers/td3_seed0')]))\n"
+        "page(make_report([pathlib.Path('docs/journal/data/enhancers/td3_seed0')]))\n"
         "assert not {'torch', 'tensordict', 'pybullet'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)
