@@ -54,7 +54,7 @@ class ActorCriticLoss(_LossModule):
         return set(self._AcceptedKeys.__dataclass_fields__)
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
-        """Chooses how values of next states become targets, as :meth:`torchrl.objectives.LossModule.make_value_estimator`.
+        """Chooses how the values of next states become the critics' targets (see :class:`torchrl.objectives.LossModule`).
 
         Args:
             value_type: one of :class:`torchrl.objectives.ValueEstimators`, by default TD(0).
