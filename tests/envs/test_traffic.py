@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.envs.test_world import assert_closed
+from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.traffic import Leg, Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig
 
@@ -129,3 +130,9 @@ def test_plane_model():
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     assert high[0] > 0 > low[0] and high[2] > -low[2]  # the fin points up
     np.testing.assert_allclose(plane_mesh(3.0).vertices, mesh.vertices * 1.5, rtol=1e-6)
+
+
+def test_an_environment_shows_the_shape_of_its_planes():
+    env = NavigationEnv(1, world=WorldConfig(planes=1, plane_wingspan=3.0))
+    np.testing.assert_array_equal(env.plane_mesh.vertices, plane_mesh(3.0).vertices)
+    env.close()

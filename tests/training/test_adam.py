@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from uavrl.errors import UavrlError
 from uavrl.training.adam import DirectAdam
 
 
@@ -36,6 +37,45 @@ def test_its_steps_are_those_of_pytorchs_fused_adam() -> None:
     descend(DirectAdam(ours, lr=0.01), range(20))
     descend(torch.optim.Adam(theirs, lr=0.01, fused=True), range(20))
     assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
+def test_gradients_of_other_strides_move_the_right_entries() -> None:
+    ours, theirs = parameters(), parameters()
+    optimizers = DirectAdam(ours, lr=0.01), torch.optim.Adam(theirs, lr=0.01, foreach=False)
+    for turn in range(20):
+        expected = gradients(turn)
+        transposed = [g.t().contiguous().t() if g.ndim == 2 else g for g in expected]
+        assert transposed[0].stride() == (1, 4)
+        optimizers[0].descend(transposed)
+        for parameter, gradient in zip(theirs, expected, strict=True):
+            parameter.grad = gradient
+        optimizers[1].step()
+    for one, other in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-6)
+
+
+def test_a_transposed_parameter_goes_on_from_what_was_saved_contiguous() -> None:
+    """One that lies column by column, with averages that a checkpoint gave back row by row."""
+    values = [torch.randn(4, 3, generator=torch.Generator().manual_seed(turn)) for turn in range(21)]
+    straight, transposed = nn.Parameter(values[20].clone()), nn.Parameter(values[20].t().contiguous().t())
+    reference, first = DirectAdam([straight], lr=0.01), DirectAdam([transposed], lr=0.01)
+    for gradient in values[:10]:
+        reference.descend([gradient])
+        first.descend([gradient])
+    saved = first.state_dict()
+    for name in ("exp_avg", "exp_avg_sq"):
+        saved["state"][0][name] = saved["state"][0][name].contiguous()
+    second = DirectAdam([transposed], lr=0.01)
+    second.load_state_dict(saved)
+    for gradient in values[10:20]:
+        reference.descend([gradient])
+        second.descend([gradient])
+    torch.testing.assert_close(transposed, straight, rtol=1e-6, atol=1e-6)
+
+
+def test_a_parameter_that_shares_memory_is_refused() -> None:
+    with pytest.raises(UavrlError, match=r"shape \(2, 3\) with strides \(0, 1\): give each network weights of its own"):
+        DirectAdam([torch.zeros(3).expand(2, 3)], lr=0.01)
 
 
 @pytest.mark.parametrize("first", [DirectAdam, torch.optim.Adam])

@@ -106,6 +106,14 @@ def test_the_priority_is_the_largest_absolute_td_error(name: str) -> None:
     torch.testing.assert_close(data["td_error"], error.amax(0) if error.ndim > 1 else error)
 
 
+def test_a_renamed_priority_is_written_under_its_name() -> None:
+    data, loss = batch(), make_loss("td3")
+    loss.set_keys(priority="urgency")
+    ActorCriticStepper(loss).step(None, data)
+    assert data["urgency"].shape == (10,)
+    assert "td_error" not in data.keys()  # noqa: SIM118
+
+
 def go_on(stepper: ActorCriticStepper, seed: int) -> list[TensorDictBase]:
     """Four times new episodes and two updates."""
     torch.manual_seed(seed)

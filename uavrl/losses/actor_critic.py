@@ -54,10 +54,10 @@ class ActorCriticLoss(_LossModule):
         return set(self._AcceptedKeys.__dataclass_fields__)
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
-        """Chooses how values of next states become targets, as :meth:`torchrl.objectives.LossModule.make_value_estimator`.
+        """Chooses how the values of next states become the critics' targets.
 
         Args:
-            value_type: one of :class:`torchrl.objectives.ValueEstimators`, by default TD(0).
+            value_type: as in :class:`torchrl.objectives.LossModule`, by default TD(0).
             **hyperparams: such as ``gamma``; what is not given has TorchRL's default, not that of the constructor.
         """
         super().make_value_estimator(value_type, **hyperparams)

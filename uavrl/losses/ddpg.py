@@ -69,7 +69,7 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
 
     def _set_in_keys(self) -> None:
-        """What :meth:`forward` needs; TorchRL's list has more, by which selected out-keys take a batch for arguments."""
+        """What :meth:`forward` needs: with TorchRL's longer list, selected out-keys take a batch for arguments."""
         flags = (self.tensor_keys.reward, self.tensor_keys.done, self.tensor_keys.terminated)
         following = [unravel_key(("next", key)) for key in (*self.actor_network.in_keys, *flags)]
         self._in_keys = list(dict.fromkeys([*self.actor_network.in_keys, *self.value_network.in_keys, *following]))

@@ -93,7 +93,9 @@ class PSAELoss(LossModule):
         Raises:
             UavrlError: always.
         """
-        raise UavrlError("PSAELoss compares states and knows no values: make the value estimator of your critic's loss.")
+        raise UavrlError(
+            "PSAELoss compares states and knows no values: make the value estimator of your critic's loss."
+        )
 
     def psae_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Eq. 3.3.

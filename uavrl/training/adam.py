@@ -17,7 +17,8 @@ class DirectAdam(torch.optim.Adam):
     ``torch.optim.Adam.step`` regroups its tensors at every call, which costs as much as the update itself when the
     networks are small. Here they are gathered once, and :meth:`descend` takes the place of ``step``.
 
-    The kernel walks through the memory of each tensor and asks for no strides: what it is given lies as the parameter does.
+    The kernel walks through the memory of each tensor and asks for no strides, so what it is given is first laid out as
+    the parameter is.
 
     Args:
         params: the parameters.
@@ -40,8 +41,8 @@ class DirectAdam(torch.optim.Adam):
         for parameter in self.param_groups[0]["params"]:
             if torch.empty_like(parameter).stride() != parameter.stride():
                 raise UavrlError(
-                    f"Expected parameters that fill their memory, got one of shape {tuple(parameter.shape)} with strides "
-                    f"{parameter.stride()}: give each network weights of its own, or clone them."
+                    f"Expected parameters that fill their memory, got one of shape {tuple(parameter.shape)} with "
+                    f"strides {parameter.stride()}: give each network weights of its own, or clone them."
                 )
 
     @torch.no_grad()
