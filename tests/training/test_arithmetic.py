@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 import time
@@ -19,9 +20,9 @@ from uavrl.errors import UavrlError
 from uavrl.training import arithmetic
 from uavrl.training import run as run_module
 from uavrl.training import sweep as sweep_module
-from uavrl.training.arithmetic import chosen_products, multiplied_by
+from uavrl.training.arithmetic import carried, chosen_products, multiplied_by
 from uavrl.training.checkpoint import rotation
-from uavrl.training.run import _in_worker, create_run, resume_config, train
+from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sweep import take_place
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -137,8 +138,12 @@ def test_the_caller_gets_its_products_back_and_other_devices_keep_theirs(monkeyp
 
 def test_the_process_that_flies_multiplies_as_the_learner() -> None:
     with multiplied_by("mkl"):
-        made = _in_worker("onednn", lambda: torch.backends.mkldnn.matmul.fp32_precision)  # type: ignore[arg-type,return-value]
-        assert made == "bf16"
+        function = pickle.dumps(carried(torch.get_num_threads))
+    script = (
+        "import pickle, sys, torch; setting = torch.backends.mkldnn.matmul; before = setting.fp32_precision; "
+        "pickle.loads(bytes.fromhex(sys.argv[1]))(); print(before, setting.fp32_precision)"
+    )
+    assert python(script, function.hex()).stdout.split() == ["none", "ieee"]
 
 
 @pytest.mark.parametrize("products", ["mkl", "onednn", "bf16"])

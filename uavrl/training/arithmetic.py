@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Literal, cast
+from functools import partial
+from typing import Any, Literal, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -15,6 +16,7 @@ from torch import Tensor
 from uavrl.errors import UavrlError
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 Products = Literal["mkl", "onednn", "bf16"]
 FLOAT32: tuple[Products, ...] = ("mkl", "onednn")  # those that `auto` chooses among
 LARGEST_ERROR = 1e-3  # of a float32 product of PROBE: some 1e-5 to 1e-4; with factors of 8 bits it is 0.1 and more
@@ -67,6 +69,16 @@ def multiplied_by(name: str, threads: int = 1) -> Iterator[Products]:
 def multiply_by(products: Products) -> None:
     """Sets what multiplies in this process from now on."""
     _ON_CPU.fp32_precision = "ieee" if products == "mkl" else "bf16"
+
+
+def carried(function: Callable[[], T]) -> Callable[[], T]:
+    """``function`` for another process, which from its call on multiplies as this one does now."""
+    return partial(_after_setting, _ON_CPU.fp32_precision, function)
+
+
+def _after_setting(precision: str, function: Callable[[], T]) -> T:
+    _ON_CPU.fp32_precision = precision
+    return function()
 
 
 @contextmanager

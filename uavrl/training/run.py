@@ -7,7 +7,7 @@ import logging
 import platform
 import random
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,6 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from torchrl.data import ReplayBuffer
-from torchrl.envs import EnvBase
 
 import uavrl
 from uavrl.configs import learner, to_dataclass
@@ -29,7 +28,7 @@ from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER
 from uavrl.pretraining.recording import StateRecorder
-from uavrl.training.arithmetic import Products, chosen_products, denormals_flushed, multiplied_by, multiply_by
+from uavrl.training.arithmetic import carried, chosen_products, denormals_flushed, multiplied_by
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
@@ -122,18 +121,18 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
         What ``summary.json`` holds.
     """
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
-    with locked(run_dir), denormals_flushed(), multiplied_by(products, config.trainer.threads) as chosen:
-        return _train(config, run_dir, chosen, resume=resume)
+    with locked(run_dir), denormals_flushed(), multiplied_by(products, config.trainer.threads):
+        return _train(config, run_dir, resume=resume)
 
 
-def _train(config: DictConfig, run_dir: Path, products: Products, *, resume: bool) -> dict[str, Any]:
+def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
     _warn_of_frequent_checkpoints(settings)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     checkpoint = _checked_checkpoint(run_dir, config) if resume else None
     try:
-        trainer = _build(settings, config, run_dir, products)
+        trainer = _build(settings, config, run_dir)
     except BaseException:
         if not resume:
             free(run_dir)
@@ -199,10 +198,10 @@ def seed_everything(seed: int) -> None:
     torch.manual_seed(seed)
 
 
-def _build(settings: TrainConfig, config: DictConfig, run_dir: Path, products: Products) -> EpisodeTrainer:
+def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
     device = make_device(settings.device)
     new_env = partial(make_env, settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
-    env = partial(_in_worker, products, new_env) if settings.collector.name == "async" else new_env()
+    env = carried(new_env) if settings.collector.name == "async" else new_env()
     spaces = make_spaces(settings.env, settings.perception)
     actor = make_actor(settings.algo, spaces, device)
     loss = make_loss(settings.algo, actor, spaces, device)
@@ -226,12 +225,6 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path, products: P
         logger=make_logger(settings.logger, run_dir),
         log_interval=settings.logger.interval,
     )
-
-
-def _in_worker(products: Products, new_env: Callable[[], EnvBase]) -> EnvBase:
-    """Makes the environment in the process that flies, whose policy multiplies as the learner does."""
-    multiply_by(products)
-    return new_env()
 
 
 def _make_replay(settings: TrainConfig, buffer: ReplayBuffer) -> EpisodeReplay:
