@@ -128,7 +128,6 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
 
 def _train(config: DictConfig, run_dir: Path, products: Products, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
-    _warn_of_frequent_checkpoints(settings)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     checkpoint = _checked_checkpoint(run_dir, config) if resume else None
@@ -163,18 +162,6 @@ def _train(config: DictConfig, run_dir: Path, products: Products, *, resume: boo
     finally:
         trainer.progress.close()
         trainer.shutdown()
-
-
-def _warn_of_frequent_checkpoints(settings: TrainConfig) -> None:
-    """A checkpoint drops the episodes that are open, which are the long ones more often than the short ones."""
-    fewest = 4 * getattr(settings.env, "num_uavs", 1) * settings.env.max_steps
-    if settings.collector.name == "sync" and settings.trainer.checkpoint_interval < fewest:
-        log.warning(
-            "trainer.checkpoint_interval=%d makes time-outs look rarer than they are: each checkpoint drops the "
-            "flights that are open, long ones more often than short ones. Choose at least %d.",
-            settings.trainer.checkpoint_interval,
-            fewest,
-        )
 
 
 def free(run_dir: Path) -> None:
@@ -290,7 +277,7 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
         "steps": trainer.collected_frames,  # of whole episodes, which is what is learned from
-        "steps_flown": trainer.steps_flown,  # with the episodes that checkpoints cut off
+        "steps_flown": trainer.steps_flown,  # with those dropped while others ended
         "updates": trainer.optimization_stepper.updates,
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),
