@@ -24,7 +24,7 @@ LATE = 0.3  # of the flights are long
 
 
 class Flights(EnvBase):
-    """Eight vehicles; flight k after ``set_seed(s)`` takes 4 steps, or 30 in 3 of 10 cases, which (s, k) alone decide."""
+    """Eight vehicles; flight k after ``set_seed(s)`` takes 4 steps, or 30 in 3 of 10 cases: (s, k) alone decide."""
 
     def __init__(self) -> None:
         super().__init__(batch_size=[UAVS])

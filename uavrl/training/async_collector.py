@@ -97,9 +97,9 @@ def _death_told() -> Iterator[None]:
 
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """Ctrl-C is the learner's to handle, which ends the worker: what starts here never hears it, we do at the end."""
+    """Ctrl-C and SIGTERM are the learner's to handle, which ends the worker: it never hears them, we do at the end."""
     resource_tracker.ensure_running()  # starting it later would let interrupts through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
     finally:

@@ -7,6 +7,7 @@ import logging
 import platform
 import random
 import shutil
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -24,7 +25,7 @@ from torchrl.envs import EnvBase
 import uavrl
 from uavrl.configs import learner, to_dataclass
 from uavrl.configs.train import TrainConfig
-from uavrl.errors import UavrlError
+from uavrl.errors import Stopped, UavrlError, was_interrupted
 from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER
@@ -33,9 +34,7 @@ from uavrl.training.arithmetic import Products, chosen_products, denormals_flush
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
-    check_checkpoint,
     fingerprint,
-    latest_checkpoint,
     read_config,
     restore,
     rotation,
@@ -54,13 +53,13 @@ from uavrl.training.learner import make_actor, make_loss
 from uavrl.training.loggers import cut_back, make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
+from uavrl.training.resuming import EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.stopping import Stop, stoppable
 from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
 
 log = logging.getLogger(__name__)
-EPISODES = "episodes.csv"
-SUMMARY = "summary.json"
 ARTIFACT = "artifact"  # a copy of ABR⁺'s classifier: the run can go on without the original
 
 
@@ -71,25 +70,38 @@ def create_run(config: DictConfig) -> Path:
         UavrlError: when it cannot be written, or holds a run already.
     """
     run_dir = Path(str(config.run_dir))
-    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER)) or any(
-        (run_dir / CHECKPOINTS).glob("*")
-    ):
-        raise UavrlError(
-            f"The run folder {run_dir} holds a run already: "
-            f"go on with it by resume={run_dir}, or choose another run_dir."
-        )
+    _refuse_a_run(run_dir)
     # recorded: both bear on the last digits
     config.trainer.execution = chosen_execution(config.trainer.execution)
     config.trainer.products = chosen_products(config.trainer.products, config.trainer.threads)
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
-        with (run_dir / CONFIG).open("x") as file:
-            file.write(OmegaConf.to_yaml(config, resolve=True))
+        with locked(run_dir):
+            _refuse_a_run(run_dir)
+            free(run_dir)
+            _write(config, run_dir)
     except OSError as error:
         raise UavrlError(
             f"The run folder {run_dir} cannot be written ({error.strerror}): choose another with run_dir=FOLDER."
         ) from error
     return run_dir
+
+
+def _refuse_a_run(run_dir: Path) -> None:
+    if never_began(run_dir):
+        return
+    if any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+        raise UavrlError(
+            f"The run folder {run_dir} holds a run already: "
+            f"go on with it by resume={run_dir}, or choose another run_dir."
+        )
+    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER)):
+        raise UavrlError(f"The run folder {run_dir} holds a run already, without checkpoints: choose another run_dir.")
+
+
+def _write(config: DictConfig, run_dir: Path) -> None:
+    with replacing(run_dir / CONFIG) as partial_config:
+        partial_config.write_text(OmegaConf.to_yaml(config, resolve=True))
 
 
 @contextmanager
@@ -116,37 +128,50 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     Args:
         config: the composed configuration of the run (for a resumed run: the one in its folder).
         run_dir: the run's folder.
-        resume: start from the newest checkpoint in ``run_dir``.
+        resume: start from the newest checkpoint in ``run_dir``; anew, where it was stopped before the first one.
 
     Returns:
         What ``summary.json`` holds.
+
+    Raises:
+        Stopped: when Ctrl-C or SIGTERM has ended it.
     """
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
-    with locked(run_dir), denormals_flushed(), multiplied_by(products, config.trainer.threads) as chosen:
-        return _train(config, run_dir, chosen, resume=resume)
+    with (
+        locked(run_dir),
+        denormals_flushed(),
+        multiplied_by(products, config.trainer.threads) as chosen,
+        stoppable() as stop,
+    ):
+        try:
+            return _train(config, run_dir, chosen, stop, resume=resume)
+        except BaseException as error:
+            if stop.signal is None and not was_interrupted(error):
+                raise
+            raise Stopped(how_to_go_on(run_dir), stop.signal or signal.SIGINT) from None
 
 
-def _train(config: DictConfig, run_dir: Path, products: Products, *, resume: bool) -> dict[str, Any]:
+def _train(config: DictConfig, run_dir: Path, products: Products, stop: Stop, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
-    checkpoint = _checked_checkpoint(run_dir, config) if resume else None
+    if resume and never_began(run_dir):
+        log.info("%s was stopped before its first flight: it starts anew.", run_dir)
+        _clear(run_dir)
+        _write(config, run_dir)
+        resume = False
+    checkpoint = checkpoint_to_resume(run_dir, config) if resume else None
+    _drop_unfinished_checkpoints(run_dir)
     try:
         trainer = _build(settings, config, run_dir, products)
-    except BaseException:
+    except Exception:
         if not resume:
             free(run_dir)
         raise
+    trainer.stop = stop
     try:
         if checkpoint is not None:
-            _restore(trainer, checkpoint)
-            cut_back(trainer.logger, run_dir, trainer.collected_frames)
-            with replacing(run_dir / CONFIG) as partial_config:
-                partial_config.write_text(OmegaConf.to_yaml(config, resolve=True))
-            log.info(
-                "Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames
-            )
-            trainer.barrier()
+            _take_up(trainer, checkpoint, config, run_dir)
         else:
             trainer.save_trainer(force_save=True)
         trainer.progress = Progress(
@@ -160,14 +185,20 @@ def _train(config: DictConfig, run_dir: Path, products: Products, *, resume: boo
             trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
+        stop.ignore()
         trainer.progress.close()
         trainer.shutdown()
 
 
 def free(run_dir: Path) -> None:
     """Makes a folder whose run never reached its first checkpoint free for another try."""
-    for name in (CONFIG, EPISODES):
-        (run_dir / name).unlink(missing_ok=True)
+    _clear(run_dir)
+    (run_dir / CONFIG).unlink(missing_ok=True)
+
+
+def _clear(run_dir: Path) -> None:
+    """Removes what a run made before its first checkpoint, but for its configuration."""
+    (run_dir / EPISODES).unlink(missing_ok=True)
     for name in (STATES_FOLDER, ARTIFACT):
         shutil.rmtree(run_dir / name, ignore_errors=True)
     _drop_unfinished_checkpoints(run_dir)
@@ -251,13 +282,14 @@ def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticSt
     )
 
 
-def _checked_checkpoint(run_dir: Path, config: DictConfig) -> Path:
-    """The newest checkpoint; a refusal leaves the run folder as it was."""
-    path = latest_checkpoint(run_dir)
-    check_checkpoint(path, config)
-    read_episodes(run_dir / EPISODES)
-    _drop_unfinished_checkpoints(run_dir)
-    return path
+def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
+    """Makes trainer and run folder what they were after the barrier of a checkpoint."""
+    flown = read_episodes(run_dir / EPISODES)
+    _restore(trainer, checkpoint)
+    cut_back(trainer.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
+    _write(config, run_dir)
+    log.info("Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames)
+    trainer.barrier()
 
 
 def _restore(trainer: EpisodeTrainer, path: Path) -> None:

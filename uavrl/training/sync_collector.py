@@ -22,7 +22,7 @@ class SyncCollector(Collector):
         self._counted, self._ended = 0, 0
 
     def start_anew(self, seed: int, flights: int) -> None:
-        """Builds the environment anew from a seed; what was open is dropped, the first ``flights`` from here on count."""
+        """Builds the environment anew from a seed and drops what is open; the first ``flights`` from here on count."""
         self._counted, self._ended = flights, 0
         self.set_seed(seed, static_seed=True)
         self.reset()

@@ -22,6 +22,7 @@ from uavrl.training.checkpoint import BufferState, RecordingState
 from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.training.progress import Progress
 from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.stopping import Stop
 from uavrl.training.sync_collector import SyncCollector
 
 # What a learner reads; everything else that the environment emits is for metrics.
@@ -189,6 +190,7 @@ class EpisodeTrainer(Trainer):
         self.run_seed = seed
         self._last_save = 0
         self.steps_flown = 0
+        self.stop = Stop()
         self.episodes = episodes
         super().__init__(
             collector=collector,
@@ -254,11 +256,20 @@ class EpisodeTrainer(Trainer):
         count = self.episode_log.count
         self.steps_flown = self.collector.state_dict()["frames"]
         self.collector.start_anew(barrier_seed(self.run_seed, count), self.episodes - count)
+        self.stop.begin()
 
     def save_trainer(self, force_save: bool = False) -> None:
-        """Writes a checkpoint, behind a barrier, once the flights have ended that were open when it became due."""
-        due = self.collected_frames - self._last_save >= self.save_trainer_interval
+        """Writes a checkpoint, behind a barrier, once the flights have ended that were open when it became due.
+
+        A run that was asked to stop goes on to its next checkpoint where that comes soon: one more would change what
+        is flown after it. Flights in a process of their own never come again, and are saved at once.
+        """
+        steps = self.collected_frames - self._last_save
+        anywhere = isinstance(self.collector, AsyncCollector)
+        self.stop.foretell(0 if anywhere else self.save_trainer_interval - steps, steps)
+        due = steps >= self.save_trainer_interval or (anywhere and self.stop.signal is not None)
         if force_save or (due and self.collector.wind_down()):
             self._last_save = self.collected_frames
-            self.barrier()
-            self._save_trainer()
+            with self.stop.behind_this():
+                self.barrier()
+                self._save_trainer()
