@@ -61,6 +61,12 @@ def _wandb_logger(config: LoggerConfig, run_dir: Path) -> WandbLogger:
     )
 
 
+def close(logger: Logger | None) -> None:
+    """Ends wandb's run, so that the next training in this process gets its own."""
+    if isinstance(logger, OneRunWandbLogger):
+        logger.experiment.finish()
+
+
 def cut_back(logger: Logger, run_dir: Path, steps: int, reached: int) -> None:
     """Drops what was logged after the steps of a checkpoint, by a process that went on until ``reached``.
 

@@ -50,7 +50,7 @@ from uavrl.training.factory import (
 )
 from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.loggers import cut_back, make_logger
+from uavrl.training.loggers import close, cut_back, make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
 from uavrl.training.resuming import EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
@@ -188,6 +188,7 @@ def _train(config: DictConfig, run_dir: Path, products: Products, stop: Stop, *,
         stop.ignore()
         trainer.progress.close()
         trainer.shutdown()
+        close(trainer.logger)
 
 
 def free(run_dir: Path) -> None:
