@@ -1,5 +1,31 @@
-"""The one exception that the command line turns into one sentence."""
+"""What the command line turns into one sentence."""
+
+import signal
 
 
 class UavrlError(ValueError):
     """A mistake that the user can mend: what was expected, what came, and what to do."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A command that Ctrl-C or SIGTERM has ended: how to go on, and the exit code that shells expect."""
+
+    def __init__(self, how_to_go_on: str = "stopped.", number: int = signal.SIGINT) -> None:
+        super().__init__(how_to_go_on)
+        self.exit_code = 128 + number
+
+
+def was_interrupted(error: BaseException | None) -> bool:
+    """Whether an error is Ctrl-C, or came out of its handling.
+
+    TensorDict's ``to_module`` answers an exception inside its ``with`` block by one of its own.
+
+    Examples:
+        >>> was_interrupted(KeyboardInterrupt()), was_interrupted(ValueError())
+        (True, False)
+    """
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__context__
+    return False

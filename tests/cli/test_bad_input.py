@@ -121,7 +121,7 @@ def test_a_truncated_checkpoint_stops_the_real_command(run_dir: Path) -> None:
     path = newest(run_dir)
     path.write_bytes(path.read_bytes()[:-3000])
     before = content(run_dir)
-    done = as_process("train", f"resume={run_dir}", "trainer.episodes=9")
+    done = as_process("evaluate", f"run={run_dir}", *SMALL_EVALUATION)
     assert done.returncode == 1
     assert f"uavrl: The checkpoint {path} is damaged" in done.stderr
     assert "Traceback" not in done.stderr + done.stdout
@@ -213,22 +213,45 @@ def flip_in_the_directory(path: Path) -> None:
 @pytest.mark.parametrize(
     "damage", [empty, halve, flip_in_the_middle, flip_in_the_networks, flip_in_the_directory], ids=lambda d: d.__name__
 )
-def test_a_damaged_checkpoint_is_named_and_nothing_is_touched(
-    damage: Callable[[Path], None], run_dir: Path, refused: Callable[..., str]
+def test_a_damaged_checkpoint_is_named_and_the_run_goes_back_to_the_one_before(
+    damage: Callable[[Path], None],
+    finished: Path,
+    run_dir: Path,
+    refused: Callable[..., str],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    damage(newest(run_dir))
+    path = newest(run_dir)
+    damage(path)
     before = content(run_dir)
-    said = f"The checkpoint {newest(run_dir)} is damaged"
-    assert said in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
+    said = f"The checkpoint {path} is damaged"
     assert said in refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
+    assert content(run_dir) == before
+    damaged = path.read_bytes()
+    assert in_process(train_command.main, f"resume={run_dir}") == 0
+    assert said in caplog.text and "goes back to the one before, after episode 0" in caplog.text
+    assert path.with_name(f"unused-{path.name}").read_bytes() == damaged
+    assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
+    assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION) == 0
+
+
+def test_a_run_whose_checkpoints_are_all_damaged_is_refused(run_dir: Path, refused: Callable[..., str]) -> None:
+    for path in (run_dir / "checkpoints").iterdir():
+        empty(path)
+    before = content(run_dir)
+    sentence = refused(train_command.main, f"resume={run_dir}")
+    assert f"The checkpoint {newest(run_dir)} is damaged" in sentence and "No older checkpoint is left" in sentence
     assert content(run_dir) == before
 
 
-def test_after_moving_a_damaged_checkpoint_away_the_run_goes_on_from_the_one_before(run_dir: Path) -> None:
-    newest(run_dir).unlink()
+def test_lost_episodes_send_a_run_back_to_a_checkpoint_that_knows_none_of_them(
+    finished: Path, run_dir: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, rows = newest(run_dir), (run_dir / "episodes.csv").read_text().splitlines(keepends=True)
+    (run_dir / "episodes.csv").write_text("".join(rows[:3]))
     assert in_process(train_command.main, f"resume={run_dir}") == 0
-    rows = (run_dir / "episodes.csv").read_text().splitlines()
-    assert [int(row.split(",")[0]) for row in rows[1:]] == [1, 2, 3, 4]
+    lost = f"The checkpoint {path} follows episode 4, and {run_dir / 'episodes.csv'} has lost those after 2."
+    assert lost in caplog.text and "goes back to the one before, after episode 0" in caplog.text
+    assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])
@@ -276,8 +299,8 @@ def test_resuming_with_a_value_out_of_range_is_refused_by_name(run_dir: Path, re
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [(None, "found no such file"), ("a,b\n1,2\n", "to start with the columns"), ("short", "episodes in")],
-    ids=["missing", "foreign", "too short"],
+    [(None, "found no such file"), ("a,b\n1,2\n", "to start with the columns"), ("short", "has lost those after 1")],
+    ids=["missing", "foreign", "too short for the one checkpoint that is left"],
 )
 def test_resuming_without_the_runs_episodes_is_refused(
     text: str | None, said: str, run_dir: Path, refused: Callable[..., str]
@@ -285,6 +308,8 @@ def test_resuming_without_the_runs_episodes_is_refused(
     path = run_dir / "episodes.csv"
     lines = path.read_text().splitlines(keepends=True)
     path.unlink()
+    if text == "short":
+        min((run_dir / "checkpoints").iterdir()).unlink()
     if text is not None:
         path.write_text("".join(lines[:2]) if text == "short" else text)
     before = content(run_dir)
@@ -413,6 +438,6 @@ def test_ctrl_c_in_the_middle_of_an_update_is_still_ctrl_c(
 
     monkeypatch.setattr(Actor, "forward", interrupted_while_learning)
     assert in_process(train_command.main, *TINY, f"run_dir={tmp_path / 'run'}") == 130
-    out, err = capfd.readouterr()
-    assert f"uavrl-train resume={tmp_path / 'run'}" in out
-    assert "uavrl: stopped." in err and "Traceback" not in err
+    _, err = capfd.readouterr()
+    assert [line for line in err.splitlines() if line.startswith("uavrl: ")] == err.splitlines()[-1:]
+    assert f"uavrl-train resume={tmp_path / 'run'} goes on after 0 and flies" in err and "Traceback" not in err

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -87,6 +88,60 @@ def test_tensorboard_shows_no_step_twice_over_a_resume(trained: Callable[[str], 
 
 def test_wandb_offline(trained: Callable[[str], Path]) -> None:
     assert list((trained("wandb") / "logs").rglob("run-*.wandb"))
+
+
+def logged_to_wandb(run: Path) -> tuple[set[str], dict[str, list[tuple[int, float]]]]:
+    """The ids of wandb's runs below a run folder, and what was sent, in order: values by name with their steps."""
+    from wandb.proto.wandb_internal_pb2 import Record
+
+    ids: set[str] = set()
+    values: dict[str, list[tuple[int, float]]] = {}
+    for file in sorted((run / "logs").glob("wandb/offline-run-*/run-*.wandb"), key=lambda path: path.stat().st_mtime):
+        for data in leveldb_records(file.read_bytes()):
+            record = Record.FromString(data)
+            if record.run.run_id:
+                ids.add(record.run.run_id)
+            row = {item.key or "/".join(item.nested_key): json.loads(item.value_json) for item in record.history.item}
+            for name in set(row) - {"step"} if "step" in row else ():
+                values.setdefault(name, []).append((row["step"], row[name]))
+    return ids, {name: rows for name, rows in values.items() if not name.startswith("_") and "seconds" not in name}
+
+
+def leveldb_records(data: bytes) -> Iterator[bytes]:
+    """The records of a log in LevelDB's format: blocks of 32 KiB, pieces with checksum, length and kind."""
+    at, whole = 7, b""  # behind wandb's own header
+    while at + 7 <= len(data):
+        if 32768 - at % 32768 < 7:
+            at += 32768 - at % 32768
+            continue
+        length, kind = int.from_bytes(data[at + 4 : at + 6], "little"), data[at + 6]
+        whole += data[at + 7 : at + 7 + length]
+        at += 7 + length
+        if kind in (1, 4):  # full, last
+            yield whole
+            whole = b""
+
+
+def test_wandb_shows_one_run_and_each_step_once_over_a_resume(
+    trained: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("WANDB_CACHE_DIR", "WANDB_CONFIG_DIR", "WANDB_DATA_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / "wandb-own"))
+    whole = trained("wandb")
+    cut = Path(shutil.copytree(whole, tmp_path / "run"))
+    for later in rotation(cut).checkpoints()[1:]:
+        later.unlink()  # as if the process had been killed before the second one
+    ids, before = logged_to_wandb(cut)
+    assert len(ids) == 1 and len(before["return"]) > 2
+    train(small_config(cut, "logger=wandb", *SETTINGS[:1], "trainer.episodes=8", *SETTINGS[2:]), cut, resume=True)
+    assert len(list((cut / "logs").glob("wandb/offline-run-*/run-*.wandb"))) == 2
+    ids_after, after = logged_to_wandb(cut)
+    assert ids_after == ids
+    assert all(rows[: len(before[name])] == before[name] for name, rows in after.items() if name in before)
+    assert len(after["return"]) == len(before["return"]) + 2
+    for rows in after.values():
+        steps = [step for step, _ in rows]
+        assert steps == sorted(set(steps))
 
 
 def test_a_run_with_another_logger_learns_the_same(trained: Callable[[str], Path]) -> None:

@@ -8,25 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from uavrl.errors import UavrlError
-
-CTRL_C = 130  # exit code
-
-
-def was_interrupted(error: BaseException | None) -> bool:
-    """Whether an error is Ctrl-C, or came out of its handling.
-
-    TensorDict's ``to_module`` answers an exception inside its ``with`` block by one of its own.
-
-    Examples:
-        >>> was_interrupted(KeyboardInterrupt()), was_interrupted(ValueError())
-        (True, False)
-    """
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__context__
-    return False
+from uavrl.errors import Stopped, UavrlError, was_interrupted
 
 
 def sentence(error: BaseException | None) -> str:
@@ -41,7 +23,7 @@ def sentence(error: BaseException | None) -> str:
 
 @contextmanager
 def one_sentence() -> Iterator[None]:
-    """Prints what the user can mend, without a traceback, and exits with 1; Ctrl-C exits with 130."""
+    """Prints what the user can mend, without a traceback, and exits with 1; Ctrl-C exits with 130, SIGTERM with 143."""
     try:
         yield
     except (UavrlError, OSError) as error:
@@ -50,8 +32,9 @@ def one_sentence() -> Iterator[None]:
     except BaseException as error:
         if not was_interrupted(error):
             raise
-        print("uavrl: stopped.", file=sys.stderr)
-        raise SystemExit(CTRL_C) from None
+        stopped = error if isinstance(error, Stopped) else Stopped()
+        print(f"uavrl: {stopped}", file=sys.stderr)
+        raise SystemExit(stopped.exit_code) from stopped
 
 
 def configure_logging() -> None:

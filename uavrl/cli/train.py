@@ -11,9 +11,9 @@ from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from uavrl.cli.errors import CTRL_C, configure_logging, one_sentence, sentence, was_interrupted
+from uavrl.cli.errors import configure_logging, one_sentence, sentence
 from uavrl.configs import conf_dir, register_schemas, to_dataclass
-from uavrl.errors import UavrlError
+from uavrl.errors import Stopped, UavrlError
 
 register_schemas()
 
@@ -30,7 +30,7 @@ def _main(config: DictConfig) -> None:
         with one_sentence():
             _train_in_sweep(config)
     except SystemExit as end:
-        if end.code == CTRL_C:
+        if isinstance(end.__cause__, Stopped):
             raise
         # Hydra waits for the other runs, whatever launched them, and then ends with this sentence and exit code 1. It
         # holds the reason: what a cluster's job prints lies in a file of its own.
@@ -75,12 +75,7 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
     from uavrl.training.run import train
 
     print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}")
-    try:
-        summary = train(config, run_dir, resume=resume)
-    except BaseException as error:
-        if was_interrupted(error) and any((run_dir / "checkpoints").glob("checkpoint*")):
-            print(f"\nStopped. Go on with: uavrl-train resume={run_dir}")
-        raise
+    summary = train(config, run_dir, resume=resume)
     print(json.dumps({k: summary[k] for k in ("episodes", "steps", "rates")}))
     print(f"Evaluate with: uavrl-evaluate run={run_dir}")
 

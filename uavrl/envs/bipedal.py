@@ -55,6 +55,11 @@ class BipedalEnv(GymWrapper):
     def _set_seed(self, seed: int | None) -> None:
         self._courses_seed, self._next_task = 0 if seed is None else int(seed), 0
 
+    @property
+    def tasks_begun(self) -> int:
+        """How many courses were begun since ``set_seed``: the number of the next one."""
+        return self._next_task
+
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
         self._env.close()
         self._env = _make(self._max_steps)

@@ -182,6 +182,11 @@ class NavigationEnv(EnvBase):
         if planes:
             self._simulation.place_planes(self.plane_poses())
 
+    @property
+    def tasks_begun(self) -> int:
+        """How many tasks were drawn since ``set_seed``: the number of the next one."""
+        return self._next_task
+
     # ------------------------------------------------------------------ reset and step
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, task: int | None = None, **_: object) -> TensorDict:

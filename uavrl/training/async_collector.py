@@ -57,6 +57,16 @@ class AsyncCollector(MultiAsyncCollector):
         with _death_told():
             super().reset(*args, **kwargs)
 
+    def start_anew(self, seed: int, flights: int) -> None:
+        """Starts new episodes from a seed, unless some fly: these go on. All count."""
+        if not self.running:
+            self.set_seed(seed, static_seed=True)
+            self.reset()
+
+    def wind_down(self) -> bool:
+        """Nothing need end: open flights go on through a checkpoint."""
+        return True
+
     def shutdown(self, *args: Any, **kwargs: Any) -> None:
         """Ends the worker, and what TorchRL would end when it is collected: too late where Python itself is ending."""
         super().shutdown(*args, **kwargs)
@@ -87,9 +97,9 @@ def _death_told() -> Iterator[None]:
 
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """Ctrl-C is the learner's to handle, which ends the worker: what starts here never hears it, we do at the end."""
+    """Ctrl-C and SIGTERM are the learner's to handle, which ends the worker: it never hears them, we do at the end."""
     resource_tracker.ensure_running()  # starting it later would let interrupts through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
     finally:

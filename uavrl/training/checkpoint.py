@@ -100,8 +100,8 @@ def rotation(run_dir: Path, keep: int = 2) -> CheckpointRotation:
     return CheckpointRotation(run_dir / CHECKPOINTS, keep_last=keep)
 
 
-def latest_checkpoint(run_dir: Path) -> Path:
-    """The newest checkpoint of a run.
+def all_checkpoints(run_dir: Path) -> list[Path]:
+    """The checkpoints of a run, oldest first, whether they can be read or not.
 
     Raises:
         UavrlError: when there is no run or no checkpoint.
@@ -110,17 +110,24 @@ def latest_checkpoint(run_dir: Path) -> Path:
         raise UavrlError(
             f"Expected a run folder at {run_dir} and found none: give the folder that uavrl-train printed."
         )
-    found = sorted((run_dir / CHECKPOINTS).glob("checkpoint*")) if (run_dir / CHECKPOINTS).is_dir() else []
+    found = sorted((run_dir / CHECKPOINTS).glob("checkpoint*"))
     if not found:
         raise UavrlError(
-            f"Expected a checkpoint in {run_dir / CHECKPOINTS} and found none: the run was stopped before its first "
-            f"one, or it is not a run folder; start a new run."
+            f"Expected a checkpoint in {run_dir / CHECKPOINTS} and found none: bring the run's checkpoints back, or "
+            f"start a new run in another folder."
         )
-    newest = rotation(run_dir).latest()
-    if newest is None:
-        raise _damaged(found[-1], "it cannot be opened")
-    if newest.name != found[-1].name:
-        raise _damaged(found[-1], "it cannot be opened")
+    return found
+
+
+def latest_checkpoint(run_dir: Path) -> Path:
+    """The newest checkpoint of a run.
+
+    Raises:
+        UavrlError: when there is no run or no checkpoint, or the newest cannot be opened.
+    """
+    newest = all_checkpoints(run_dir)[-1]
+    if rotation(run_dir).latest() != newest:
+        raise _damaged(newest, "it cannot be opened")
     return newest
 
 
@@ -181,7 +188,9 @@ def restore(checkpoint: Checkpoint, path: Path, components: list[str]) -> None:
         raise _damaged(path, str(error)) from error
 
 
-def _damaged(path: Path, reason: str) -> UavrlError:
-    return UavrlError(
-        f"The checkpoint {path} is damaged ({reason}): move it away, and the run goes on from the one before it."
-    )
+class DamagedCheckpoint(UavrlError):
+    """A checkpoint that cannot be read to its end."""
+
+
+def _damaged(path: Path, reason: str) -> DamagedCheckpoint:
+    return DamagedCheckpoint(f"The checkpoint {path} is damaged ({reason}).")

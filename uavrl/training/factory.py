@@ -9,7 +9,6 @@ from typing import Any, cast
 
 import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.collectors import BaseCollector, Collector
 from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
 from torchrl.envs import Compose, EnvBase, RewardSum, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
@@ -33,6 +32,7 @@ from uavrl.models import OneShotClassifier, TrajectoryClassifier
 from uavrl.models.trajectory_classifier import packaged_artifact
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.spaces import make_spaces
+from uavrl.training.sync_collector import SyncCollector
 from uavrl.transforms import NavigationReward, TraditionalReward, WalkerReward, navigation_state
 from uavrl.transforms.functional import Statistic
 from uavrl.transforms.observation import Angles
@@ -193,7 +193,7 @@ def make_admission(config: UniformBufferConfig, seed: int) -> FailureBias | None
 
 def make_collector(
     config: TrainConfig, env: EnvBase | Callable[[], EnvBase], actor: TensorDictModuleBase, device: torch.device
-) -> BaseCollector:
+) -> SyncCollector | AsyncCollector:
     """Collects whole episodes, one a batch, with exploration noise after the random steps.
 
     Args:
@@ -225,4 +225,4 @@ def make_collector(
     }
     if config.collector.name == "async":
         return AsyncCollector([env], num_threads=config.trainer.threads, **kwargs)
-    return Collector(env, **kwargs)
+    return SyncCollector(env, **kwargs)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+import uuid
 from pathlib import Path
+from typing import Any
 
-from torchrl.record.loggers import Logger, TensorboardLogger, get_logger
+from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger, get_logger
 
 from uavrl.configs.train import LoggerConfig
 from uavrl.errors import UavrlError
@@ -21,24 +23,57 @@ def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
     Raises:
         UavrlError: when the logger's package is not installed.
     """
-    kwargs = {}
-    if config.name == "wandb":
-        os.environ.setdefault("WANDB_SILENT", "true")
-        kwargs = {"wandb_kwargs": {"project": config.project, "mode": "offline" if config.offline else "online"}}
     package = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb"}[config.name]
     try:
-        return get_logger(config.name, logger_name=str(run_dir / "logs"), experiment_name=run_dir.name, **kwargs)
+        if config.name == "wandb":
+            return _wandb_logger(config, run_dir)
+        return get_logger(config.name, logger_name=str(run_dir / "logs"), experiment_name=run_dir.name)
     except ImportError as error:
         raise UavrlError(
             f"logger={config.name} needs the package {package}: run pip install 'uavrl[{package}]'."
         ) from error
 
 
-def cut_back(logger: Logger, run_dir: Path, steps: int) -> None:
-    """Drops what was logged after this number of steps, by a process that was killed or stopped.
+class OneRunWandbLogger(WandbLogger):
+    """Logs each step once to one run of wandb, however often a process takes the training up again."""
 
-    Whoever goes on from a checkpoint logs the steps after it again. wandb shows them twice, in two of its runs.
+    shown = 0  # steps that a process before this one has logged
+
+    def log_scalar(self, name: str, value: float, step: int | None = None, *args: Any, **kwargs: Any) -> None:
+        """Logs a value, unless its step is shown already: what is sent to wandb cannot be taken back."""
+        if step is None or step > self.shown:
+            super().log_scalar(name, value, step, *args, **kwargs)
+
+
+def _wandb_logger(config: LoggerConfig, run_dir: Path) -> WandbLogger:
+    os.environ.setdefault("WANDB_SILENT", "true")
+    name = run_dir / "logs" / "wandb_run_id"
+    name.parent.mkdir(parents=True, exist_ok=True)
+    if not name.exists():
+        with replacing(name) as partial:
+            partial.write_text(uuid.uuid4().hex[:8])
+    return OneRunWandbLogger(
+        exp_name=run_dir.name,
+        log_dir=str(run_dir / "logs"),
+        id=name.read_text(),
+        project=config.project,
+        mode="offline" if config.offline else "online",
+    )
+
+
+def close(logger: Logger | None) -> None:
+    """Ends wandb's run, so that the next training in this process gets its own."""
+    if isinstance(logger, OneRunWandbLogger):
+        logger.experiment.finish()
+
+
+def cut_back(logger: Logger, run_dir: Path, steps: int, reached: int) -> None:
+    """Drops what was logged after the steps of a checkpoint, by a process that went on until ``reached``.
+
+    Whoever goes on from a checkpoint logs the steps after it again.
     """
+    if isinstance(logger, OneRunWandbLogger):
+        logger.shown = reached
     if isinstance(logger, TensorboardLogger):
         logger.experiment.close()
         logger.experiment.purge_step = steps + 1  # the next value opens a file that begins with it

@@ -7,7 +7,8 @@ import logging
 import platform
 import random
 import shutil
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ from torchrl.data import ReplayBuffer
 import uavrl
 from uavrl.configs import learner, to_dataclass
 from uavrl.configs.train import TrainConfig
-from uavrl.errors import UavrlError
+from uavrl.errors import Stopped, UavrlError, was_interrupted
 from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER
@@ -32,9 +33,7 @@ from uavrl.training.arithmetic import carried, chosen_products, denormals_flushe
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
-    check_checkpoint,
     fingerprint,
-    latest_checkpoint,
     read_config,
     restore,
     rotation,
@@ -50,16 +49,16 @@ from uavrl.training.factory import (
 )
 from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.loggers import cut_back, make_logger
+from uavrl.training.loggers import close, cut_back, make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
+from uavrl.training.resuming import EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.stopping import Stop, stoppable
 from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
 
 log = logging.getLogger(__name__)
-EPISODES = "episodes.csv"
-SUMMARY = "summary.json"
 ARTIFACT = "artifact"  # a copy of ABR⁺'s classifier: the run can go on without the original
 
 
@@ -70,25 +69,38 @@ def create_run(config: DictConfig) -> Path:
         UavrlError: when it cannot be written, or holds a run already.
     """
     run_dir = Path(str(config.run_dir))
-    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER)) or any(
-        (run_dir / CHECKPOINTS).glob("*")
-    ):
-        raise UavrlError(
-            f"The run folder {run_dir} holds a run already: "
-            f"go on with it by resume={run_dir}, or choose another run_dir."
-        )
+    _refuse_a_run(run_dir)
     # recorded: both bear on the last digits
     config.trainer.execution = chosen_execution(config.trainer.execution)
     config.trainer.products = chosen_products(config.trainer.products, config.trainer.threads)
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
-        with (run_dir / CONFIG).open("x") as file:
-            file.write(OmegaConf.to_yaml(config, resolve=True))
+        with locked(run_dir):
+            _refuse_a_run(run_dir)
+            free(run_dir)
+            _write(config, run_dir)
     except OSError as error:
         raise UavrlError(
             f"The run folder {run_dir} cannot be written ({error.strerror}): choose another with run_dir=FOLDER."
         ) from error
     return run_dir
+
+
+def _refuse_a_run(run_dir: Path) -> None:
+    if never_began(run_dir):
+        return
+    if any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+        raise UavrlError(
+            f"The run folder {run_dir} holds a run already: "
+            f"go on with it by resume={run_dir}, or choose another run_dir."
+        )
+    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER)):
+        raise UavrlError(f"The run folder {run_dir} holds a run already, without checkpoints: choose another run_dir.")
+
+
+def _write(config: DictConfig, run_dir: Path) -> None:
+    with replacing(run_dir / CONFIG) as partial_config:
+        partial_config.write_text(OmegaConf.to_yaml(config, resolve=True))
 
 
 @contextmanager
@@ -115,38 +127,50 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     Args:
         config: the composed configuration of the run (for a resumed run: the one in its folder).
         run_dir: the run's folder.
-        resume: start from the newest checkpoint in ``run_dir``.
+        resume: start from the newest checkpoint in ``run_dir``; anew, where it was stopped before the first one.
 
     Returns:
         What ``summary.json`` holds.
+
+    Raises:
+        Stopped: when Ctrl-C or SIGTERM has ended it.
     """
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
-    with locked(run_dir), denormals_flushed(), multiplied_by(products, config.trainer.threads):
-        return _train(config, run_dir, resume=resume)
+    with (
+        locked(run_dir),
+        denormals_flushed(),
+        multiplied_by(products, config.trainer.threads),
+        stoppable() as stop,
+    ):
+        try:
+            return _train(config, run_dir, stop, resume=resume)
+        except BaseException as error:
+            if stop.signal is None and not was_interrupted(error):
+                raise
+            raise Stopped(how_to_go_on(run_dir), stop.signal or signal.SIGINT) from None
 
 
-def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]:
+def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> dict[str, Any]:
     settings: TrainConfig = to_dataclass(config)
-    _warn_of_frequent_checkpoints(settings)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
-    checkpoint = _checked_checkpoint(run_dir, config) if resume else None
+    if resume and never_began(run_dir):
+        log.info("%s was stopped before its first flight: it starts anew.", run_dir)
+        _clear(run_dir)
+        _write(config, run_dir)
+        resume = False
+    checkpoint = checkpoint_to_resume(run_dir, config) if resume else None
+    _drop_unfinished_checkpoints(run_dir)
     try:
         trainer = _build(settings, config, run_dir)
-    except BaseException:
+    except Exception:
         if not resume:
             free(run_dir)
         raise
+    trainer.stop = stop
     try:
         if checkpoint is not None:
-            _restore(trainer, checkpoint)
-            cut_back(trainer.logger, run_dir, trainer.collected_frames)
-            with replacing(run_dir / CONFIG) as partial_config:
-                partial_config.write_text(OmegaConf.to_yaml(config, resolve=True))
-            log.info(
-                "Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames
-            )
-            trainer.barrier()
+            _take_up(trainer, checkpoint, config, run_dir)
         else:
             trainer.save_trainer(force_save=True)
         trainer.progress = Progress(
@@ -160,26 +184,21 @@ def _train(config: DictConfig, run_dir: Path, *, resume: bool) -> dict[str, Any]
             trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
+        stop.ignore()
         trainer.progress.close()
         trainer.shutdown()
-
-
-def _warn_of_frequent_checkpoints(settings: TrainConfig) -> None:
-    """A checkpoint drops the episodes that are open, which are the long ones more often than the short ones."""
-    fewest = 4 * getattr(settings.env, "num_uavs", 1) * settings.env.max_steps
-    if settings.collector.name == "sync" and settings.trainer.checkpoint_interval < fewest:
-        log.warning(
-            "trainer.checkpoint_interval=%d makes time-outs look rarer than they are: each checkpoint drops the "
-            "flights that are open, long ones more often than short ones. Choose at least %d.",
-            settings.trainer.checkpoint_interval,
-            fewest,
-        )
+        close(trainer.logger)
 
 
 def free(run_dir: Path) -> None:
     """Makes a folder whose run never reached its first checkpoint free for another try."""
-    for name in (CONFIG, EPISODES):
-        (run_dir / name).unlink(missing_ok=True)
+    _clear(run_dir)
+    (run_dir / CONFIG).unlink(missing_ok=True)
+
+
+def _clear(run_dir: Path) -> None:
+    """Removes what a run made before its first checkpoint, but for its configuration."""
+    (run_dir / EPISODES).unlink(missing_ok=True)
     for name in (STATES_FOLDER, ARTIFACT):
         shutil.rmtree(run_dir / name, ignore_errors=True)
     _drop_unfinished_checkpoints(run_dir)
@@ -257,13 +276,14 @@ def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticSt
     )
 
 
-def _checked_checkpoint(run_dir: Path, config: DictConfig) -> Path:
-    """The newest checkpoint; a refusal leaves the run folder as it was."""
-    path = latest_checkpoint(run_dir)
-    check_checkpoint(path, config)
-    read_episodes(run_dir / EPISODES)
-    _drop_unfinished_checkpoints(run_dir)
-    return path
+def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
+    """Makes trainer and run folder what they were after the barrier of a checkpoint."""
+    flown = read_episodes(run_dir / EPISODES)
+    _restore(trainer, checkpoint)
+    cut_back(trainer.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
+    _write(config, run_dir)
+    log.info("Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames)
+    trainer.barrier()
 
 
 def _restore(trainer: EpisodeTrainer, path: Path) -> None:
@@ -283,7 +303,7 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
         "steps": trainer.collected_frames,  # of whole episodes, which is what is learned from
-        "steps_flown": trainer.steps_flown,  # with the episodes that checkpoints cut off
+        "steps_flown": trainer.steps_flown,  # with those dropped while others ended
         "updates": trainer.optimization_stepper.updates,
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),

@@ -13,7 +13,8 @@ from uavrl.training.arithmetic import FLOAT32, chosen_products
 from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, fingerprint
 from uavrl.training.episodes import read_episodes
 from uavrl.training.gradients import chosen_execution
-from uavrl.training.run import EPISODES, SUMMARY, free, locked
+from uavrl.training.resuming import EPISODES, SUMMARY
+from uavrl.training.run import free, locked
 
 NAME_DIGITS = 6
 

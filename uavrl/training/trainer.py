@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState
-from torchrl.collectors import BaseCollector
 from torchrl.data import ReplayBuffer
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer, TrainerHookBase
@@ -23,6 +22,8 @@ from uavrl.training.checkpoint import BufferState, RecordingState
 from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.training.progress import Progress
 from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.stopping import Stop
+from uavrl.training.sync_collector import SyncCollector
 
 # What a learner reads; everything else that the environment emits is for metrics.
 STORED_KEYS = (
@@ -137,12 +138,13 @@ class EpisodeReplay(TrainerHookBase):
 class EpisodeTrainer(Trainer):
     """Trains until ``episodes`` are flown; every checkpoint is a barrier.
 
-    At a barrier the open episodes are dropped and the environment is built anew from a seed that
-    depends on the run's seed and the number of episodes alone. A resumed process passes the same
-    barrier, so that its run is bit-identical to one that was never stopped.
+    When a checkpoint is due, the open flights end and are learned from; what begins meanwhile is dropped whatever its
+    end. Then no flight is open that counts, and the environment is built anew from a seed that depends on the run's
+    seed and the number of episodes alone. A resumed process passes the same barrier, so that its run is bit-identical
+    to one that was never stopped.
 
     Args:
-        collector: yields one whole episode a batch.
+        collector: yields one whole episode a batch, and knows when those that count have ended.
         loss: the loss module.
         stepper: the optimisation step.
         replay: where episodes are stored.
@@ -155,7 +157,7 @@ class EpisodeTrainer(Trainer):
         policy: the actor, kept as a component of its own for evaluation.
         episodes: when to stop.
         seed: the run's seed.
-        checkpoint_interval: steps between checkpoints.
+        checkpoint_interval: steps of whole episodes after which a checkpoint is due.
         logger: TorchRL logger.
         log_interval: steps between logged values.
     """
@@ -163,7 +165,7 @@ class EpisodeTrainer(Trainer):
     def __init__(
         self,
         *,
-        collector: BaseCollector,
+        collector: SyncCollector | AsyncCollector,
         loss: ActorCriticLoss,
         stepper: ActorCriticStepper,
         replay: EpisodeReplay,
@@ -188,6 +190,7 @@ class EpisodeTrainer(Trainer):
         self.run_seed = seed
         self._last_save = 0
         self.steps_flown = 0
+        self.stop = Stop()
         self.episodes = episodes
         super().__init__(
             collector=collector,
@@ -249,16 +252,24 @@ class EpisodeTrainer(Trainer):
             )
 
     def barrier(self) -> None:
-        """Drops open episodes and rebuilds the environment; flights in a process of their own go on."""
+        """Builds the environment anew; flights in a process of their own go on."""
+        count = self.episode_log.count
         self.steps_flown = self.collector.state_dict()["frames"]
-        if isinstance(self.collector, AsyncCollector) and self.collector.running:
-            return
-        self.collector.set_seed(barrier_seed(self.run_seed, self.episode_log.count), static_seed=True)
-        self.collector.reset()
+        self.collector.start_anew(barrier_seed(self.run_seed, count), self.episodes - count)
+        self.stop.begin()
 
     def save_trainer(self, force_save: bool = False) -> None:
-        """Writes a checkpoint when one is due, behind a barrier."""
-        if force_save or self.collected_frames - self._last_save >= self.save_trainer_interval:
+        """Writes a checkpoint, behind a barrier, once the flights have ended that were open when it became due.
+
+        A run that was asked to stop goes on to its next checkpoint where that comes soon: one more would change what
+        is flown after it. Flights in a process of their own never come again, and are saved at once.
+        """
+        steps = self.collected_frames - self._last_save
+        anywhere = isinstance(self.collector, AsyncCollector)
+        self.stop.foretell(0 if anywhere else self.save_trainer_interval - steps, steps)
+        due = steps >= self.save_trainer_interval or (anywhere and self.stop.signal is not None)
+        if force_save or (due and self.collector.wind_down()):
             self._last_save = self.collected_frames
-            self.barrier()
-            self._save_trainer()
+            with self.stop.behind_this():
+                self.barrier()
+                self._save_trainer()

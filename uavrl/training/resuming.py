@@ -1,0 +1,78 @@
+"""From where a run goes on that was stopped, killed or damaged."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from omegaconf import DictConfig
+from torchrl.checkpoint import Checkpoint
+
+from uavrl.errors import UavrlError
+from uavrl.pretraining.from_run import STATES_FOLDER
+from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, DamagedCheckpoint, all_checkpoints, check_checkpoint
+from uavrl.training.episodes import read_episodes
+
+log = logging.getLogger(__name__)
+EPISODES = "episodes.csv"
+SUMMARY = "summary.json"
+
+
+def never_began(run_dir: Path) -> bool:
+    """Whether a run was stopped before its first checkpoint, which comes before its first flight: nothing is lost."""
+    episodes = run_dir / EPISODES
+    return (
+        (run_dir / CONFIG).exists()
+        and not (run_dir / SUMMARY).exists()
+        and not any((run_dir / CHECKPOINTS).glob("checkpoint*"))
+        and not (episodes.exists() and read_episodes(episodes))
+        and not any(file.stat().st_size for file in (run_dir / STATES_FOLDER).glob("*.f32"))
+    )
+
+
+def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:
+    """The newest checkpoint that is whole and knows no episode that ``episodes.csv`` has lost.
+
+    Newer ones are renamed, so that nothing takes them for the run's, and what happened is logged.
+
+    Raises:
+        UavrlError: when there is none, or one of another configuration; nothing is changed then.
+    """
+    found = all_checkpoints(run_dir)
+    flown = len(read_episodes(run_dir / EPISODES))
+    passed_over: dict[Path, str] = {}
+    for path in reversed(found):
+        try:
+            saved = check_checkpoint(path, config)["episodes"]
+        except DamagedCheckpoint as error:
+            passed_over[path] = str(error)
+            continue
+        if saved <= flown:
+            _set_aside(passed_over, saved)
+            return path
+        passed_over[path] = (
+            f"The checkpoint {path} follows episode {saved}, and {run_dir / EPISODES} has lost those after {flown}."
+        )
+    raise UavrlError(
+        f"{passed_over[found[-1]]} No older checkpoint is left to go on from: bring the file back, or start a new run."
+    )
+
+
+def _set_aside(passed_over: dict[Path, str], saved: int) -> None:
+    for path, reason in passed_over.items():
+        aside = path.replace(path.with_name(f"unused-{path.name}"))
+        log.warning(
+            "%s The run goes back to the one before, after episode %d; this one is now %s.", reason, saved, aside
+        )
+
+
+def how_to_go_on(run_dir: Path) -> str:
+    """The sentence that a stopped run ends with."""
+    if not any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+        return f"stopped before the first flight: start it again, or uavrl-train resume={run_dir}."
+    saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]
+    flown = len(read_episodes(run_dir / EPISODES))
+    if flown == saved:
+        return f"stopped after episode {flown}, which is saved: go on with uavrl-train resume={run_dir}."
+    again = f"episode {flown}" if flown == saved + 1 else f"episodes {saved + 1} to {flown}"
+    return f"stopped after episode {flown}: uavrl-train resume={run_dir} goes on after {saved} and flies {again} again."

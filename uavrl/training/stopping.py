@@ -1,0 +1,79 @@
+"""Ctrl-C and SIGTERM while a run trains."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+PATIENCE = 10.0  # s for which a stopped run goes on at most, where its next checkpoint comes in half of them
+
+
+class Stop:
+    """Whether a run was asked to stop, and how long it may go on for.
+
+    The first signal ends a run at once, or behind its next checkpoint where that comes soon; the second at once.
+    """
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self._waiting = self._deaf = False
+        self._began, self._seconds_left = 0.0, float("inf")
+
+    def hear(self, number: int, _: FrameType | None = None) -> None:
+        """Handles a signal, and the alarm that ends the patience with the first one."""
+        if self._deaf:
+            return
+        self._waiting = self.signal is None and self._seconds_left <= PATIENCE / 2
+        self.signal = self.signal or number
+        if not self._waiting:
+            raise KeyboardInterrupt
+        signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+
+    def begin(self) -> None:
+        """From here on steps are flown towards the next checkpoint."""
+        self._began = time.monotonic()
+
+    def foretell(self, left: int, done: int) -> None:
+        """Tells how soon the next checkpoint comes: ``left`` steps from now, after the ``done`` since the last one."""
+        if self.signal is not None and not self._waiting:
+            raise KeyboardInterrupt  # once more: what Python calls in passing may swallow the first
+        self._seconds_left = max(left, 0) * (time.monotonic() - self._began) / max(done, 1)
+
+    @contextmanager
+    def behind_this(self) -> Iterator[None]:
+        """Around the writing of a checkpoint, which is finished first; then a run ends that was asked to."""
+        self._seconds_left = 0.0
+        yield
+        self._seconds_left = float("inf")
+        if self.signal is not None:
+            raise KeyboardInterrupt
+
+    def ignore(self) -> None:
+        """From here on the run ends by itself, and no signal interrupts it."""
+        self._deaf = True
+
+
+@contextmanager
+def stoppable() -> Iterator[Stop]:
+    """Hears Ctrl-C and SIGTERM, unless they are ignored, as Ctrl-C is in a shell's background jobs.
+
+    In another thread than the main one nothing is heard: Python gives signals to that one alone.
+    """
+    stop = Stop()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, stop.hear)
+    try:
+        yield stop
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
