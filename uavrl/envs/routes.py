@@ -39,8 +39,8 @@ class Airspace:
     def __init__(self, mesh: Mesh, size: tuple[float, float], top: float, radius: float) -> None:
         self.radius = radius
         self._surface = Surface(Mesh(mesh.vertices * FLATNESS, mesh.faces), -radius, 2 * top + radius)
-        axes = [np.arange(CELL / 2 - length / 2, length / 2, CELL) for length in size]
-        self.points = grid_points(*axes, np.arange(RISE, top + RISE / 2, RISE))
+        x, y = (np.arange(CELL / 2 - length / 2, length / 2, CELL) for length in size)
+        self.points = grid_points(x, y, np.arange(RISE, top + RISE / 2, RISE))
         self.free = self.clears(self.points, radius + SLACK)
         index = np.arange(self.free.size).reshape(self.free.shape)
         self.border = [index[0, :, -1], index[-1, :, -1], index[:, 0, -1], index[:, -1, -1]]  # by edge

@@ -173,8 +173,9 @@ class LifeGuard(Enhancer):
         """As :meth:`Enhancer.reset_parameters_recursive`; nothing is known yet of how good the new classifier is."""
         super().reset_parameters_recursive()
         for module in self.classifier.modules():
-            if hasattr(module, "reset_parameters"):
-                module.reset_parameters()
+            reset = getattr(module, "reset_parameters", None)
+            if callable(reset):
+                reset()
         self.evaluations.clear()
         self._refresh()
 
