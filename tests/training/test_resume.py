@@ -44,8 +44,8 @@ SMALL = [
     "trainer.execution=captured",  # compiling takes longer than these runs
 ]
 
-LIFEGUARD = [  # heard after a few collisions, which a low ceiling brings about
-    "env.world.ceiling=3.6",
+LIFEGUARD = [  # heard after a few collisions, which a wide hull brings about
+    "env.airframe.collision_radius=2.5",
     "algo.lifeguard.min_collisions=3",
     "algo.lifeguard.min_evaluations=1",
     "algo.lifeguard.min_true_negative_rate=0",
