@@ -77,6 +77,36 @@ def test_the_walkers_benchmark_writes_its_shares(tmp_path: Path) -> None:
     assert numbers["steps"] >= 50 and numbers["steps_per_second"] > 0
 
 
+def test_the_audit_counts_how_blind_flights_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a valley without obstacles all fly straight at the goal and arrive; one that dives first hits the ground."""
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import loopholes
+
+    from uavrl.envs import NavigationEnv, WorldConfig
+
+    env = NavigationEnv(2, world=WorldConfig(obstacles=0), blind=True)
+    names = set(loopholes.controllers(env.world))
+    assert {"straight at 3.5 m", "straight at 4.5 m", "first to 0.5 m, then straight"} <= names
+    assert {"along the wall at -x, 1 m from it", "along the wall at +y, 3 m from it", "over two random legs"} <= names
+    for name in ("straight at 3.5 m", "first to 4.5 m, then straight"):
+        row = loopholes.arrivals(env, loopholes.controllers(env.world)[name], 2, 77777)
+        assert row["arrived"] == 2 and row["success"]["rate"] == 1.0
+    row = loopholes.arrivals(env, loopholes.level_first(-3.0), 2, 77777)
+    assert row["collided"] == 2 and row["success"]["rate"] == 0.0
+    env.close()
+    kept = ["straight at 3.5 m", "along the wall at +x, 2 m from it"]
+    every = loopholes.controllers
+    monkeypatch.setattr(loopholes, "controllers", lambda world: {name: every(world)[name] for name in kept})
+    output = tmp_path / "audit.json"
+    monkeypatch.setattr("sys.argv", ["loopholes.py", "env.max_steps=40", "--tasks", "2", "--json", str(output)])
+    loopholes.main()
+    audit = json.loads(output.read_text())
+    assert list(audit["rows"]) == kept
+    assert (audit["tasks"], audit["seed"], audit["overrides"]) == (2, 77777, ["env.max_steps=40"])
+    for row in audit["rows"].values():
+        assert sum(row.get(end, 0) for end in ("arrived", "collided", "timed_out")) == 2
+
+
 def test_pybullets_rays_see_what_the_lidar_sees(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     from pybullet_rays import PyBulletLidar

@@ -421,8 +421,6 @@ OUT_OF_RANGE = [
     ("env.world.flight_level", "-1"),
     ("env.world.ceiling", "-8"),
     ("env.world.goal_radius", "0"),
-    ("env.world.goal_height", "-1"),
-    ("env.world.goal_base", "5"),
     ("env.world.min_goal_distance", "-1"),
     ("env.world.min_clearance", "-1"),
     ("env.world.uav_radius", "0"),

@@ -74,8 +74,26 @@ def test_a_blind_environment_casts_nothing(make: Callable[..., NavigationEnv]) -
     env = make(blind=True)
     assert env._lidar is None
     check_env_specs(env)
-    cloud = env.step(env.reset().set("action", STAY))["next", "point_cloud"]
-    assert cloud.shape == (1, 28928, 3) and cloud.isnan().all()
+    state = env.reset()
+    for _ in range(2):
+        state = env.step(state.set("action", STAY))["next"]
+        assert state["point_cloud"].shape == (1, 28928, 3) and state["point_cloud"].isnan().all()
+    kept = state["point_cloud"]
+    after = env.step(state.set("action", STAY))["next", "point_cloud"]
+    assert after.data_ptr() == kept.data_ptr(), "nothing is filled anew"
+
+
+def test_partial_resets_of_the_blind_leave_the_others_as_they_were() -> None:
+    env = NavigationEnv(3, blind=True, max_steps=3)
+    state, rows = env.reset(), []
+    place_at = np.array([0.0, 0.0, 30.0])
+    env.simulation.reset(np.array([1]), place_at[None], np.zeros(1))
+    for _ in range(4):
+        stepped, state = env.step_and_maybe_reset(state.set("action", torch.zeros(3, 4)))
+        rows.append(stepped["next", "done"].flatten().tolist())
+        assert state["point_cloud"].isnan().all() and state["position"].isfinite().all()
+    assert rows[0] == [False, True, False] and rows[2][0] and rows[2][2]
+    env.close()
 
 
 def ahead_of_a_plane(env: NavigationEnv) -> tuple[np.ndarray, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -284,13 +285,19 @@ class NavigationEnv(EnvBase):
         return plane_mesh(self.world.config.plane_wingspan)
 
     def _scan(self, index: np.ndarray) -> np.ndarray:
-        points = None if self._lidar is None else self._cast(self._lidar, index)
-        if points is not None and len(index) == self.num_uavs:
+        if self._lidar is None:
+            return self._no_returns
+        points = self._cast(self._lidar, index)
+        if len(index) == self.num_uavs:
             return points
-        cloud = np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
-        if points is not None:
-            cloud[index] = points
+        cloud = self._no_returns.copy(order="K")
+        cloud[index] = points
         return cloud
+
+    @cached_property
+    def _no_returns(self) -> np.ndarray:
+        """The clouds of the blind: filled once, and the same array after every step."""
+        return np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
 
     def _cast(self, lidar: Lidar, index: np.ndarray) -> np.ndarray:
         simulation = self.simulation
