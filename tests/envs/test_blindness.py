@@ -18,6 +18,7 @@ from uavrl.training.factory import make_env
 
 STAY = torch.zeros(1, 4)
 FACES = 32
+SMALL: dict[str, Any] = {"size": (26.0, 20.0), "obstacles": 8}  # which is built quickly
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def beside_a_rock(env: NavigationEnv) -> np.ndarray:
 
 
 def test_a_blind_policy_reads_nothing_near_beside_a_rock_and_the_same_altitude_and_angles() -> None:
-    config = EnvConfig(num_uavs=1)
+    config = EnvConfig(num_uavs=1, world=WorldConfig(**SMALL))
     seeing, blind = (make_env(config, PerceptionConfig(blind=blind), seed=3) for blind in (False, True))
     resets = [env.reset() for env in (seeing, blind)]
     rock = beside_a_rock(seeing.base_env)
@@ -71,7 +72,7 @@ def test_a_blind_policy_reads_nothing_near_beside_a_rock_and_the_same_altitude_a
 
 
 def test_a_blind_environment_casts_nothing(make: Callable[..., NavigationEnv]) -> None:
-    env = make(blind=True)
+    env = make(world=WorldConfig(**SMALL), blind=True)
     assert env._lidar is None
     check_env_specs(env)
     state = env.reset()
@@ -96,17 +97,17 @@ def test_partial_resets_of_the_blind_leave_the_others_as_they_were() -> None:
     env.close()
 
 
-def ahead_of_a_plane(env: NavigationEnv) -> tuple[np.ndarray, float]:
-    """A place 2 m ahead of a plane over the middle of the valley, and the yaw that looks at it."""
-    while np.linalg.norm(env.plane_poses()[0, :2]) > 9.0:
+def ahead_of_a_plane(env: NavigationEnv, distance: float = 2.0) -> tuple[np.ndarray, float]:
+    """A place so many metres ahead of a plane over the middle of the valley, and the yaw that looks at it."""
+    while np.linalg.norm(env.plane_poses()[0, :2]) > 7.0:
         env.step(env.reset().set("action", STAY))
     x, y, z, yaw = env.plane_poses()[0]
-    return np.array([x + 2.0 * np.cos(yaw), y + 2.0 * np.sin(yaw), z]), yaw + np.pi
+    return np.array([x + distance * np.cos(yaw), y + distance * np.sin(yaw), z]), yaw + np.pi
 
 
 def test_hidden_planes_are_not_seen_and_the_rest_of_the_scan_is(make: Callable[..., NavigationEnv]) -> None:
-    seeing, hidden = (make(world=WorldConfig(planes=1), blind_to=name) for name in (None, "planes"))
-    clear = make(world=WorldConfig(planes=0))
+    seeing, hidden = (make(world=WorldConfig(planes=1, **SMALL), blind_to=name) for name in (None, "planes"))
+    clear = make(world=WorldConfig(planes=0, **SMALL))
     (position, yaw), _ = (ahead_of_a_plane(env) for env in (seeing, hidden))
     np.testing.assert_array_equal(seeing.plane_poses(), hidden.plane_poses())
     clouds = []
@@ -121,16 +122,18 @@ def test_hidden_planes_are_not_seen_and_the_rest_of_the_scan_is(make: Callable[.
 
 
 def test_hidden_planes_collide(make: Callable[..., NavigationEnv]) -> None:
-    env = make(world=WorldConfig(planes=1, obstacles=0), blind_to="planes")
+    env = make(world=WorldConfig(planes=1, size=SMALL["size"], obstacles=0), blind_to="planes")
     state = env.reset()
-    place(env, *ahead_of_a_plane(env))
-    ends = []
-    while not any(ends) and len(ends) < 10:  # it comes at 2.5 m/s or more
+    nose, hull = env._traffic.mesh.vertices[:, 0].max(), env.airframe.collision_radius
+    place(env, *ahead_of_a_plane(env, nose + hull + 0.1))
+    assert 0.0 < env.simulation.closest_distance()[0] < 0.2, "the plane comes, and touches nothing yet"
+    for _ in range(3):
         state = env.step(state.set("action", STAY))["next"]
-        ends.append(state["collided"].item())
-    assert ends[-1] and not ends[0]
+        if state["collided"].item():
+            break
+    assert state["collided"].item()
     gap = np.linalg.norm(env.plane_poses()[0, :3] - env.simulation.position[0])
-    assert gap < 1.5, "it is the plane that was hit: there is nothing else in the air"
+    assert gap < nose + hull, "it is the plane that was hit: there is nothing else in the air"
 
 
 def test_an_unknown_thing_to_hide_is_refused() -> None:

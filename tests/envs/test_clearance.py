@@ -27,11 +27,11 @@ def looked_at_everything(simulation: Simulation) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_closest_distance_is_that_of_looking_at_everything(seed: int) -> None:
-    world, rng = World(WorldConfig(seeds=(seed,))), np.random.default_rng(seed)
+    world, rng = World(WorldConfig(seeds=(seed,), size=(26.0, 20.0), obstacles=20)), np.random.default_rng(seed)
     simulation = Simulation(world.meshes, UAVS, plane_mesh=plane_mesh(2.0), plane_count=PLANES)
     found, expected = [], []
     for _ in range(15):
-        places = rng.uniform([-18, -13, 0.3, -3], [18, 13, 9, 3], (UAVS + PLANES, 4))
+        places = rng.uniform([-12, -9, 0.3, -3], [12, 9, 9, 3], (UAVS + PLANES, 4))
         simulation.place_planes(places[UAVS:])
         simulation.reset(np.arange(UAVS), places[:UAVS, :3], places[:UAVS, 3])
         simulation.step(rng.uniform(-2, 2, (UAVS, 4)))  # tilts them
