@@ -57,6 +57,7 @@ from uavrl.training.provenance import commit
 from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
+from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
 EPISODES = "episodes.csv"
@@ -121,6 +122,8 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     Returns:
         What ``summary.json`` holds.
     """
+    if resume:
+        check_links(run_dir)
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
     with locked(run_dir), denormals_flushed(), multiplied_by(products, config.trainer.threads) as chosen:
         return _train(config, run_dir, chosen, resume=resume)
