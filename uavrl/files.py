@@ -11,7 +11,8 @@ from pathlib import Path
 def replacing(path: Path) -> Iterator[Path]:
     """Gives a file beside ``path`` to write to, which takes its place once it is written.
 
-    Whoever reads meanwhile, or looks after a kill, finds the old file or the new one, and never half of one.
+    Whoever reads meanwhile, or looks after a kill, finds the old file or the new one, and never half of one. What lay
+    beside it is taken away first: it may be a link to somewhere else.
 
     Examples:
         >>> folder = getfixture("tmp_path")
@@ -21,6 +22,7 @@ def replacing(path: Path) -> Iterator[Path]:
         ['summary.json']
     """
     partial = path.with_name(path.name + ".partial")
+    partial.unlink(missing_ok=True)
     try:
         yield partial
         partial.replace(path)

@@ -167,7 +167,7 @@ class FrameStorage(GatheringStorage):
 
     def loads(self, path: str | Path) -> None:
         """Restores what :meth:`dumps` wrote."""
-        self.load_state_dict(tensordict.load(path))
+        self.load_state_dict(tensordict.load(path, allow_pickle=False))
 
     def _empty(self) -> None:
         super()._empty()

@@ -65,6 +65,7 @@ def writable(output: Path, key: str = "output") -> Path:
         if output.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")
         partial = output.with_name(output.name + ".partial")
+        partial.unlink(missing_ok=True)  # it may be a link to somewhere else
         partial.touch()
         partial.unlink()
     except OSError as error:

@@ -104,12 +104,13 @@ class TrajectoryClassifier(nn.Module):
             raise _damaged(path, f"{WEIGHTS} has another checksum than {ABOUT} says")
         try:
             weights = load(content)
-            classifier = cls(**about["sizes"])
-            expected = {name: list(tensor.shape) for name, tensor in classifier.state_dict().items()}
+            with torch.device("meta"):  # takes no memory, whatever sizes are named
+                expected = {name: list(tensor.shape) for name, tensor in cls(**about["sizes"]).state_dict().items()}
             found = {name: list(tensor.shape) for name, tensor in weights.items()}
             if expected != found:
                 differing = sorted(name for name in expected | found if expected.get(name) != found.get(name))
                 raise _damaged(path, f"the shapes of {', '.join(differing)} are not those that {ABOUT} says")
+            classifier = cls(**about["sizes"])
             classifier.load_state_dict(weights)
         except UavrlError:
             raise

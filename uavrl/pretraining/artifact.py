@@ -26,6 +26,7 @@ def make_output(output: Path) -> None:
     try:
         output.mkdir(parents=True, exist_ok=True)
         partial = output / f"{ABOUT}.partial"
+        partial.unlink(missing_ok=True)  # it may be a link to somewhere else
         partial.touch()
         partial.unlink()
     except OSError as error:

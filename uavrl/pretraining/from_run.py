@@ -11,6 +11,7 @@ import numpy as np
 
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import HEADER, Recording, read_recording
+from uavrl.trust import check_archive, check_links
 
 STATES_FOLDER = "states"
 
@@ -43,6 +44,7 @@ def read_run(run_dir: Path) -> Recording:
     """
     from uavrl.training.checkpoint import latest_checkpoint
 
+    check_links(run_dir)
     if (run_dir / STATES_FOLDER / HEADER).is_file():
         found = read_recording(run_dir / STATES_FOLDER)
         return Recording(found.states, found.episode, found.outcomes, f"{run_dir.name}/{STATES_FOLDER}")
@@ -68,6 +70,7 @@ def read_checkpoint(path: Path, capacity: int) -> Recording:
         UavrlError: when the archive is damaged, or holds no whole episode.
     """
     try:
+        check_archive(path)
         with zipfile.ZipFile(path) as archive:
             prefix = json.loads(archive.read("manifest.json"))["components"]["replay_data"]["path"]
             length = json.loads(archive.read(f"{prefix}/length.json"))
@@ -78,7 +81,9 @@ def read_checkpoint(path: Path, capacity: int) -> Recording:
                 _read(archive, f"{folder}/next", key, length).reshape(length).astype(bool)
                 for key in ("done", "terminated", "arrived")
             )
-    except (OSError, zipfile.BadZipFile, KeyError, ValueError, TypeError) as error:
+    except UavrlError:
+        raise
+    except Exception as error:
         raise UavrlError(
             f"The replay buffer in the checkpoint {path} cannot be read ({error}): give another run, or a recording."
         ) from error

@@ -239,6 +239,7 @@ def write_video(flight: RecordedFlight, scenery: Scenery, output: Path, *, progr
     imageio = needs_imageio()
     total = int(np.ceil(flight.times[-1] * FRAME_RATE)) + FRAME_RATE
     partial = output.with_name(output.stem + ".partial" + output.suffix)
+    partial.unlink(missing_ok=True)  # it may be a link to somewhere else
     try:
         with imageio.get_writer(partial, fps=FRAME_RATE, macro_block_size=8, quality=7) as writer:
             for image in tqdm(frames(flight, scenery), total=total, disable=not progress, unit="frame"):

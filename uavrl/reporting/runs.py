@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.configs import learner, to_dataclass
 from uavrl.configs.registry import ABSENT
+from uavrl.configs.saved import load_config
 from uavrl.errors import UavrlError
 from uavrl.reporting.evaluations import read_evaluations, read_json
 from uavrl.training.episodes import Episode, read_episodes
@@ -199,12 +200,12 @@ def _read_config(path: Path) -> tuple[dict[str, Any], DictConfig]:
     if not path.is_file():
         raise _missing(path, "the configuration of the run")
     try:
-        loaded = OmegaConf.load(path)
+        loaded = load_config(path)
         plain = OmegaConf.to_container(loaded)
     except Exception as error:  # yaml, OmegaConf and the decoder each have their own
         raise _damaged(path, " ".join(str(error).split())[:120]) from error
     groups = ("env", "perception", "reward", "algo", "trainer")
-    if not isinstance(loaded, DictConfig) or not isinstance(plain, dict):
+    if not isinstance(plain, dict):
         raise _damaged(path, "it holds no configuration")
     for group in groups:
         if not isinstance(plain.get(group), dict):
@@ -268,6 +269,6 @@ def _versions_of_checkpoint(folder: Path) -> dict[str, Any]:
             with zipfile.ZipFile(path) as archive:
                 metadata = json.loads(archive.read("manifest.json"))["metadata"]
             return {key: metadata[key] for key in ("uavrl", "commit") if metadata.get(key) is not None}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, zipfile.BadZipFile):
             continue  # being written, or damaged: another one may say it
     return {}

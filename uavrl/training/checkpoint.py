@@ -5,17 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import tensordict
 import torch
 from omegaconf import DictConfig, OmegaConf
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.checkpoint import Checkpoint, CheckpointRotation, DumpLoadCheckpointAdapter, GlobalRNGState
 from torchrl.data import ReplayBuffer
 
+from uavrl.configs.saved import load_config
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder
+from uavrl.training.without_pickles import StateDictWithoutPickles
+from uavrl.trust import check_archive
 
 CHECKPOINTS = "checkpoints"
 CONFIG = "config.yaml"
@@ -53,7 +57,7 @@ class BufferState:
         if length:
             self.buffer.writer.loads(path / "writer")
             self.buffer.sampler.loads(path / "sampler")
-            saved = tensordict.load(path / "storage")
+            saved = tensordict.load(path / "storage", allow_pickle=False)
             if saved.get("frames", None) is not None:
                 self.buffer.storage.load_state_dict(saved)
             else:  # up to version 0.1 checkpoints held every state as it was sampled
@@ -81,6 +85,21 @@ class RecordingState:
         self._loaded = state_dict["episodes"]
         if self.recorder is not None:
             self.recorder.truncate(state_dict["episodes"])
+
+
+class RandomState(GlobalRNGState):
+    """The process-wide generators; NumPy's would read beyond its memory from a position that it cannot have."""
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave.
+
+        Raises:
+            ValueError: for a position outside the 624 numbers of a Mersenne Twister.
+        """
+        position = state_dict["numpy"][2]
+        if not 0 <= position <= 624:
+            raise ValueError(f"Expected NumPy's generator at a position from 0 to 624, got {position}.")
+        super().load_state_dict(state_dict)
 
 
 def fingerprint(config: DictConfig) -> str:
@@ -126,7 +145,7 @@ def latest_checkpoint(run_dir: Path) -> Path:
         UavrlError: when there is no run or no checkpoint, or the newest cannot be opened.
     """
     newest = all_checkpoints(run_dir)[-1]
-    if rotation(run_dir).latest() != newest:
+    if not zipfile.is_zipfile(newest):
         raise _damaged(newest, "it cannot be opened")
     return newest
 
@@ -141,32 +160,33 @@ def read_config(run_dir: Path) -> DictConfig:
     if not path.is_file():
         raise UavrlError(f"Expected a run folder with {path} and found none: give the folder that uavrl-train printed.")
     try:
-        config = OmegaConf.load(path)
+        config = load_config(path)
     except Exception as error:
-        raise UavrlError(f"{path} is damaged: {str(error).splitlines()[0]}.") from error
-    if not isinstance(config, DictConfig) or "algo" not in config:
+        raise UavrlError(f"{path} is damaged: {' '.join(str(error).split())[:300]}.") from error
+    if "algo" not in config:
         raise UavrlError(f"Expected the configuration of a run in {path}, it holds something else.")
     return config
 
 
 def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
-    """Checks that the archive is whole and belongs to ``config``, before anything is built or written.
+    """Checks that the archive is whole, nothing in it can run, and it belongs to ``config``, before anything is built.
 
     Returns:
         The checkpoint's metadata.
 
     Raises:
-        UavrlError: when the archive is damaged or was written under another configuration.
+        UavrlError: when the archive is damaged, holds what uavrl does not write, or was written under another
+            configuration.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            broken = archive.testzip()
-        if broken is not None:
-            raise zipfile.BadZipFile(f"{broken} fails its checksum")
-        metadata = Checkpoint.manifest(path)["metadata"]
+        metadata: dict[str, Any] = check_archive(path)["metadata"]
+        written_under = metadata["fingerprint"]
+        _ = metadata["collected_frames"], metadata["episodes"]
+    except UavrlError:
+        raise
     except Exception as error:
         raise _damaged(path, str(error)) from error
-    if metadata.get("fingerprint") != fingerprint(config):
+    if written_under != fingerprint(config):
         raise UavrlError(
             f"The checkpoint {path} was written under another configuration than the one given: "
             f"resume it with the {CONFIG} of its own run folder."
@@ -180,6 +200,8 @@ def restore(checkpoint: Checkpoint, path: Path, components: list[str]) -> None:
     Raises:
         UavrlError: when a component does not fit.
     """
+    checkpoint.register_adapter(object, StateDictWithoutPickles())
+    checkpoint.register_adapter(BufferState, DumpLoadCheckpointAdapter())
     try:
         checkpoint.load(path, components=components, map_location="cpu")
     except Exception as error:

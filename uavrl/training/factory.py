@@ -29,7 +29,7 @@ from uavrl.envs.bipedal import BipedalEnv
 from uavrl.envs.navigation import GoalAngle, Hidden, NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.models import OneShotClassifier, TrajectoryClassifier
-from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.models.trajectory_classifier import ABOUT, WEIGHTS, packaged_artifact
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.spaces import make_spaces
 from uavrl.training.sync_collector import SyncCollector
@@ -147,7 +147,9 @@ def make_backward_reward(
         if not kept.exists():
             source = packaged_artifact() if config.artifact == "packaged" else Path(config.artifact)
             TrajectoryClassifier.load(source)
-            shutil.copytree(source, kept)
+            kept.mkdir()
+            for name in (WEIGHTS, ABOUT):  # and nothing that lies beside them
+                shutil.copyfile(source / name, kept / name)
         classifier = TrajectoryClassifier.load(kept)
         width = make_spaces(None, perception).state
         if classifier.inputs != width:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import zipfile
-import zlib
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,11 @@ import numpy as np
 
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
+from uavrl.training.episodes import OUTCOMES
 from uavrl.training.evaluation import Flight
 
 FORMAT = "uavrl flights 2"
+MOST_BYTES = 2**32  # of a file, unpacked; some flights take a few million
 
 
 @dataclass(frozen=True)
@@ -172,8 +173,7 @@ def load_replay(path: Path) -> Replay:
     if not path.is_file():
         raise UavrlError(f"Expected flights in {path} and found no such file: give one that data=FILE.npz wrote.")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = _read_arrays(path)
         about = json.loads(str(arrays.pop("about")))
         if about["format"] != FORMAT:
             raise ValueError(f"its format is {about['format']!r}")
@@ -182,8 +182,19 @@ def load_replay(path: Path) -> Replay:
             tuple(_flight(arrays, about, f"flight{i}") for i in range(about["flights"])),
             {seed: _scenery(arrays, about, f"scenery{seed}") for seed in about["sceneries"]},
         )
-    except (ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, UavrlError):
+        raise
+    except Exception as error:
         raise UavrlError(f"{path} holds no flights, or is damaged: write it again with data=FILE.npz.") from error
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > MOST_BYTES:
+        raise ValueError(f"it holds {size} bytes")
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:
@@ -192,7 +203,13 @@ def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:
 
 def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> RecordedFlight:
     plain = about["items"][name]
-    told = {"summary": Flight(**plain["summary"]), "reward_names": tuple(plain["reward_names"])}
+    kinds: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,)}
+    summary = Flight(**plain["summary"])
+    if summary.outcome not in OUTCOMES or not all(
+        isinstance(getattr(summary, field.name), kinds[str(field.type)]) for field in fields(summary)
+    ):
+        raise ValueError(f"its summary is {summary}")
+    told = {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
     return RecordedFlight(**{**plain, **told}, **_of(arrays, name))
 
 

@@ -57,6 +57,7 @@ from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop, stoppable
 from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
+from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
 ARTIFACT = "artifact"  # a copy of ABR⁺'s classifier: the run can go on without the original
@@ -135,6 +136,8 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
     Raises:
         Stopped: when Ctrl-C or SIGTERM has ended it.
     """
+    if resume:
+        check_links(run_dir)
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
     with (
         locked(run_dir),

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import ReplayBuffer
 from torchrl.record.loggers import Logger
 from torchrl.trainers import Trainer, TrainerHookBase
@@ -18,7 +18,7 @@ from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.recording import StateRecorder
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.checkpoint import BufferState, RecordingState
+from uavrl.training.checkpoint import BufferState, RandomState, RecordingState
 from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.training.progress import Progress
 from uavrl.training.stepper import ActorCriticStepper
@@ -207,7 +207,7 @@ class EpisodeTrainer(Trainer):
                 policy=policy,
                 replay_data=BufferState(replay.buffer),
                 episode_log=episode_log,
-                random_state=GlobalRNGState(),
+                random_state=RandomState(),
                 recording=RecordingState(recorder),
                 **({} if backward_reward is None else {"backward_reward": backward_reward}),
                 format="archive",

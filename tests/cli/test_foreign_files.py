@@ -1,0 +1,480 @@
+"""What somebody else made runs nothing: it is refused in one sentence, before anything is loaded or written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pickle
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import NonTensorData, NonTensorStack
+
+from tests.cli.test_bad_input import SMALL_EVALUATION, TINY, content, in_process, newest
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import export as export_command
+from uavrl.cli import pretrain as pretrain_command
+from uavrl.cli import replay as replay_command
+from uavrl.cli import train as train_command
+from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.training import flight
+from uavrl.training.checkpoint import RandomState
+from uavrl.trust import check_archive
+
+EVERYTHING = ["algo=td3_fork_lg", "buffer=prioritized", "backward_reward=abr"]  # the most components
+COMPONENTS = [
+    "backward_reward",
+    "collector",
+    "episode_log",
+    "logger",
+    "loss_module",
+    "policy",
+    "random_state",
+    "recording",
+    "trainer_module.episode_replay",
+    "trainer_module.optimization_stepper",
+    "trainer_state",
+]
+STORAGES = ["storage", "storage/transitions", "storage/transitions/next", "sampler", "writer"]
+Members = dict[str, bytes]
+
+
+class Payload:
+    """Unpickling it makes a file."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.mark,)
+
+
+def commands(run_dir: Path, tmp_path: Path) -> list[tuple[Callable[[], None], list[str]]]:
+    """Every command that reads checkpoints, told to write beside the run folder."""
+    replayed = [f"run={run_dir}", f"output={tmp_path / 'r.html'}", "points=10", "progress=false"]
+    return [
+        (evaluate_command.main, [f"run={run_dir}", f"output={tmp_path / 'e.json'}", *SMALL_EVALUATION]),
+        (replay_command.main, replayed),
+        (export_command.main, [str(run_dir), "--output", str(tmp_path / "policy")]),
+        (train_command.main, [f"resume={run_dir}", "trainer.episodes=5"]),
+        (pretrain_command.main, [f"run={run_dir}", f"output={tmp_path / 'artifact'}", "progress=false"]),
+    ]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run_dir = tmp_path_factory.mktemp("runs") / "run"
+    assert in_process(train_command.main, *TINY, *EVERYTHING, f"run_dir={run_dir}") == 0
+    return run_dir
+
+
+@pytest.fixture
+def run_dir(finished: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+@pytest.fixture
+def policy(finished: Path, tmp_path: Path) -> Path:
+    assert in_process(export_command.main, str(finished), "--output", str(tmp_path / "given")) == 0
+    return tmp_path / "given"
+
+
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command in this process and returns the sentence that it ends with."""
+
+    def run(main: Callable[[], None], *arguments: str) -> str:
+        capfd.readouterr()
+        code = in_process(main, *arguments)
+        out, err = capfd.readouterr()
+        assert code == 1, (out, err)
+        assert "Traceback" not in out + err
+        (sentence,) = [line for line in err.splitlines() if line.startswith("uavrl: ")]
+        return sentence
+
+    return run
+
+
+def rewrite(path: Path, change: Callable[[Members], None], compression: int = zipfile.ZIP_STORED) -> None:
+    """Changes a checkpoint's members; its manifest lists those that are new."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    before = set(members)
+    change(members)
+    manifest = json.loads(members["manifest.json"])
+    for record in manifest["components"].values():
+        new = [name for name in set(members) - before if name.startswith(record["path"] + "/")]
+        record["files"] += [name.removeprefix(record["path"] + "/") for name in new]
+    members["manifest.json"] = json.dumps(manifest).encode()
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
+def place(members: Members, component: str) -> str:
+    path: str = json.loads(members["manifest.json"])["components"][component]["path"]
+    return path
+
+
+def change_json(members: Members, name: str, **values: Any) -> None:
+    members[name] = json.dumps({**json.loads(members[name]), **values}).encode()
+
+
+def plant(folder: str, mark: Path) -> Callable[[Members], None]:
+    """Makes a folder one that tensordict unpickles; ``folder`` is a component and what lies below it."""
+
+    def change(members: Members) -> None:
+        component, _, below = folder.partition("/")
+        where = f"{place(members, component)}/{below}"
+        members[f"{where}/other.pickle"] = pickle.dumps({"data": Payload(mark)})
+        if f"{where}/meta.json" in members:
+            change_json(members, f"{where}/meta.json", _type=str(NonTensorData))
+
+    return change
+
+
+def test_the_checkpoint_of_the_fixture_is_read_by_every_command(run_dir: Path, tmp_path: Path) -> None:
+    manifest = check_archive(newest(run_dir))
+    assert set(manifest["components"]) == {*COMPONENTS, "replay_data"}
+    for main, arguments in commands(run_dir, tmp_path)[:4]:
+        assert in_process(main, *arguments) == 0
+
+
+@pytest.mark.parametrize("folder", [f"{c}/state" for c in COMPONENTS] + [f"replay_data/{s}" for s in STORAGES])
+def test_a_pickle_in_any_part_of_a_checkpoint_is_refused_by_every_command(
+    folder: str, run_dir: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    mark = tmp_path / "ran"
+    rewrite(newest(run_dir), plant(folder, mark))
+    before = content(tmp_path)
+    for main, arguments in commands(run_dir, tmp_path):
+        sentence = refused(main, *arguments)
+        assert not mark.exists(), f"{main.__module__} ran what {folder} held"
+        assert f"{folder}/other.pickle, which uavrl does not write: none of it was loaded" in sentence
+    assert content(tmp_path) == before
+
+
+def test_the_payload_of_these_tests_does_run_where_it_is_unpickled(tmp_path: Path) -> None:
+    pickle.loads(pickle.dumps(Payload(tmp_path / "ran")))
+    assert (tmp_path / "ran").exists()
+
+
+def a_stack_of_pickles(members: Members, mark: Path) -> None:
+    where = place(members, "policy") + "/state"
+    members[f"{where}/pickle.pkl"] = pickle.dumps([Payload(mark)])
+    change_json(members, f"{where}/meta.json", _type=str(NonTensorStack), stack_dim=0, device="cpu", data="pickle.pkl")
+
+
+def a_pickle_under_a_tensors_name(members: Members, mark: Path) -> None:
+    where = place(members, "policy") + "/state"
+    members[f"{where}/tensor_00000099.memmap"] = pickle.dumps(Payload(mark))
+    change_json(members, f"{where}/meta.json", _type=str(NonTensorData))
+
+
+def a_file_of_torch_save(members: Members, mark: Path) -> None:
+    members[place(members, "policy") + "/state.pt"] = pickle.dumps(Payload(mark))
+
+
+def an_archive_in_the_archive(members: Members, mark: Path) -> None:
+    members[place(members, "policy") + "/state.tdz"] = b""
+
+
+def a_folder_that_the_tensors_do_not_name(members: Members, mark: Path) -> None:
+    members[place(members, "policy") + "/state/deeper/meta.json"] = b"{}"
+
+
+def another_value_in_the_state(members: Members, mark: Path) -> None:
+    name = place(members, "policy") + "/state.json"
+    state = json.loads(members[name])
+    state["items"][0][1] = {"kind": "path", "value": "/etc/passwd"}
+    members[name] = json.dumps(state).encode()
+
+
+def a_member_that_leaves_the_folder(members: Members, mark: Path) -> None:
+    manifest = json.loads(members["manifest.json"])
+    record = manifest["components"]["policy"]
+    for file in record["files"]:
+        members[f"components/../../{mark.name}/{file}"] = members.pop(f"{record['path']}/{file}")
+    record["path"] = f"components/../../{mark.name}"
+    members["manifest.json"] = json.dumps(manifest).encode()
+
+
+def a_component_in_anothers_folder(members: Members, mark: Path) -> None:
+    manifest = json.loads(members["manifest.json"])
+    manifest["components"]["policy"]["path"] = manifest["components"]["loss_module"]["path"]
+    members["manifest.json"] = json.dumps(manifest).encode()
+
+
+def another_adapter(members: Members, mark: Path) -> None:
+    manifest = json.loads(members["manifest.json"])
+    manifest["components"]["policy"]["adapter"] = "torchrl.json"
+    members["manifest.json"] = json.dumps(manifest).encode()
+
+
+def a_member_that_is_not_listed(members: Members, mark: Path) -> None:
+    members["components/9999-more/state.json"] = b"{}"
+
+
+def a_tensor_larger_than_its_file(members: Members, mark: Path) -> None:
+    name = place(members, "policy") + "/state/meta.json"
+    entry = json.loads(members[name])["tensor_00000000"]
+    change_json(members, name, tensor_00000000={**entry, "shape": [2**40]})
+
+
+def a_key_that_leaves_the_folder(members: Members, mark: Path) -> None:
+    name = place(members, "policy") + "/state/meta.json"
+    change_json(members, name, **{"../../0000-collector/state/": {"type": "TensorDict"}})
+
+
+def a_nested_tensor(members: Members, mark: Path) -> None:
+    name = place(members, "policy") + "/state/meta.json"
+    entry = json.loads(members[name])["tensor_00000000"]
+    change_json(members, name, tensor_00000000={**entry, "is_nested": True})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        a_stack_of_pickles,
+        a_pickle_under_a_tensors_name,
+        a_file_of_torch_save,
+        an_archive_in_the_archive,
+        a_folder_that_the_tensors_do_not_name,
+        another_value_in_the_state,
+        a_member_that_leaves_the_folder,
+        a_component_in_anothers_folder,
+        another_adapter,
+        a_member_that_is_not_listed,
+        a_tensor_larger_than_its_file,
+        a_key_that_leaves_the_folder,
+        a_nested_tensor,
+    ],
+    ids=lambda change: change.__name__,
+)
+def test_a_checkpoint_that_uavrl_did_not_write_is_refused(
+    change: Callable[[Members, Path], None], run_dir: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    mark = tmp_path / "ran"
+    rewrite(newest(run_dir), lambda members: change(members, mark))
+    before = content(tmp_path)
+    for main, arguments in commands(run_dir, tmp_path)[::3]:
+        assert "which uavrl does not write: none of it was loaded" in refused(main, *arguments)
+    assert not mark.exists() and content(tmp_path) == before
+
+
+def test_a_compressed_checkpoint_is_refused(run_dir: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    def swell(members: Members) -> None:
+        name = place(members, "policy") + "/state.json"
+        members[name] += b" " * 20_000_000
+
+    rewrite(newest(run_dir), swell, zipfile.ZIP_DEFLATED)
+    assert newest(run_dir).stat().st_size < 10_000_000
+    for main, arguments in commands(run_dir, tmp_path):
+        assert "members that are compressed" in refused(main, *arguments)
+
+
+@pytest.mark.parametrize("manifest", [b"[]", b"{", b"[" * 100_000, b'{"components": [1]}', b"\xff"])
+def test_a_manifest_that_is_none_is_refused(
+    manifest: bytes, run_dir: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    with zipfile.ZipFile(newest(run_dir), "w") as archive:
+        archive.writestr("manifest.json", manifest)
+    for main, arguments in commands(run_dir, tmp_path):
+        assert str(newest(run_dir)) in refused(main, *arguments)
+
+
+def test_a_random_state_that_reads_beyond_its_memory_is_refused() -> None:
+    state = RandomState().state_dict()
+    numpy_state = list(state["numpy"])
+    numpy_state[2] = 10**6
+    with pytest.raises(ValueError, match="a position from 0 to 624, got 1000000"):
+        RandomState().load_state_dict({**state, "numpy": tuple(numpy_state)})
+    RandomState().load_state_dict(state)
+
+
+# ---------------------------------------------------------------------- a policy on its own
+
+
+def test_pickles_in_a_policy_folder_are_refused(policy: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
+    torch.save({"weights": Payload(tmp_path / "ran")}, policy / "policy.safetensors")
+    about = json.loads((policy / "policy.json").read_text())
+    about["weights_sha256"] = hashlib.sha256((policy / "policy.safetensors").read_bytes()).hexdigest()
+    (policy / "policy.json").write_text(json.dumps(about))
+    before = content(tmp_path)
+    for main, arguments in commands(policy, tmp_path)[:2]:
+        assert "are of another policy than its config.yaml describes" in refused(main, *arguments)
+    assert content(tmp_path) == before
+
+
+def test_a_pickle_beside_a_policy_is_not_opened(policy: Path, tmp_path: Path) -> None:
+    (policy / "other.pickle").write_bytes(pickle.dumps(Payload(tmp_path / "ran")))
+    (policy / "policy.pt").write_bytes(pickle.dumps(Payload(tmp_path / "ran")))
+    for main, arguments in commands(policy, tmp_path)[:2]:
+        assert in_process(main, *arguments) == 0
+    assert not (tmp_path / "ran").exists()
+
+
+# ---------------------------------------------------------------------- a configuration
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("run_dir: ${oc.env:A_SECRET}", "it holds '${oc.env:A_SECRET}' to work out"),
+        ("device: ${oc.decode:cpu}", "it holds '${oc.decode:cpu}' to work out"),
+        ("? ${oc.env:A_SECRET}\n: 1", "it holds '${oc.env:A_SECRET}' to work out"),
+        ("run_dir: !!python/object/apply:pathlib.Path.touch [ran]", "could not determine a constructor"),
+        ("a: &a [1]\nb: *a", "it holds an alias"),
+        ("_target_: pathlib.Path.touch\n_args_: [ran]", "_target_"),
+        ("hydra: {callbacks: {a: {_target_: os.mkdir, path: ran}}}", "hydra"),
+        ("x: '" + "y" * 1_000_000 + "'", "expected at most 1,000,000 bytes"),
+    ],
+    ids=["environment", "resolver", "key", "tag", "alias", "target", "callback", "size"],
+)
+def test_a_configuration_runs_nothing_and_tells_nothing(
+    line: str,
+    said: str,
+    run_dir: Path,
+    policy: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    refused: Callable[..., str],
+) -> None:
+    monkeypatch.setenv("A_SECRET", "the secret")
+    monkeypatch.chdir(tmp_path)
+    for folder in (run_dir, policy):
+        text = (folder / "config.yaml").read_text()
+        kept = [each for each in text.splitlines() if each.partition(":")[0] != line.partition(":")[0]]
+        (folder / "config.yaml").write_text("\n".join([*kept, line]) + "\n")
+    before = content(tmp_path)
+    for main, arguments in [*commands(run_dir, tmp_path)[:4], *commands(policy, tmp_path)[:2]]:
+        sentence = refused(main, *arguments)
+        assert said in sentence and "the secret" not in sentence
+    assert content(tmp_path) == before
+
+
+# ---------------------------------------------------------------------- an artifact, and recorded flights
+
+
+def with_artifact(artifact: Path, run_dir: Path) -> list[str]:
+    chosen = ["backward_reward=abr_plus", f"backward_reward.artifact={artifact}"]
+    return [*TINY, *chosen, "perception.frames=3", f"run_dir={run_dir}"]
+
+
+def test_a_pickle_in_an_artifact_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
+    torch.save({"weights": Payload(tmp_path / "ran")}, artifact / "artifact.safetensors")
+    about = json.loads((artifact / "artifact.json").read_text())
+    about["weights_sha256"] = hashlib.sha256((artifact / "artifact.safetensors").read_bytes()).hexdigest()
+    (artifact / "artifact.json").write_text(json.dumps(about))
+    sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
+    assert f"The artifact {artifact} is damaged" in sentence
+    assert not (tmp_path / "ran").exists()
+
+
+def test_sizes_that_no_memory_holds_are_refused_before_they_are_made(
+    tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
+    about = json.loads((artifact / "artifact.json").read_text())
+    about["sizes"]["k"] = 10**10
+    (artifact / "artifact.json").write_text(json.dumps(about))
+    sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
+    assert "the shapes of centres, classifier.2.bias, classifier.2.weight are not those" in sentence
+
+
+def test_a_run_takes_nothing_from_an_artifacts_folder_but_the_artifact(tmp_path: Path) -> None:
+    artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
+    (tmp_path / "private").write_text("the secret")
+    (artifact / "more").symlink_to(tmp_path / "private")
+    (artifact / "other.pickle").write_bytes(pickle.dumps(Payload(tmp_path / "ran")))
+    assert in_process(train_command.main, *with_artifact(artifact, tmp_path / "run")) == 0
+    assert {path.name for path in (tmp_path / "run/artifact").iterdir()} == {"artifact.json", "artifact.safetensors"}
+    assert not (tmp_path / "ran").exists()
+
+
+def an_array_of_objects(path: Path, mark: Path) -> None:
+    np.savez(path, about=np.array([Payload(mark)], dtype=object))
+
+
+def a_bare_pickle(path: Path, mark: Path) -> None:
+    path.write_bytes(pickle.dumps(Payload(mark)))
+
+
+def a_bare_array_of_objects(path: Path, mark: Path) -> None:
+    with path.open("wb") as file:
+        np.save(file, np.array([Payload(mark)], dtype=object))
+
+
+def a_very_deep_json(path: Path, mark: Path) -> None:
+    np.savez(path, about=np.array("[" * 100_000))
+
+
+@pytest.mark.parametrize("write", [an_array_of_objects, a_bare_pickle, a_bare_array_of_objects, a_very_deep_json])
+def test_flights_that_are_pickles_are_refused(
+    write: Callable[[Path, Path], None], tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    path = tmp_path / "flights.npz"
+    write(path, tmp_path / "ran")
+    before = content(tmp_path)
+    sentence = refused(replay_command.main, f"flight={path}", f"output={tmp_path / 'r.html'}")
+    assert f"{path} holds no flights, or is damaged" in sentence
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("field", [("outcome", "\x1b[2J"), ("outcome", ["arrived"]), ("flown", "1"), ("steps", {})])
+def test_flights_whose_summary_is_none_are_refused(
+    field: tuple[str, Any], tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    path = tmp_path / "flights.npz"
+    flown = ["policy=straight", "env.max_steps=5", f"data={path}", "points=10", "progress=false"]
+    assert in_process(replay_command.main, *flown, f"output={tmp_path / 'r.html'}") == 0
+    with np.load(path) as file:
+        arrays = dict(file)
+    about = json.loads(str(arrays.pop("about")))
+    about["items"]["flight0"]["summary"][field[0]] = field[1]
+    np.savez(path, about=np.array(json.dumps(about)), **arrays)
+    assert "holds no flights" in refused(replay_command.main, f"flight={path}", f"output={tmp_path / 'r.html'}")
+
+
+def test_flights_that_unpack_to_more_than_a_memory_holds_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.setattr(flight, "MOST_BYTES", 1_000_000)
+    np.savez_compressed(tmp_path / "f.npz", about=np.array("{}"), zeros=np.zeros(200_000))
+    assert (tmp_path / "f.npz").stat().st_size < 5_000
+    assert "holds no flights" in refused(replay_command.main, f"flight={tmp_path / 'f.npz'}")
+
+
+# ---------------------------------------------------------------------- links
+
+
+@pytest.mark.parametrize("name", ["episodes.csv", "logs", ".lock", "config.yaml.partial", "states"])
+def test_a_run_folder_that_leads_elsewhere_is_not_written_to(
+    name: str, run_dir: Path, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    if (run_dir / name).is_dir():
+        shutil.rmtree(run_dir / name)
+    target = tmp_path / "mine"
+    shutil.copy(run_dir / "episodes.csv", target)
+    (run_dir / name).unlink(missing_ok=True)
+    (run_dir / name).symlink_to(target)
+    before = target.read_bytes()
+    sentence = refused(train_command.main, f"resume={run_dir}", "trainer.episodes=5")
+    assert f"{run_dir / name} is a link that leads out of {run_dir}" in sentence
+    assert target.read_bytes() == before
+
+
+def test_results_are_not_written_through_a_link(policy: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("mine")
+    for name in ("evaluation_episodes=2.json.partial", "evaluation_episodes=2.json"):
+        (policy / name).symlink_to(tmp_path / "mine")
+    assert in_process(evaluate_command.main, f"run={policy}", *SMALL_EVALUATION) == 0
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert json.loads((policy / "evaluation_episodes=2.json").read_text())["episodes"] == 2
