@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -24,8 +25,57 @@ def replacing(path: Path) -> Iterator[Path]:
     partial = path.with_name(path.name + ".partial")
     partial.unlink(missing_ok=True)
     try:
-        yield partial
-        partial.replace(path)
+        with naming(path):
+            yield partial
+            partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Gives an error of the disk the path that it came from: a write to an open file does not tell it.
+
+    Examples:
+        >>> with naming(Path("episodes.csv")):
+        ...     raise OSError(28, "No space left on device")
+        Traceback (most recent call last):
+        OSError: [Errno 28] No space left on device: 'episodes.csv'
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
+
+@contextmanager
+def removed_on_failure(folder: Path, holding: str) -> Iterator[None]:
+    """Leaves no trace of a folder that is made inside the block, where an error ends the block before ``holding``.
+
+    Args:
+        folder: what the block makes; one that was there before stays, whatever happens.
+        holding: a pattern of the first thing in it that is worth keeping.
+
+    Examples:
+        >>> run = getfixture("tmp_path") / "runs" / "run"
+        >>> with removed_on_failure(run, "checkpoint*"):
+        ...     run.mkdir(parents=True)
+        ...     raise ValueError("a mistake")
+        Traceback (most recent call last):
+        ValueError: a mistake
+        >>> run.parent.exists()
+        False
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        yield
+    except Exception:
+        if made and not any(folder.glob(holding)):
+            shutil.rmtree(folder, ignore_errors=True)
+            for parent in made[1:]:
+                with suppress(OSError):
+                    parent.rmdir()
         raise

@@ -36,7 +36,7 @@ def test_help_loads_nothing_heavy(command: str) -> None:
 @pytest.mark.parametrize(
     ("command", "argument", "told"),
     [
-        ("train", "algo=typo", "Could not find 'algo/typo'"),
+        ("train", "algo=typo", "algo must be one of ddpg, ddpg_lg, sac"),
         ("train", "trainer.episodes=-1", "trainer.episodes must be at least 1, got -1"),
         ("evaluate", "seed=1", "Give either run=RUN_FOLDER or policy=NAME"),
         ("evaluate", "episodes=0", "episodes must be at least 1, got 0"),

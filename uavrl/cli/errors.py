@@ -42,3 +42,6 @@ def configure_logging() -> None:
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     os.environ.setdefault("RL_WARNINGS", "False")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr, force=True)
+    for name in logging.root.manager.loggerDict:
+        if name.startswith("uavrl."):
+            logging.getLogger(name).disabled = False  # Hydra silences those of an earlier run of the sweep

@@ -7,11 +7,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import hydra
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.cli.command import command, given_overrides
 from uavrl.cli.policies import (
     baseline,
     load_policy,
@@ -21,7 +19,7 @@ from uavrl.cli.policies import (
     with_overrides,
     writable,
 )
-from uavrl.configs import EvaluateConfig, conf_dir, register_schemas, to_dataclass
+from uavrl.configs import EvaluateConfig, to_dataclass
 from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
@@ -29,15 +27,11 @@ from uavrl.files import replacing
 if TYPE_CHECKING:
     from uavrl.configs import TrainConfig
 
-register_schemas()
 
-
-@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="evaluate")
+@command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluates one policy."""
-    configure_logging()
-    with one_sentence():
-        _evaluate(config, [override.lstrip("+") for override in HydraConfig.get().overrides.task])
+    _evaluate(config, given_overrides())
 
 
 def _evaluate(config: DictConfig, overrides: list[str]) -> None:

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import hydra
 from omegaconf import DictConfig
 
-from uavrl.cli.errors import configure_logging, one_sentence
-from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.cli.command import command
+from uavrl.configs import to_dataclass
 
 if TYPE_CHECKING:
     from uavrl.configs.pretrain import PretrainConfig
 
-register_schemas()
 
-
-@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="pretrain")
+@command("pretrain")
 def main(config: DictConfig) -> None:
     """Makes one artifact."""
-    configure_logging()
-    with one_sentence():
-        _pretrain(config)
+    _pretrain(config)
 
 
 def _pretrain(config: DictConfig) -> None:

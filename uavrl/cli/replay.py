@@ -8,11 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import hydra
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.cli.command import command, given_overrides
 from uavrl.cli.policies import (
     baseline,
     checkpoint_path,
@@ -23,7 +21,7 @@ from uavrl.cli.policies import (
     with_overrides,
     writable,
 )
-from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.configs import to_dataclass
 from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
 
@@ -32,16 +30,13 @@ if TYPE_CHECKING:
     from uavrl.configs.replay import ReplayConfig
     from uavrl.training.flight import Replay
 
-register_schemas()
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".webm", ".avi", ".mov")
 
 
-@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="replay")
+@command("replay")
 def main(config: DictConfig) -> None:
     """Makes one page."""
-    configure_logging()
-    with one_sentence():
-        _replay(config, [override.lstrip("+") for override in HydraConfig.get().overrides.task])
+    _replay(config, given_overrides())
 
 
 def _replay(config: DictConfig, overrides: list[str]) -> None:

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import errno
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from uavrl.cli.command import command
 from uavrl.cli.errors import configure_logging, one_sentence, sentence
-from uavrl.configs import conf_dir, register_schemas, to_dataclass
+from uavrl.configs import to_dataclass
+from uavrl.configs.memory import require_memory
 from uavrl.errors import Stopped, UavrlError
+from uavrl.files import removed_on_failure
 
-register_schemas()
+FIRST_CHECKPOINT = "checkpoints/checkpoint*"  # from here on a run folder holds something
 
 
-@hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")
-def _main(config: DictConfig) -> None:
+@command("config")
+def main(config: DictConfig) -> None:
     """Trains one run; in a sweep a run that fails does not keep the others from flying."""
-    configure_logging()
+    configure_logging()  # again: a launcher may have started this process
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         with one_sentence():
             _train(config)
@@ -34,26 +39,51 @@ def _main(config: DictConfig) -> None:
             raise
         # Hydra waits for the other runs, whatever launched them, and then ends with this sentence and exit code 1. It
         # holds the reason: what a cluster's job prints lies in a file of its own.
-        failed = f"uavrl: the run {config.run_dir} of the sweep failed: {sentence(end.__cause__)}"
+        failed = f"The run {config.run_dir} of the sweep failed: {sentence(end.__cause__)}"
         raise CompactHydraException(failed) from None
 
 
 def _train(config: DictConfig) -> None:
-    to_dataclass(config)
+    _check(config)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.training.run import create_run, resume_config
 
     if config.resume is None:
-        _fly(config, create_run(config), resume=False)
+        run_dir = Path(config.run_dir)
+        with full_disk_told(run_dir), removed_on_failure(run_dir, FIRST_CHECKPOINT):
+            _fly(config, create_run(config), resume=False)
         return
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
-    _fly(resume_config(run_dir, config, [key for key in changed if key != "resume"]), run_dir, resume=True)
+    config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
+    require_memory(to_dataclass(config))
+    with full_disk_told(run_dir):
+        _fly(config, run_dir, resume=True)
+
+
+@contextmanager
+def full_disk_told(run_dir: Path) -> Iterator[None]:
+    """Says which file could not be written, and how to go on."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        begun = any(run_dir.glob(FIRST_CHECKPOINT))
+        again = f"go on with uavrl-train resume={run_dir}" if begun else "start it again"
+        raise UavrlError(
+            f"{error.filename or run_dir} cannot be written ({error.strerror}): make room on its disk, and {again}."
+        ) from error
+
+
+def _check(config: DictConfig) -> None:
+    """Finds what can be wrong with the settings before a folder is made."""
+    require_memory(to_dataclass(config))
 
 
 def _train_in_sweep(config: DictConfig) -> None:
     """Trains a combination unless an earlier sweep has: then it goes on with it, or skips it where it is finished."""
-    to_dataclass(config)
+    _check(config)
     if config.resume is not None:
         raise UavrlError(
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
@@ -65,10 +95,14 @@ def _train_in_sweep(config: DictConfig) -> None:
     place = take_place(config)
     if place == "finished":
         print(f"Finished before: {config.run_dir}")
-    elif place == "begun":
-        _fly(config, Path(config.run_dir), resume=True)
-    else:
-        _fly(config, create_run(config), resume=False)
+        return
+    run_dir = Path(config.run_dir)
+    with full_disk_told(run_dir):
+        if place == "begun":
+            _fly(config, run_dir, resume=True)
+            return
+        with removed_on_failure(run_dir, FIRST_CHECKPOINT):
+            _fly(config, create_run(config), resume=False)
 
 
 def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
@@ -78,11 +112,6 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
     summary = train(config, run_dir, resume=resume)
     print(json.dumps({k: summary[k] for k in ("episodes", "steps", "rates")}))
     print(f"Evaluate with: uavrl-evaluate run={run_dir}")
-
-
-def main() -> None:
-    """Entry point."""
-    _main()
 
 
 if __name__ == "__main__":

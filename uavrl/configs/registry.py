@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.configs.checks import require, require_one_of
 from uavrl.configs.evaluate import EvaluateConfig
+from uavrl.configs.limits import check_most
 from uavrl.configs.pretrain import PRETRAIN_GROUPS, PretrainConfig
 from uavrl.configs.replay import ReplayConfig
 from uavrl.configs.train import CHOSEN_GROUPS, GROUPS, TrainConfig
@@ -36,9 +38,11 @@ def register_schemas() -> None:
     """Puts every dataclass into Hydra's ConfigStore; yaml files name theirs as ``<group>/<name>_schema``."""
     OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
     OmegaConf.register_new_resolver("with_traditional_reward", _with_traditional_reward, replace=True)
+    OmegaConf.register_new_resolver("random_steps", _random_steps, replace=True)
     OmegaConf.register_new_resolver("on_walker", _on_walker, replace=True)
     OmegaConf.register_new_resolver("learner", lambda *, _root_: learner(_root_), replace=True)
     ConfigStore.__deepcopy__ = _shared  # type: ignore[attr-defined]
+    ConfigStore.list = _listed  # type: ignore[assignment,method-assign]
     store = ConfigStore.instance()
     store.store(name="train_schema", node=TrainConfig)
     store.store(name="evaluate_schema", node=EvaluateConfig)
@@ -54,6 +58,11 @@ def _shared(store: ConfigStore, _: dict[int, Any]) -> ConfigStore:
     return store
 
 
+def _listed(store: ConfigStore, path: str, _list: Callable[..., list[str]] = ConfigStore.list) -> list[str]:
+    """The store's choices for users: ``--help`` lists no dataclass that a yaml file rests on."""
+    return [name for name in _list(store, path) if not name.endswith("_schema.yaml")]
+
+
 def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:
     """``${with_lifeguard:A,B}`` is A where the algorithm has a LifeGuard, else B."""
     return without if OmegaConf.select(_root_, "algo.lifeguard") is None else value
@@ -62,6 +71,22 @@ def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> floa
 def _with_traditional_reward(value: float, otherwise: float, *, _root_: DictConfig) -> float:
     """``${with_traditional_reward:A,B}`` is A where the traditional reward pays, else B."""
     return value if OmegaConf.select(_root_, "reward.name") == "traditional" else otherwise
+
+
+def expected_steps(episodes: int, max_steps: int) -> int:
+    """About how many steps random flights make: they end after a sixth of the steps that they may take.
+
+    Examples:
+        >>> expected_steps(60, 300)
+        3000
+    """
+    return episodes * max_steps // 6
+
+
+def _random_steps(most: int, *, _root_: DictConfig) -> int:
+    """``${random_steps:N}`` is N, or a tenth of the steps that can be expected where that is less."""
+    episodes, max_steps = (OmegaConf.select(_root_, key) for key in ("trainer.episodes", "env.max_steps"))
+    return min(most, max(0, expected_steps(episodes, max_steps) // 10))
 
 
 def _on_walker(choice: str, otherwise: str, *, _root_: DictConfig) -> str:
@@ -92,10 +117,12 @@ def to_dataclass(config: DictConfig) -> Any:
     try:
         if OmegaConf.get_type(config) is dict:
             config = _with_types(config)
+        _check_keys(config)
         if OmegaConf.get_type(config) is TrainConfig:
             _check_environment(config)
         for key, value in _leaves(OmegaConf.to_container(config, resolve=True)):
             require(not isinstance(value, float) or math.isfinite(value), key, "a finite number", value)
+            check_most(key, value)
         return OmegaConf.to_object(config)
     except UavrlError:
         raise
@@ -103,6 +130,22 @@ def to_dataclass(config: DictConfig) -> Any:
         place = getattr(error, "full_key", None)
         where, reason = f" at {place}" if place else "", str(error).splitlines()[0]
         raise UavrlError(f"The configuration does not hold together{where}: {reason}") from error
+
+
+def _check_keys(config: DictConfig, above: str = "") -> None:
+    """Refuses groups without a choice, and keys that no dataclass knows: ``+key=value`` adds any."""
+    known = {field.name for field in fields(cast(Any, OmegaConf.get_type(config)))}
+    for name in map(str, config):
+        key = f"{above}{name}"
+        if name not in known:
+            raise UavrlError(f"There is no key {key!r}: leave it out; --help lists all keys.")
+        if OmegaConf.is_missing(config, name) or OmegaConf.is_interpolation(config, name):
+            continue
+        node = config[name]
+        groups = GROUPS | PRETRAIN_GROUPS
+        require(node is not None or key not in groups, key, f"one of {', '.join(groups.get(key, ()))}", None)
+        if isinstance(node, DictConfig) and is_dataclass(OmegaConf.get_type(node)):
+            _check_keys(node, f"{key}.")
 
 
 def _check_environment(config: DictConfig) -> None:

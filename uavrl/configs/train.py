@@ -92,6 +92,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         """Checks ranges, and that each group's name is its own: reports and resumed runs go by it."""
         require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
+        require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
         for group in CHOSEN_GROUPS:
             chosen = getattr(self, group)
             names = [name for name, schema in GROUPS[group].items() if schema is type(chosen)]

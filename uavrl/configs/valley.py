@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from uavrl.configs.checks import require, require_one_of
 from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.limits import check_hull
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.world import WorldConfig
 
@@ -32,6 +33,7 @@ class EnvConfig:
             require(getattr(self.airframe, key) > 0, f"env.airframe.{key}", "above 0", getattr(self.airframe, key))
         tilt = self.airframe.tilt_limit
         require(0 < tilt < math.pi / 2, "env.airframe.tilt_limit", "an angle in (0, π/2) rad", tilt)
+        check_hull(self.airframe, self.world)
 
 
 @dataclass

@@ -14,6 +14,7 @@ from torchrl.envs import TransformedEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import ACTION_LIMIT, NavigationEnv
 from uavrl.envs.world import WorldConfig
+from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, TraditionalReward, navigation_state
 
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
@@ -82,7 +83,9 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """Flies for 0.1 s."""
         if self._state is None:
             raise RuntimeError("Reset the environment before the first step.")
-        self._state["action"] = torch.as_tensor(action, dtype=torch.float32).reshape(1, 4)
+        if np.shape(action) != (4,):
+            raise UavrlError(f"An action is 4 numbers, (l_x, l_y, l_z, a_z), got the shape {np.shape(action)}.")
+        self._state["action"] = torch.as_tensor(action, dtype=torch.float32)[None]
         self._state = self._env.step(self._state)["next"]
         reward, terminated, truncated = (self._state[key].item() for key in ("reward", "terminated", "truncated"))
         return self._observation(), float(reward), bool(terminated), bool(truncated), self._info()

@@ -24,6 +24,7 @@ from uavrl.envs.vlp16 import (
 
 __all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
 
+LARGEST_RANGE = 1e6  # m
 _CULLED_RANGE = 10.0  # m: up to this range, rays that pass no triangle in range are not cast
 
 
@@ -52,8 +53,10 @@ class LidarConfig:
 
     def __post_init__(self) -> None:
         """Checks the values."""
-        if not (math.isfinite(self.max_range) and self.max_range > 0.0):
-            raise ValueError(f"max_range must be a positive length in metres, got {self.max_range}.")
+        if not 0.0 < self.max_range <= LARGEST_RANGE:
+            raise ValueError(
+                f"max_range must be a positive length in metres, at most {LARGEST_RANGE:g}, got {self.max_range}."
+            )
         if not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"min_range must be in [0, max_range) metres, got {self.min_range}.")
         if not (math.isfinite(self.range_noise) and self.range_noise >= 0.0):

@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 
 from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
+from uavrl.envs.limits import check_hull
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
@@ -106,6 +107,7 @@ class NavigationEnv(EnvBase):
         self.world = World(world or WorldConfig())
         self.airframe = airframe or Airframe()
         self.aerodynamics = aerodynamics or Aerodynamics()
+        check_hull(self.airframe, self.world.config)
         self._lidar_config = lidar or LidarConfig()
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uavrl.errors import UavrlError
+
 GRAVITY = 9.81  # m/s²
 Vector = tuple[float, float, float]
 
@@ -35,6 +37,13 @@ for _entry, _terms in enumerate(
 ):
     for _product, _factor in _terms.items():
         _PRODUCTS[_product, _entry] = _factor
+
+
+def _require_three(config: object, names: tuple[str, ...]) -> None:
+    """Refuses vectors of another length."""
+    for name in names:
+        if len(getattr(config, name)) != 3:
+            raise UavrlError(f"{name} takes three numbers, one for each axis, got {list(getattr(config, name))}.")
 
 
 @dataclass
@@ -83,6 +92,7 @@ class Airframe:
 
     def __post_init__(self) -> None:
         """Refuses vehicles that cannot fly."""
+        _require_three(self, ("inertia", "lidar_position"))
         if self.lidar_position[0] or self.lidar_position[1]:
             raise ValueError(
                 f"The LiDAR must sit on the body's z axis, got {self.lidar_position}; pass (0, 0, height) in metres."
@@ -161,6 +171,7 @@ class Aerodynamics:
 
     def __post_init__(self) -> None:
         """Refuses air that would push instead of drag."""
+        _require_three(self, ("force_coefficients", "moment_coefficients", "wind"))
         if min(self.air_density, *self.force_coefficients, *self.moment_coefficients, self.gust_intensity) < 0:
             raise ValueError("Air density, drag coefficients and gust intensity must not be negative.")
         if self.gust_time_constant <= 0:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uavrl.envs.limits import check_world_size
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
@@ -83,6 +84,7 @@ class WorldConfig:
             raise ValueError(
                 f"flight_level must be below the ceiling of {self.ceiling} m, got {self.flight_level} m; raise ceiling."
             )
+        check_world_size(self)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavrl.errors import UavrlError
-from uavrl.files import replacing
+from uavrl.files import naming, replacing
 
 if TYPE_CHECKING:  # reports read episodes without torch
     from tensordict import TensorDictBase
@@ -185,7 +185,7 @@ class EpisodeLog:
 
     def add(self, episode: Episode) -> None:
         """Writes one row."""
-        with self.path.open("a", newline="") as file:
+        with naming(self.path), self.path.open("a", newline="") as file:
             csv.writer(file, lineterminator="\n").writerow(astuple(episode))
             file.flush()
             os.fsync(file.fileno())  # a checkpoint must never know more episodes than the file

@@ -28,10 +28,21 @@ def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
         if config.name == "wandb":
             return _wandb_logger(config, run_dir)
         return get_logger(config.name, logger_name=str(run_dir / "logs"), experiment_name=run_dir.name)
-    except ImportError as error:
+    except Exception as error:
+        if type(error).__module__.partition(".")[0] == "wandb":
+            raise UavrlError(
+                f"logger=wandb could not begin ({_first_line(error)}): log in with wandb login, or keep "
+                f"logger.offline=true."
+            ) from error
+        if not isinstance(error, ImportError):
+            raise
         raise UavrlError(
             f"logger={config.name} needs the package {package}: run pip install 'uavrl[{package}]'."
         ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
 
 
 class OneRunWandbLogger(WandbLogger):

@@ -29,6 +29,7 @@ from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER
 from uavrl.pretraining.recording import StateRecorder
+from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
 from uavrl.training.arithmetic import carried, chosen_products, denormals_flushed, multiplied_by
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
@@ -53,6 +54,7 @@ from uavrl.training.loggers import close, cut_back, make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
 from uavrl.training.resuming import EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
+from uavrl.training.silence import Silence
 from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop, stoppable
@@ -221,6 +223,12 @@ def seed_everything(seed: int) -> None:
 
 
 def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
+    warn_of_random_steps(settings)
+    with Silence("The world and the networks are still being built: large ones take minutes."):
+        return _built(settings, config, run_dir)
+
+
+def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
     device = make_device(settings.device)
     new_env = partial(make_env, settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
     env = carried(new_env) if settings.collector.name == "async" else new_env()
@@ -318,6 +326,7 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
             "python": platform.python_version(),
         },
     }
+    warn_of_nothing_learned(settings, summary["steps"], summary["updates"])
     with replacing(run_dir / SUMMARY) as partial:
         partial.write_text(json.dumps(summary, indent=2) + "\n")
     return summary

@@ -15,12 +15,14 @@ from torchrl.trainers import Trainer, TrainerHookBase
 
 from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.errors import UavrlError
+from uavrl.files import naming
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.recording import StateRecorder
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.checkpoint import BufferState, RandomState, RecordingState
 from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.training.progress import Progress
+from uavrl.training.silence import Silence
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop
 from uavrl.training.sync_collector import SyncCollector
@@ -35,6 +37,11 @@ STORED_KEYS = (
     ("next", "terminated"),
     ("next", "arrived"),
     ("next", "collided"),
+)
+
+WAITED_FOR = (
+    "No episode has ended for a while: flights go on for up to env.max_steps steps, or the updates after one are being "
+    "made, trainer.updates_per_step for each of its steps; the first ones are compiled."
 )
 
 
@@ -217,12 +224,23 @@ class EpisodeTrainer(Trainer):
             checkpoint_metadata=lambda _: {**metadata, "episodes": episode_log.count},
         )
         replay.register(self)
+        self._silence = Silence(WAITED_FOR)
         self.register_op("batch_process", lambda batch: stepper.observe(batch, replay.draw))
         self.register_op("pre_steps_log", self._record)
         self.register_op("post_optim_complete_log", self._check_losses)
 
+    def train(self) -> None:
+        """Trains, and says what is waited for where no episode ends for long."""
+        with self._silence:
+            super().train()
+
+    def _save_trainer(self) -> None:
+        with naming(self.checkpoint_rotation.directory):
+            super()._save_trainer()
+
     def _record(self, batch: TensorDictBase) -> dict[str, float]:
         """Writes the episodes of a batch, shows progress and ends the training when enough are flown."""
+        self._silence.heard()
         steps = self.collected_frames - len(batch)
         for trajectory in split_episodes(batch):
             steps += len(trajectory)

@@ -9,6 +9,8 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from uavrl.errors import UavrlError
+
 __all__ = [
     "NUM_FACES",
     "Statistic",
@@ -19,6 +21,7 @@ __all__ = [
 
 Statistic = Literal["face", "range"]
 
+LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 NUM_FACES = 32
 """Faces of the truncated icosahedron: 12 pentagons, then 20 hexagons."""
 
@@ -195,11 +198,15 @@ def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tenso
 
 
 def _check_radius(radius: float) -> None:
-    if not (math.isfinite(radius) and radius > 0.0):
-        raise ValueError(f"radius must be a positive length in metres, got {radius}.")
+    if not 0.0 < radius <= LARGEST_RADIUS:
+        raise ValueError(f"radius must be a positive length in metres, at most {LARGEST_RADIUS:g}, got {radius}.")
 
 
 def _check_points(points: Tensor) -> None:
+    if not isinstance(points, Tensor):
+        raise UavrlError(
+            f"points must be a tensor [*B, P, 3], got a {type(points).__name__}: pass torch.tensor(points)."
+        )
     if points.ndim < 2 or points.shape[-1] != 3:
         raise ValueError(f"points must have shape [*B, P, 3], got {tuple(points.shape)}.")
     if points.dtype not in (torch.float32, torch.float64):

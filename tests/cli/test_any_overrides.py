@@ -1,0 +1,187 @@
+"""Whatever is written on the command line ends in a start, or in one sentence: no traceback, no folder left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from omegaconf import DictConfig, OmegaConf
+
+from tests.cli.test_bad_input import in_process
+from tests.composing import composed
+from uavrl.cli import train as train_command
+from uavrl.envs.navigation import NavigationEnv
+from uavrl.training.trainer import EpisodeTrainer
+
+SECONDS = 10.0  # of computing, from the command to its end or to its first flights
+FLIGHTS, FLYING = 3, 3.0  # flights, and seconds of them, after which a run counts as started
+SMALL = [
+    "env.max_steps=3",
+    "algo.random_steps=0",
+    "algo.hidden=[8]",
+    "buffer.capacity=400",
+    "trainer.episodes=2",
+    "trainer.progress=false",
+    "trainer.execution=captured",
+    "trainer.products=mkl",
+]
+# The asynchronous collector and wandb start processes of their own, which takes longer than the rest together.
+GROUPS = {
+    "env": ["static", "dynamic", "bipedal_hardcore", "static_schema"],
+    "perception": ["truncated_icosahedron", "none", "nothing"],
+    "reward": ["navigation", "navigation_prize", "traditional", "walker", "null"],
+    "algo": ["td3", "td3_lg", "td3_fork", "td3_fork_lg", "ddpg", "sac", "td3_walker", "ppo", "td3_schema"],
+    "buffer": ["uniform", "prioritized", "failure_biased", "[uniform]"],
+    "backward_reward": ["none", "abr", "abr_plus"],
+    "scheme": ["tr", "abr", "abr_plus", "prize", "best"],
+    "+enhancer@algo.fork": ["fork", "fork_walker", "lifeguard"],
+    "logger": ["csv", "tensorboard", "mlflow"],
+}
+WILD = [
+    *("0", "-1", "1", "2", "7", "1e-30", "0.5", "1e3", "1e9", "-1e9", "1e30", "1000000000", "10000000000000000000000"),
+    *("nan", "inf", "-inf", "null", "true", "''", "text", "???", "${seed}", "${nowhere}", "${now:", "[", "a b", "é"),
+    *("[]", "[0]", "[1,1]", "[1e9,1e9]", "[-1,2]", "[1,2,3]", "[text]", "[[1]]", "{a:1}", "[null]", "auto", "cuda:7"),
+]
+
+
+class Started(BaseException):
+    """The run flies."""
+
+
+def leaves(node: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    for name in node:
+        key, value = f"{above}{name}", OmegaConf.to_container(node, resolve=False)[name]
+        if isinstance(value, dict):
+            yield from leaves(node[name], f"{key}.")
+        yield key, value
+
+
+@cache
+def all_keys() -> dict[str, Any]:
+    """All keys of all choices, with a value that each may have."""
+    found: dict[str, Any] = {}
+    for overrides in (
+        ["algo=td3_fork_lg", "backward_reward=abr"],
+        ["algo=sac", "backward_reward=abr_plus", "buffer=prioritized", "reward=traditional"],
+        ["env=bipedal_hardcore"],
+    ):
+        config: DictConfig = composed("config", "run_dir=here", *overrides)
+        found |= dict(leaves(config))
+    return found
+
+
+def near(value: Any) -> st.SearchStrategy[str]:
+    """Values of the kind of a value."""
+    if isinstance(value, bool):
+        return st.sampled_from(["true", "false"])
+    if isinstance(value, int):
+        return st.one_of(st.integers(-1, 9), st.integers(0, max(2 * value, 1))).map(str)
+    if isinstance(value, float):
+        return st.floats(0, 2 * abs(value) + 1e-3, allow_nan=False).map(str)
+    if isinstance(value, list):
+        return st.lists(st.one_of(st.integers(-1, 9), st.floats(0, 9)), max_size=4).map(
+            lambda v: str(v).replace(" ", "")
+        )
+    return st.sampled_from([str(value), "other"])
+
+
+@st.composite
+def override(draw: st.DrawFn) -> str:
+    if draw(st.integers(0, 3)) == 0:
+        group = draw(st.sampled_from(sorted(GROUPS)))
+        return f"{group}={draw(st.sampled_from(GROUPS[group]))}"
+    key = draw(st.sampled_from(sorted(all_keys())))
+    kind = draw(st.integers(0, 19))
+    if kind == 0:
+        return f"~{key}"
+    if kind == 1:  # a slip of the pen
+        place = draw(st.integers(0, len(key) - 1))
+        key = key[:place] + key[place + 1 :] or "x"
+    value = draw(near(all_keys().get(key)) if kind < 12 else st.sampled_from(WILD))
+    return f"{'+' if kind == 2 else '++' if kind == 3 else ''}{key}={value}"
+
+
+def outcome(overrides: list[str]) -> tuple[str, str, float]:
+    """How the command ends, what it prints, and how many seconds it computes."""
+    out, begin = io.StringIO(), time.process_time()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        try:
+            code = in_process(train_command.main, *SMALL, *overrides)
+        except Started:
+            return "started", out.getvalue(), time.process_time() - begin
+    return f"code {code}", out.getvalue(), time.process_time() - begin
+
+
+@contextlib.contextmanager
+def a_few_flights() -> Iterator[None]:
+    """A run that has flown a little has started."""
+    train, record, step = EpisodeTrainer.train, EpisodeTrainer._record, NavigationEnv._step
+    clock: dict[str, float] = {}
+
+    def begin(trainer: EpisodeTrainer) -> None:
+        clock.update(begin=time.process_time(), flights=0)
+        train(trainer)
+
+    def counted(trainer: EpisodeTrainer, batch: Any) -> Any:
+        clock["flights"] += 1
+        if clock["flights"] > FLIGHTS:
+            raise Started
+        return record(trainer, batch)
+
+    def timed(env: NavigationEnv, tensordict: Any) -> Any:
+        if "begin" in clock and time.process_time() - clock["begin"] > FLYING:
+            raise Started
+        return step(env, tensordict)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(EpisodeTrainer, "train", begin)
+        patch.setattr(EpisodeTrainer, "_record", counted)
+        patch.setattr(NavigationEnv, "_step", timed)
+        yield
+
+
+def ends_well(overrides: list[str]) -> None:
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder, a_few_flights():
+        os.chdir(folder)
+        try:
+            how, printed, seconds = outcome(overrides)
+            left = sorted(str(path) for path in Path(folder).rglob("*"))
+        finally:
+            os.chdir(before)
+    assert "Traceback" not in printed, printed
+    assert seconds < SECONDS, seconds
+    if how not in ("started", "code 0"):
+        assert how in ("code 1", "code 2"), how
+        assert not left, left
+        told = [line for line in printed.splitlines() if line.startswith("uavrl: ")]
+        assert how == "code 2" or len(told) == 1, printed
+
+
+ANY = st.lists(override(), min_size=1, max_size=4)
+TOLD = settings(
+    deadline=None, derandomize=True, print_blob=False, database=None, suppress_health_check=list(HealthCheck)
+)
+
+
+@settings(TOLD, max_examples=50)
+@given(ANY)
+def test_any_overrides_end_in_a_start_or_in_one_sentence(overrides: list[str]) -> None:
+    ends_well(overrides)
+
+
+@pytest.mark.slow
+@settings(TOLD, max_examples=500)
+@given(ANY)
+def test_500_of_any_overrides_end_in_a_start_or_in_one_sentence(overrides: list[str]) -> None:
+    ends_well(overrides)

@@ -1,0 +1,231 @@
+"""What a newcomer mistypes and what an enemy gives: one sentence that names it, and nothing left behind."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.cli.test_bad_input import TINY, in_process, refused
+from tests.composing import composed
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import train as train_command
+from uavrl.configs import to_dataclass
+from uavrl.configs.memory import bytes_needed, require_memory
+from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.world import WorldConfig
+from uavrl.errors import UavrlError
+from uavrl.files import removed_on_failure
+from uavrl.training.silence import Silence
+from uavrl.transforms.functional import truncated_icosahedron
+
+__all__ = ["refused"]  # a fixture
+
+MISTAKES = {
+    "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",
+    "+algo.gama=0.9": "There is no key 'algo.gama'",
+    "episodes=60": "did you mean trainer.episodes?",
+    "algo=tdd3": "got 'tdd3': did you mean td3?",
+    "scheme=t": "scheme must be one of abr, abr_plus",
+    "algo=td3_schema": "algo=td3_schema is not a choice of its own: give algo=td3.",
+    "scheme=tr reward=navigation": "scheme=tr stands for reward=traditional, and reward=navigation was chosen",
+    "backward_reward=none scheme=abr": "scheme=abr stands for backward_reward=abr, and backward_reward=none was chosen",
+    "algo=null": "Config group override must be a string",
+    "algo.lifeguard.capacity=3": "+enhancer@algo.lifeguard=lifeguard",
+    "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
+    "run_dir=": "run_dir must be a folder to make, got ''",
+    "env.airframe.inertia=[1,1]": "inertia takes three numbers, one for each axis, got [1.0, 1.0]",
+    "env.aerodynamics.wind=[1]": "wind takes three numbers",
+    "perception.radius=1e30": "perception.radius must be at most 100, got 1e+30",
+    "env.world.size=[1e9,1e9]": "size and ceiling must make at most 200,000 m³ of a valley",
+    "env.world.obstacles=1000000000": "obstacles must be at most 2,000 in a valley",
+    "env.world.obstacle_scale=1e6": "lower obstacles or obstacle_scale",
+    "env.airframe.collision_radius=100": "collision_radius and half of collision_height must be at most min_clearance",
+    "trainer.updates_per_step=1e9": "trainer.updates_per_step must be at most 100",
+    "trainer.threads=1000000": "trainer.threads must be at most 256",
+    "trainer.window=10000000000000000000000": "trainer.window must be at most 1e+15",
+    "env.num_uavs=1000000000": "env.num_uavs must be at most 512",
+    "buffer.capacity=100000000000": "for buffer.capacity=100000000000, and this machine has",
+    "algo.hidden=[1000000,1000000]": "for algo.hidden=[1000000, 1000000], and this machine has",
+    "algo.batch_size=1000000000": "lower algo.batch_size.",
+    "algo=td3_lg algo.lifeguard.capacity=100000000000": "lower algo.lifeguard.capacity.",
+}
+
+
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_a_mistake_is_one_sentence_and_leaves_no_folder(
+    arguments: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert MISTAKES[arguments] in refused(train_command.main, *arguments.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_evaluation_names_the_nearest_key_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "did you mean episodes?" in refused(evaluate_command.main, "policy=straight", "episode=3")
+    assert "num_uavs must be at most 512" in refused(evaluate_command.main, "policy=straight", "num_uavs=1000000")
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_lists_no_choice_that_is_not_for_users(capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(train_command.main, "--help") == 0
+    printed = capsys.readouterr().out
+    assert "algo: ddpg, ddpg_lg, sac" in printed
+    assert "_schema" not in printed
+
+
+def test_a_mistake_found_after_the_folder_was_made_leaves_none(tmp_path: Path, refused: Callable[..., str]) -> None:
+    run_dir = tmp_path / "runs" / "new" / "run"
+    assert "CUDA devices" in refused(train_command.main, *TINY, "device=cuda:99", f"run_dir={run_dir}")
+    assert not (tmp_path / "runs").exists()
+    run_dir.mkdir(parents=True)
+    (run_dir / "mine.txt").write_text("kept")
+    assert "CUDA devices" in refused(train_command.main, *TINY, "device=cuda:99", f"run_dir={run_dir}")
+    assert (run_dir / "mine.txt").read_text() == "kept"
+
+
+def test_a_folder_with_something_worth_keeping_stays(tmp_path: Path) -> None:
+    with pytest.raises(ValueError), removed_on_failure(tmp_path / "run", "kept*"):
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "kept.txt").touch()
+        raise ValueError
+    assert (tmp_path / "run" / "kept.txt").exists()
+
+
+# ---------------------------------------------------------------------- short runs
+
+
+@pytest.mark.parametrize(
+    ("overrides", "steps"),
+    [
+        ([], 10_000),
+        (["trainer.episodes=60"], 300),
+        (["trainer.episodes=60", "env=bipedal_hardcore"], 2000),
+        (["trainer.episodes=60", "algo.random_steps=7000"], 7000),
+        (["trainer.episodes=60", "algo=sac"], 300),
+        (["trainer.episodes=60", "algo=ddpg"], 300),
+    ],
+)
+def test_short_runs_begin_with_fewer_random_steps(overrides: list[str], steps: int) -> None:
+    assert to_dataclass(composed("config", *overrides)).algo.random_steps == steps
+
+
+@pytest.mark.parametrize(("random_steps", "warned"), [(500, True), (0, False)])
+def test_a_run_that_learns_nothing_says_so_first_and_last(
+    random_steps: int, warned: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    overrides = [*TINY, f"run_dir={tmp_path / 'run'}", f"algo.random_steps={random_steps}"]
+    assert in_process(train_command.main, *overrides) == 0
+    told = capfd.readouterr().err
+    assert ("algo.random_steps=500: nothing is learned before" in told) == warned
+    assert ("Nothing was learned: the run ended after" in told) == warned
+
+
+# ---------------------------------------------------------------------- memory and time
+
+
+def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does_not() -> None:
+    require_memory(to_dataclass(composed()), memory=1e9)
+    large = to_dataclass(composed("config", "buffer.capacity=10000000"))
+    with pytest.raises(UavrlError, match=r"about 2 GB of memory, 2 GB of it for buffer\.capacity=10000000"):
+        require_memory(large, memory=1e9)
+
+
+def test_the_estimate_of_a_network_is_the_size_of_its_weights() -> None:
+    wide = bytes_needed(to_dataclass(composed("config", "algo=ddpg", "algo.hidden=[1000,3000]")))
+    actor = 106 * 1000 + 1001 * 3000 + 3001 * 4
+    critic = 110 * 1000 + 1001 * 3000 + 3001
+    copies = 6  # online, target, gradient, two moments of Adam, one on the way
+    assert wide["algo.hidden"] == pytest.approx(copies * 4 * (actor + critic), rel=0.04)
+
+
+def test_a_long_silence_is_explained_once(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    with Silence("Waiting for a flight.", seconds=0.1) as silence:
+        time.sleep(0.5)
+        assert caplog.messages == ["Waiting for a flight."]
+        silence.heard()
+        time.sleep(0.5)
+    assert caplog.messages == ["Waiting for a flight."] * 2
+
+
+def test_a_quick_step_needs_no_explanation(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    with Silence("Waiting for a flight.", seconds=0.3) as silence:
+        for _ in range(10):
+            time.sleep(0.05)
+            silence.heard()
+    time.sleep(0.4)
+    assert not caplog.messages
+
+
+# ---------------------------------------------------------------------- disk and account
+
+
+def test_a_full_disk_names_the_file_and_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    run_dir = tmp_path / "run"
+    sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}")
+    assert f"{run_dir / 'episodes.csv'} cannot be written (No space left on device)" in sentence
+    assert f"go on with uavrl-train resume={run_dir}" in sentence
+    monkeypatch.undo()
+    assert in_process(train_command.main, f"resume={run_dir}") == 0
+
+
+def test_wandb_without_a_login_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    wandb = pytest.importorskip("wandb")
+
+    def no_login(*_: object, **__: object) -> None:
+        raise wandb.errors.UsageError("No API key configured. Use `wandb login` to log in.")
+
+    monkeypatch.setattr(wandb, "init", no_login)
+    sentence = refused(train_command.main, *TINY, "logger=wandb", "logger.offline=false", f"run_dir={tmp_path / 'run'}")
+    assert "logger=wandb could not begin (No API key configured" in sentence and "wandb login" in sentence
+    assert not list(tmp_path.iterdir())
+
+
+# ---------------------------------------------------------------------- the library
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: WorldConfig(size=(1e9, 1e9)), "lower size"),
+        (lambda: WorldConfig(seeds=tuple(range(1000))), "give fewer seeds"),
+        (lambda: WorldConfig(planes=10**9), "planes must be at most 100"),
+        (lambda: Airframe(inertia=(1.0, 1.0)), "inertia takes three numbers"),
+        (lambda: Aerodynamics(force_coefficients=()), "force_coefficients takes three numbers"),
+        (lambda: LidarConfig(max_range=1e30), "max_range must be a positive length in metres, at most"),
+        (lambda: truncated_icosahedron([[1.0, 2.0, 3.0]]), "points must be a tensor .* got a list"),
+        (lambda: truncated_icosahedron(torch.zeros(1, 3), radius=1e30), "radius must be a positive length"),
+    ],
+)
+def test_the_library_refuses_by_one_sentence(make: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+@pytest.mark.parametrize("action", [[1.0, 2.0, 3.0], [[0.0] * 4] * 2, 0.0])
+def test_an_action_of_another_shape_is_refused(action: object) -> None:
+    env = ValleyEnv(world=WorldConfig(obstacles=5))
+    env.reset(seed=0)
+    with pytest.raises(UavrlError, match="An action is 4 numbers"):
+        env.step(action)
+    env.close()

@@ -1,0 +1,103 @@
+"""What the commands that Hydra configures share: mistakes on the command line end in one sentence."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import wraps
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.configs import conf_dir, register_schemas
+from uavrl.configs.choices import check_choices, did_you_mean, is_schema, known_keys
+from uavrl.errors import UavrlError
+
+FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
+
+
+def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+    """Makes a console command of a function that takes the configuration ``conf/NAME.yaml``, as overridden."""
+    register_schemas()
+
+    def decorate(function: Callable[[DictConfig], None]) -> Callable[[], None]:
+        @wraps(function)
+        def checked(config: DictConfig) -> None:
+            mistakes.composed = True
+            with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
+                check_choices(HydraConfig.get().runtime.choices)
+                function(config)
+
+        mistakes = _Mistakes(name)
+        by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(checked)
+
+        @wraps(function)
+        def main() -> None:
+            configure_logging()
+            with one_sentence(), mistakes:
+                by_hydra()
+
+        return main
+
+    return decorate
+
+
+class _Mistakes:
+    """Turns what Hydra raises into a sentence; errors of the command itself pass.
+
+    Hydra answers some mistakes by its own errors, and others by whatever breaks inside it.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self.composed = False  # whether the command itself has begun
+        self._by_us = True
+
+    def __enter__(self) -> None:
+        self.composed = False
+        self._by_us = os.environ.get(FULL_ERROR) != "1"  # else the user asked for Hydra's own errors
+        if self._by_us:
+            os.environ[FULL_ERROR] = "1"
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
+        if not self._by_us:
+            return
+        del os.environ[FULL_ERROR]
+        expected = (HydraException, OmegaConfBaseException) if self.composed else Exception
+        if isinstance(error, expected) and not isinstance(error, UavrlError):
+            raise UavrlError(explained(error, self._name)) from error
+
+
+def explained(error: Exception, name: str) -> str:
+    """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``.
+
+    Examples:
+        >>> explained(ConfigCompositionException("Could not override 'algo.gama'."), "config")
+        "There is no key 'algo.gama': did you mean algo.gamma?"
+    """
+    first = next(iter(str(error).splitlines()), type(error).__name__)
+    if isinstance(error, OverrideParseException):
+        return f"The override {error.override!r} cannot be read: write KEY=VALUE, and quotes around special characters."
+    if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
+        group, choice = error.missing_cfg_file.rsplit("/", 1)
+        choices = [option for option in error.options if not is_schema(option)]
+        return f"{group} must be one of {', '.join(choices)}, got {choice!r}{did_you_mean(choice, choices, ': ')}"
+    if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
+        key = first.split("'")[-2].split("@")[0]
+        return f"There is no key {key!r}" + did_you_mean(key, known_keys(name), ": ", "--help lists all keys.")
+    if isinstance(error, AssertionError):
+        return (
+            "An override changes a part that is off, or that has no parts: +enhancer@algo.fork=fork and "
+            "+enhancer@algo.lifeguard=lifeguard switch an enhancer on."
+        )
+    reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
+    return f"{first}: {reason}" if reason and reason not in first else first
+
+
+def given_overrides() -> list[str]:
+    """What was given on the command line, without the plus signs of what was added."""
+    return [override.lstrip("+") for override in HydraConfig.get().overrides.task]

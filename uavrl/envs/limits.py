@@ -1,0 +1,66 @@
+"""The largest world that is built, and the largest vehicle that fits into it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from uavrl.errors import UavrlError
+
+if TYPE_CHECKING:
+    from uavrl.envs.quadrotor import Airframe
+    from uavrl.envs.world import WorldConfig
+
+LARGEST_VALLEY = 200_000.0  # m³ up to the ceiling: building it takes 2.4 GB, and some 20 s
+LARGEST_WORLD = 500_000.0  # m³ of all valleys together
+MOST_OBSTACLES = 2000.0  # of a valley, each counted by its surface at scale 1
+LARGEST = {
+    "ceiling": 100.0,
+    "goal_radius": 100.0,
+    "min_clearance": 100.0,
+    "uav_radius": 10.0,
+    "planes": 100,
+    "plane_speed": 100.0,
+    "plane_wingspan": 20.0,
+}
+
+
+def check_world_size(world: WorldConfig) -> None:
+    """Refuses worlds that would take many minutes to build, or more memory than there is.
+
+    Raises:
+        UavrlError: naming what to lower.
+    """
+    for name, most in LARGEST.items():
+        value = getattr(world, name)
+        if (max(value) if isinstance(value, tuple) else value) > most:
+            raise UavrlError(f"{name} must be at most {most:g}, got {value}; lower it.")
+    valley = world.size[0] * world.size[1] * max(world.ceiling, 1.0)
+    for volume, most, of in (
+        (valley, LARGEST_VALLEY, "a valley"),
+        (valley * len(world.seeds), LARGEST_WORLD, f"{len(world.seeds)} valleys together"),
+    ):
+        if volume > most:
+            raise UavrlError(
+                f"size and ceiling must make at most {most:,.0f} m³ of {of}, got {volume:,.0f} m³; lower size or "
+                "ceiling, or give fewer seeds."
+            )
+    obstacles = world.obstacles * max(1.0, world.obstacle_scale**2)
+    if obstacles > MOST_OBSTACLES:
+        raise UavrlError(
+            f"obstacles must be at most {MOST_OBSTACLES:,.0f} in a valley, each counted obstacle_scale² times, got "
+            f"{obstacles:,.0f}; lower obstacles or obstacle_scale."
+        )
+
+
+def check_hull(airframe: Airframe, world: WorldConfig) -> None:
+    """Refuses vehicles that touch something wherever they start.
+
+    Raises:
+        UavrlError: naming what to lower.
+    """
+    reach = max(airframe.collision_radius, airframe.collision_height / 2)
+    if reach > max(world.min_clearance, world.uav_radius):
+        raise UavrlError(
+            f"collision_radius and half of collision_height must be at most min_clearance, {world.min_clearance} m, "
+            f"which starts keep from geometry, got {reach} m; lower them or raise env.world.min_clearance."
+        )

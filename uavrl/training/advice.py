@@ -1,0 +1,34 @@
+"""What a run tells the user about settings under which it learns little."""
+
+from __future__ import annotations
+
+import logging
+
+from uavrl.configs.registry import expected_steps
+from uavrl.configs.train import TrainConfig
+
+log = logging.getLogger(__name__)
+
+
+def warn_of_random_steps(settings: TrainConfig) -> None:
+    """Before the run: its random steps may not end before it does."""
+    random_steps, episodes = settings.algo.random_steps, settings.trainer.episodes
+    if random_steps > (expected := expected_steps(episodes, settings.env.max_steps)):
+        log.warning(
+            "algo.random_steps=%d: nothing is learned before, and the first trainer.episodes=%d flights may be over by "
+            "then, since random ones last about %d steps together. Choose fewer random steps or more episodes.",
+            random_steps,
+            episodes,
+            expected,
+        )
+
+
+def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> None:
+    """After the run: it ended inside its random steps."""
+    if updates == 0:
+        log.warning(
+            "Nothing was learned: the run ended after %d steps, inside its algo.random_steps=%d. Choose fewer random "
+            "steps, or more with trainer.episodes.",
+            steps,
+            settings.algo.random_steps,
+        )
