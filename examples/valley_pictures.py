@@ -1,0 +1,79 @@
+"""Draws a valley from outside and from where a UAV starts, with PyBullet's own renderer.
+
+python examples/valley_pictures.py --output docs/img
+python examples/valley_pictures.py --seed 100 --obstacles 90
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from matplotlib.image import imsave
+
+from uavrl.envs.bullet import pybullet, silenced
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.world import World, WorldConfig
+
+GROUND, ROCK, WOOD, FIR = (0.62, 0.57, 0.42), (0.58, 0.54, 0.5), (0.45, 0.32, 0.2), (0.2, 0.42, 0.22)
+COLOURS = {"tree": FIR, "pole": WOOD, "bridge": WOOD}
+WIDTH, HEIGHT = 1200, 700
+BRIGHTER = 1.5  # the renderer's picture is dark
+
+
+def add(client: int, mesh: Mesh, colour: tuple[float, float, float]) -> None:
+    """Adds a mesh that is seen and does nothing."""
+    faces = mesh.faces.ravel().tolist()
+    shape = pybullet.createVisualShape(
+        pybullet.GEOM_MESH,
+        vertices=mesh.vertices.tolist(),
+        indices=faces,
+        rgbaColor=(*colour, 1.0),
+        physicsClientId=client,
+    )
+    pybullet.createMultiBody(0, -1, shape, physicsClientId=client)
+
+
+def picture(client: int, eye: tuple[float, ...], towards: tuple[float, ...], angle: float) -> np.ndarray:
+    """What a camera sees: ``uint8 [HEIGHT, WIDTH, 3]``."""
+    view = pybullet.computeViewMatrix(eye, towards, (0, 0, 1))
+    lens = pybullet.computeProjectionMatrixFOV(angle, WIDTH / HEIGHT, 0.1, 200.0)
+    pixels = pybullet.getCameraImage(
+        WIDTH,
+        HEIGHT,
+        view,
+        lens,
+        shadow=1,
+        lightDirection=(2, -3, 6),
+        renderer=pybullet.ER_TINY_RENDERER,
+        physicsClientId=client,
+    )[2]
+    colours = np.reshape(pixels, (HEIGHT, WIDTH, 4))[..., :3].astype(float)
+    return np.clip(np.where(colours.min(-1, keepdims=True) < 250, BRIGHTER * colours, colours), 0, 255).astype(np.uint8)
+
+
+def main() -> None:
+    """Writes both pictures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--obstacles", type=int, default=WorldConfig.obstacles)
+    parser.add_argument("--output", type=Path, default=Path())
+    arguments = parser.parse_args()
+    world = World(WorldConfig(seeds=(arguments.seed,), obstacles=arguments.obstacles))
+    with silenced():
+        client = pybullet.connect(pybullet.DIRECT)
+    for tile in world.valleys[0].ground.tiles():
+        add(client, tile, GROUND)
+    for obstacle in world.valleys[0].obstacles:
+        add(client, obstacle.mesh, COLOURS.get(obstacle.kind, ROCK))
+    task = world.sample_task(np.random.default_rng(0))
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    views = {"outside": ((-6, -20, 34), (0, 1, 0), 62.0), "inside": (tuple(task.start), tuple(task.goal), 75.0)}
+    for name, (eye, towards, angle) in views.items():
+        imsave(arguments.output / f"valley_{name}.png", picture(client, eye, towards, angle))
+    pybullet.disconnect(client)
+
+
+if __name__ == "__main__":
+    main()
