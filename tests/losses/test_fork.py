@@ -113,6 +113,24 @@ class TestForkOnSAC(ForkContract):
         return fork(sac(**kwargs))
 
 
+def test_new_models_have_yet_to_be_trusted() -> None:
+    """What was observed of the world stays."""
+    loss = TestLifeGuardOnFork().make_loss()
+    assert loss.mode == (True, True, "probability")
+    seen, highest = len(loss.collisions), loss.base.observed_high.clone()
+    loss.reset_parameters_recursive()
+    assert loss.mode == (False, False, "probability")
+    assert not loss.classifier.weight.any()
+    assert len(loss.collisions) == seen > 0
+    assert torch.equal(loss.base.observed_high, highest)
+
+
+def test_what_random_layers_do_is_the_bases() -> None:
+    loss = fork(Push(td3()))
+    loss.set_vmap_randomness("different")
+    assert loss.unenhanced.vmap_randomness == "different"
+
+
 class TestForkOnAnotherEnhancer(ForkContract):
     def enhance(self, **kwargs: object) -> Fork:
         return fork(Push(td3(**kwargs)))

@@ -172,7 +172,7 @@ class LifeGuard(Enhancer):
     def reset_parameters_recursive(self) -> None:
         """As :meth:`Enhancer.reset_parameters_recursive`; nothing is known yet of how good the new classifier is."""
         super().reset_parameters_recursive()
-        for module in self.classifier.modules():
+        for module in reversed(list(self.classifier.modules())):  # the parts first, as TorchRL does
             reset = getattr(module, "reset_parameters", None)
             if callable(reset):
                 reset()
