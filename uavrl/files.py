@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -49,6 +50,25 @@ def naming(path: Path) -> Iterator[None]:
         if error.filename is None:
             error.filename = str(path)
         raise
+
+
+def require_room(folder: Path, size: float) -> None:
+    """Refuses to write more than the disk has left: what is mapped into memory dies of a full disk without an error.
+
+    Args:
+        folder: where it is to be written.
+        size: bytes.
+
+    Raises:
+        OSError: saying how much is needed and how much is left.
+
+    Examples:
+        >>> require_room(getfixture("tmp_path"), 1.0)
+    """
+    free = shutil.disk_usage(folder).free
+    if free < size:
+        told = f"{size / 1e6:,.1f} MB are needed and {free / 1e6:,.1f} MB are left"
+        raise OSError(errno.ENOSPC, told, str(folder))
 
 
 @contextmanager

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -185,6 +187,19 @@ def test_a_full_disk_names_the_file_and_how_to_go_on(
     assert f"go on with uavrl-train resume={run_dir}" in sentence
     monkeypatch.undo()
     assert in_process(train_command.main, f"resume={run_dir}") == 0
+
+
+def test_a_checkpoint_is_not_begun_where_it_has_no_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    """What tensordict maps into memory would end the process by SIGBUS."""
+    left = iter([10**9, 10**9, *[10_000] * 9])
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=next(left)))
+    run_dir = tmp_path / "run"
+    sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}", "trainer.episodes=50")
+    assert f"{run_dir} cannot be written" in sentence and "MB are needed and 0.0 MB are left" in sentence
+    assert f"go on with uavrl-train resume={run_dir}" in sentence
+    assert len(list((run_dir / "checkpoints").iterdir())) == 2
 
 
 def test_wandb_without_a_login_is_one_sentence(

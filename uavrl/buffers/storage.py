@@ -169,6 +169,11 @@ class FrameStorage(GatheringStorage):
         """Restores what :meth:`dumps` wrote."""
         self.load_state_dict(tensordict.load(path, allow_pickle=False))
 
+    @property
+    def frame_size(self) -> int:
+        """Bytes of one frame; 0 before the first."""
+        return 0 if self._ring is None else self._ring.element_size() * self._ring.shape[-1]
+
     def _empty(self) -> None:
         super()._empty()
         self._ring = None

@@ -15,7 +15,7 @@ from torchrl.trainers import Trainer, TrainerHookBase
 
 from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.errors import UavrlError
-from uavrl.files import naming
+from uavrl.files import naming, require_room
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.recording import StateRecorder
 from uavrl.training.async_collector import AsyncCollector
@@ -193,6 +193,7 @@ class EpisodeTrainer(Trainer):
         self.backward_reward = backward_reward
         self.admission = replay.admission
         self.recorder = recorder
+        self._buffer = replay.buffer
         self.progress = progress
         self.run_seed = seed
         self._last_save = 0
@@ -235,8 +236,16 @@ class EpisodeTrainer(Trainer):
             super().train()
 
     def _save_trainer(self) -> None:
-        with naming(self.checkpoint_rotation.directory):
+        folder = self.checkpoint_rotation.directory
+        with naming(folder):
+            require_room(folder.parent, 2 * self._checkpoint_size())  # files, then the archive of them
             super()._save_trainer()
+
+    def _checkpoint_size(self) -> float:
+        """About how many bytes a checkpoint takes: the networks, Adam's moments of them, and the transitions."""
+        networks = sum(getattr(value, "nbytes", 0) for value in self.loss_module.state_dict().values())
+        transitions = len(self._buffer) and len(self._buffer) * (self._buffer.storage.frame_size * 1.1 + 80)
+        return 3 * networks + transitions
 
     def _record(self, batch: TensorDictBase) -> dict[str, float]:
         """Writes the episodes of a batch, shows progress and ends the training when enough are flown."""
