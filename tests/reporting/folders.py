@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import astuple
+from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from uavrl.envs.world import WorldConfig
 from uavrl.training.episodes import Episode
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,9 +39,11 @@ def episodes(outcomes: str, world_seed: int = 0) -> list[Episode]:
 
 
 def config(**changes: Any) -> dict[str, Any]:
-    """The configuration of a real run, with values changed by dotted name (two underscores for a dot)."""
+    """A real run's configuration with today's keys, values changed by dotted name (two underscores for a dot)."""
     result = yaml.safe_load(TEMPLATE.read_text())
     result["perception"].setdefault("blind", False)  # a key that is younger than that run
+    world = result["env"]["world"]
+    result["env"]["world"] = {field.name: world[field.name] for field in fields(WorldConfig) if field.name in world}
     for key, value in changes.items():
         node = result
         *parents, leaf = key.split("__")

@@ -46,7 +46,9 @@ def test_the_runs_that_the_documentation_keeps() -> None:
         ("td3_lg_mlp", 0),
         ("td3_lg_mlp", 1),
     ]
-    assert all(run.finished and not run.notes for run in runs)
+    assert all(run.finished for run in runs)
+    for run in runs:  # they flew in the first valley, which had keys of its own
+        assert ["goal_height" in note and "not one of this version" in note for note in run.notes] == [True]
 
 
 def test_runs_are_found_below_a_folder_each_once(tmp_path: Path) -> None:
