@@ -7,6 +7,10 @@ class UavrlError(ValueError):
     """A mistake that the user can mend: what was expected, what came, and what to do."""
 
 
+class FolderTaken(UavrlError):
+    """The folder is somebody else's: another process trains in it, or it holds something already. It stays as it is."""
+
+
 class Stopped(KeyboardInterrupt):
     """A command that Ctrl-C or SIGTERM has ended: how to go on, and the exit code that shells expect."""
 

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from uavrl.errors import FolderTaken
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -76,7 +78,7 @@ def removed_on_failure(folder: Path, holding: str) -> Iterator[None]:
     """Leaves no trace of a folder that is made inside the block, where an error ends the block before ``holding``.
 
     Args:
-        folder: what the block makes; one that was there before stays, whatever happens.
+        folder: what the block makes; one that was there before, or that another process has taken meanwhile, stays.
         holding: a pattern of the first thing in it that is worth keeping.
 
     Examples:
@@ -92,6 +94,8 @@ def removed_on_failure(folder: Path, holding: str) -> Iterator[None]:
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         yield
+    except FolderTaken:
+        raise
     except Exception:
         if made and not any(folder.glob(holding)):
             shutil.rmtree(folder, ignore_errors=True)

@@ -26,6 +26,8 @@ def one_sentence() -> Iterator[None]:
     """Prints what the user can mend, without a traceback, and exits with 1; Ctrl-C exits with 130, SIGTERM with 143."""
     try:
         yield
+    except SystemExit:  # told by one inside of this
+        raise
     except (UavrlError, OSError) as error:
         print(f"uavrl: {sentence(error)}", file=sys.stderr)
         raise SystemExit(1) from error

@@ -9,6 +9,7 @@ from uavrl.configs.checks import require
 MOST_OF_ALL = 1e15  # of any number: larger ones are slips, and overflow where they are used
 MOST: dict[str, float] = {
     "env.num_uavs": 512,
+    "env.max_steps": 1e6,
     "num_uavs": 512,
     "env.airframe.mass": 1e4,
     "env.airframe.inertia": 1e4,

@@ -20,6 +20,7 @@ from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig
+from uavrl.errors import UavrlError
 
 GoalAngle = Literal["elevation", "course"]
 Hidden = Literal["planes"]
@@ -223,11 +224,11 @@ class NavigationEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         if self._simulation is None:
             raise RuntimeError("Reset the environment before the first step.")
+        action = self._checked_action(tensordict.get("action", None))
         distance_tm1 = self._distance()
         path = None
         if len(self._traffic.positions):
             path = self._traffic.advance(PHYSICS_RATE // CONTROL_RATE, 1 / PHYSICS_RATE)
-        action = tensordict.get("action").detach().cpu().numpy().astype(np.float64)
         collided = self._simulation.step(action, path)
         collided |= self.world.out_of_bounds(self._simulation.position, self._valley)
         arrived = self.world.arrived(self._simulation.position, self._goal) & ~collided
@@ -239,6 +240,15 @@ class NavigationEnv(EnvBase):
         data["terminated"], data["truncated"] = terminated[:, None], truncated[:, None]
         data["done"] = data["terminated"] | data["truncated"]
         return self._pack(data)
+
+    def _checked_action(self, action: object) -> np.ndarray:
+        if not isinstance(action, torch.Tensor) or action.shape != (self.num_uavs, 4):
+            came = tuple(action.shape) if isinstance(action, torch.Tensor) else type(action).__name__
+            raise UavrlError(
+                f"Expected an action of shape ({self.num_uavs}, 4), one row (l_x, l_y, l_z, a_z) for each UAV, got "
+                f"{came}: check the policy's output."
+            )
+        return action.detach().cpu().numpy().astype(np.float64)
 
     # ------------------------------------------------------------------ what is seen
 

@@ -10,19 +10,20 @@ from torchrl.checkpoint import Checkpoint
 
 from uavrl.errors import UavrlError
 from uavrl.pretraining.from_run import STATES_FOLDER
-from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, DamagedCheckpoint, all_checkpoints, check_checkpoint
+from uavrl.training.checkpoint import CHECKPOINTS, DamagedCheckpoint, all_checkpoints, check_checkpoint
 from uavrl.training.episodes import read_episodes
 
 log = logging.getLogger(__name__)
 EPISODES = "episodes.csv"
 SUMMARY = "summary.json"
+BEGUN = ".begun"  # the mark of a run folder: what has it was made by a training, and may be cleared before a checkpoint
 
 
 def never_began(run_dir: Path) -> bool:
     """Whether a run was stopped before its first checkpoint, which comes before its first flight: nothing is lost."""
     episodes = run_dir / EPISODES
     return (
-        (run_dir / CONFIG).exists()
+        (run_dir / BEGUN).exists()
         and not (run_dir / SUMMARY).exists()
         and not any((run_dir / CHECKPOINTS).glob("checkpoint*"))
         and not (episodes.exists() and read_episodes(episodes))

@@ -24,7 +24,7 @@ from torchrl.data import ReplayBuffer
 import uavrl
 from uavrl.configs import learner, to_dataclass
 from uavrl.configs.train import TrainConfig
-from uavrl.errors import Stopped, UavrlError, was_interrupted
+from uavrl.errors import FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
 from uavrl.pretraining.from_run import STATES_FOLDER
@@ -53,7 +53,7 @@ from uavrl.training.learner import make_actor, make_loss
 from uavrl.training.loggers import close, cut_back, make_logger
 from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
-from uavrl.training.resuming import EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
+from uavrl.training.resuming import BEGUN, EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.silence import Silence
 from uavrl.training.spaces import make_spaces
 from uavrl.training.stepper import ActorCriticStepper
@@ -81,6 +81,7 @@ def create_run(config: DictConfig) -> Path:
         with locked(run_dir):
             _refuse_a_run(run_dir)
             free(run_dir)
+            (run_dir / BEGUN).touch()
             _write(config, run_dir)
     except OSError as error:
         raise UavrlError(
@@ -93,12 +94,12 @@ def _refuse_a_run(run_dir: Path) -> None:
     if never_began(run_dir):
         return
     if any((run_dir / CHECKPOINTS).glob("checkpoint*")):
-        raise UavrlError(
+        raise FolderTaken(
             f"The run folder {run_dir} holds a run already: "
             f"go on with it by resume={run_dir}, or choose another run_dir."
         )
-    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER)):
-        raise UavrlError(f"The run folder {run_dir} holds a run already, without checkpoints: choose another run_dir.")
+    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER, ARTIFACT)):
+        raise FolderTaken(f"The run folder {run_dir} holds a run already, without checkpoints: choose another run_dir.")
 
 
 def _write(config: DictConfig, run_dir: Path) -> None:
@@ -117,7 +118,7 @@ def locked(run_dir: Path) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        raise UavrlError(f"Another process trains in {run_dir}: wait until it ends, or stop it.") from None
+        raise FolderTaken(f"Another process trains in {run_dir}: wait until it ends, or stop it.") from None
     try:
         yield
     finally:
@@ -196,9 +197,12 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
 
 
 def free(run_dir: Path) -> None:
-    """Makes a folder whose run never reached its first checkpoint free for another try."""
+    """Makes a folder whose run never reached its first checkpoint free for another try; others stay as they are."""
+    if not (run_dir / BEGUN).exists():
+        return
     _clear(run_dir)
-    (run_dir / CONFIG).unlink(missing_ok=True)
+    for name in (CONFIG, BEGUN):
+        (run_dir / name).unlink(missing_ok=True)
 
 
 def _clear(run_dir: Path) -> None:
