@@ -218,7 +218,7 @@ def test_a_damaged_checkpoint_is_named_and_the_run_goes_back_to_the_one_before(
     finished: Path,
     run_dir: Path,
     refused: Callable[..., str],
-    caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     path = newest(run_dir)
     damage(path)
@@ -228,7 +228,8 @@ def test_a_damaged_checkpoint_is_named_and_the_run_goes_back_to_the_one_before(
     assert content(run_dir) == before
     damaged = path.read_bytes()
     assert in_process(train_command.main, f"resume={run_dir}") == 0
-    assert said in caplog.text and "goes back to the one before, after episode 0" in caplog.text
+    told = capfd.readouterr().err
+    assert said in told and "goes back to the one before, after episode 0" in told
     assert path.with_name(f"unused-{path.name}").read_bytes() == damaged
     assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
     assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION) == 0
@@ -244,13 +245,14 @@ def test_a_run_whose_checkpoints_are_all_damaged_is_refused(run_dir: Path, refus
 
 
 def test_lost_episodes_send_a_run_back_to_a_checkpoint_that_knows_none_of_them(
-    finished: Path, run_dir: Path, caplog: pytest.LogCaptureFixture
+    finished: Path, run_dir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, rows = newest(run_dir), (run_dir / "episodes.csv").read_text().splitlines(keepends=True)
     (run_dir / "episodes.csv").write_text("".join(rows[:3]))
     assert in_process(train_command.main, f"resume={run_dir}") == 0
     lost = f"The checkpoint {path} follows episode 4, and {run_dir / 'episodes.csv'} has lost those after 2."
-    assert lost in caplog.text and "goes back to the one before, after episode 0" in caplog.text
+    told = capsys.readouterr().err
+    assert lost in told and "goes back to the one before, after episode 0" in told
     assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
 
 

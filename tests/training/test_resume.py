@@ -44,8 +44,10 @@ SMALL = [
     "trainer.execution=captured",  # compiling takes longer than these runs
 ]
 
-LIFEGUARD = [  # heard after a few collisions, which a wide hull brings about
-    "env.airframe.collision_radius=2.5",
+LIFEGUARD = [  # heard after a few collisions, which a wide hull among many obstacles brings about
+    "env.airframe.collision_radius=1.45",
+    "env.world.obstacles=90",
+    "env.max_steps=30",
     "algo.lifeguard.min_collisions=3",
     "algo.lifeguard.min_evaluations=1",
     "algo.lifeguard.min_true_negative_rate=0",
