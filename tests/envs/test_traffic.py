@@ -87,23 +87,23 @@ def test_planes_stay_in_their_valley(world):
 
 
 def test_planes_fly_at_a_constant_speed_within_the_limits_and_look_ahead(world):
-    path = fly(world)
-    flown = []
-    for plane in range(6):
-        for leg in legs(path[:, plane])[1:-1]:
-            moved = np.diff(leg[:, :3], axis=0)
-            speed = np.linalg.norm(moved, axis=1) / DT
-            whole = np.median(speed)
-            assert whole >= SLOWEST * 0.98 and speed.max() <= FASTEST + 1e-6
-            assert speed.max() <= 1.02 * whole
-            assert np.mean(speed > 0.97 * whole) > 0.85  # chords are shorter than bends
-            ahead = np.stack([np.cos(leg[:-1, 3]), np.sin(leg[:-1, 3])], -1)
-            level = np.linalg.norm(moved[:, :2], axis=1)
-            seen = (moved[:, :2] * ahead).sum(1) > np.cos(0.3) * level
-            assert seen.mean() > 0.9
-            flown.append(whole)
-    assert len(flown) > 50
-    assert np.ptp(flown) > 0.6
+    traffic = Traffic(world, np.random.default_rng(0))
+    poses, speeds = [], []
+    for _ in range(1200):
+        poses.append(traffic.advance(1, DT)[0])
+        speeds.append([leg["speed"] for leg in traffic.state_dict()["legs"]])
+    path, speed = np.array(poses), np.array(speeds)
+    same = speed[1:] == speed[:-1]  # no new leg began
+    assert 0.98 < same.mean() < 1.0
+    assert speed.min() >= SLOWEST and speed.max() <= FASTEST and np.ptp(speed) > 0.8
+    moved = np.diff(path[..., :3], axis=0)
+    share = (np.linalg.norm(moved, axis=-1) / DT / speed[1:])[same]
+    assert share.max() <= 1.0 + 1e-6
+    assert np.mean(share > 0.96) > 0.95  # a chord is shorter than its bend
+    ahead = np.stack([np.cos(path[:-1, :, 3]), np.sin(path[:-1, :, 3])], -1)
+    level = np.linalg.norm(moved[..., :2], axis=-1)
+    seen = (moved[..., :2] * ahead).sum(-1) > np.cos(0.3) * level
+    assert seen[same].mean() > 0.95
 
 
 def test_legs_lead_from_edge_to_edge_over_the_walls(world):
@@ -116,7 +116,7 @@ def test_legs_lead_from_edge_to_edge_over_the_walls(world):
             assert to_edges.min() <= 1.2  # where routes begin, and one step at the highest speed
             assert xyz[2] > world.valleys[0].ground.heights.max()
             ends.append(int(to_edges.argmin()))
-        entered.add(ends[0])
+        entered |= set(ends)
     assert entered == {0, 1, 2, 3}
 
 
@@ -183,7 +183,7 @@ def test_static_world_has_no_traffic():
 def test_plane_model():
     mesh = plane_mesh(2.0)
     assert_closed(mesh)
-    assert 50 <= len(mesh.faces) <= 200
+    assert 50 <= len(mesh.faces) <= 300
     assert np.ptp(mesh.vertices[:, 1]) == pytest.approx(2.0)
     assert np.ptp(mesh.vertices, axis=0).argmax() == 1
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
