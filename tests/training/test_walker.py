@@ -23,6 +23,7 @@ WALKER = [
     "trainer.checkpoint_interval=90",
     "trainer.keep_checkpoints=10",
     "trainer.progress=false",
+    "trainer.products=mkl",  # `auto` could turn with the machine's load
     "trainer.execution=captured",
 ]
 ENHANCED = [

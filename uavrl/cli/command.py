@@ -28,6 +28,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
         @wraps(function)
         def checked(config: DictConfig) -> None:
             mistakes.composed = True
+            configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
             with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
                 check_choices(HydraConfig.get().runtime.choices)
                 function(config)

@@ -14,7 +14,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
-from uavrl.cli.errors import configure_logging, one_sentence, sentence
+from uavrl.cli.errors import one_sentence, sentence
 from uavrl.configs import to_dataclass
 from uavrl.configs.memory import require_memory
 from uavrl.errors import Stopped, UavrlError
@@ -26,7 +26,6 @@ FIRST_CHECKPOINT = "checkpoints/checkpoint*"  # from here on a run folder holds 
 @command("config")
 def main(config: DictConfig) -> None:
     """Trains one run; in a sweep a run that fails does not keep the others from flying."""
-    configure_logging()  # again: a launcher may have started this process
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         with one_sentence():
             _train(config)
