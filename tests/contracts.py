@@ -248,7 +248,8 @@ class LossContract:
         for key, value in new.items():
             if key.endswith("weight") and value.shape[-1] > 1 and "system_network" not in key:
                 assert value.abs().amax() * value.shape[-1] ** 0.5 <= 1.00001, key
-                assert value.abs().amax() * value.shape[-1] ** 0.5 > 0.6, key
+                # of fewer weights the largest may well be smaller
+                assert value.numel() < 32 or value.abs().amax() * value.shape[-1] ** 0.5 > 0.6, key
             assert value.ndim < 3 or not torch.equal(*value), key  # two critics
         for key, target in loss.state_dict().items():
             if "target_" in key and isinstance(target, torch.Tensor) and key.replace("target_", "") in new:
