@@ -192,6 +192,6 @@ def test_plane_model():
 
 
 def test_an_environment_shows_the_shape_of_its_planes():
-    env = NavigationEnv(1, world=WorldConfig(planes=1, plane_wingspan=3.0))
+    env = NavigationEnv(1, world=WorldConfig(planes=3))  # of 3 m
     np.testing.assert_array_equal(env.plane_mesh.vertices, plane_mesh(3.0).vertices)
     env.close()
