@@ -138,7 +138,7 @@ def test_a_flight_does_not_depend_on_those_before_it() -> None:
 def test_without_a_reward_its_own_is_kept_and_points_are_thinned() -> None:
     env = make_env(small_env(), PerceptionConfig(), seed=0, num_uavs=1, measure_clearance=True, keep_cloud=True)
     try:
-        flight = record_flight(env, StraightPolicy(3.5), 0, seed=SEED, max_points=50)
+        flight = record_flight(env, StraightPolicy(3.5), 1, seed=SEED, max_points=50)
     finally:
         env.close()
     assert flight.reward_names == ("reward",)

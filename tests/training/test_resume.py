@@ -246,6 +246,8 @@ def test_a_resumed_run_is_bit_identical(
 class WholeStates(GatheringStorage):
     """Where transitions lay up to version 0.1."""
 
+    frame_size = 0
+
     def __init__(self, capacity: int, frames: int, device: str) -> None:
         super().__init__(capacity, device=device)
 
