@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 import yaml
 from omegaconf import OmegaConf
+from uavrl.configs.algo import DDPGConfig, ForkConfig, LifeGuardConfig, SACConfig, TD3Config
+from uavrl.configs.buffer import ABRConfig, ABRPlusConfig, FailureBiasedBufferConfig, PrioritizedBufferConfig
+from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
+from uavrl.configs.walker import BipedalConfig, WalkerRewardConfig
 
 from tests.composing import changed, composed
 from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, learner, to_dataclass
-from uavrl.configs.algo import DDPGConfig, ForkConfig, LifeGuardConfig, SACConfig, TD3Config
-from uavrl.configs.buffer import ABRConfig, ABRPlusConfig, FailureBiasedBufferConfig, PrioritizedBufferConfig
 from uavrl.configs.train import GROUPS, LoggerConfig
-from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
-from uavrl.configs.walker import BipedalConfig, WalkerRewardConfig
 from uavrl.envs.bipedal import BipedalEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv

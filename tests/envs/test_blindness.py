@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 from torchrl.envs import check_env_specs
-
 from uavrl.configs.valley import EnvConfig, PerceptionConfig
+
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.world import WorldConfig

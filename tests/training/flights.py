@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig
+
 from uavrl.envs.world import WorldConfig
 from uavrl.training.baselines import StraightPolicy
 from uavrl.training.flight import Replay

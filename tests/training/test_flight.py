@@ -13,9 +13,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
+from uavrl.configs.valley import NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 
 from tests.training.flights import REWARD, SEED, STEPS, small_env, small_replay
-from uavrl.configs.valley import NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.errors import UavrlError
 from uavrl.training.baselines import StraightPolicy
 from uavrl.training.evaluation import fly

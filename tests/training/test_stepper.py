@@ -10,11 +10,11 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.data import Bounded
+from uavrl.configs.buffer import PrioritizedBufferConfig
 
 from tests.losses.test_fork import fork
 from tests.losses.test_lifeguard import episodes, lifeguard, sampler
 from tests.losses.test_sac import critics, stochastic_actor
-from uavrl.configs.buffer import PrioritizedBufferConfig
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.training.factory import make_buffer

@@ -13,8 +13,10 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import configure_logging, one_sentence
-from uavrl.configs import conf_dir, register_schemas
-from uavrl.configs.choices import check_choices, did_you_mean, is_schema, known_keys
+from uavrl.configs import conf_dir, register_resolvers
+from uavrl.configs.checks import did_you_mean
+from uavrl.configs.choices import check_choices, choices_with, known_keys
+from uavrl.configs.registry import with_choices
 from uavrl.errors import UavrlError
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
@@ -22,7 +24,7 @@ FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on in
 
 def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Makes a console command of a function that takes the configuration ``conf/NAME.yaml``, as overridden."""
-    register_schemas()
+    register_resolvers()
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], None]:
         @wraps(function)
@@ -30,8 +32,9 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
             mistakes.composed = True
             configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
             with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
-                check_choices(HydraConfig.get().runtime.choices)
-                function(config)
+                choices = HydraConfig.get().runtime.choices
+                check_choices(choices)
+                function(with_choices(config, choices) if "env" in config else config)
 
         mistakes = _Mistakes(name)
         by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(checked)
@@ -85,16 +88,16 @@ def explained(error: Exception, name: str) -> str:
         return f"The override {error.override!r} cannot be read: write KEY=VALUE, and quotes around special characters."
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
-        choices = [option for option in error.options if not is_schema(option)]
+        choices = error.options
         return f"{group} must be one of {', '.join(choices)}, got {choice!r}{did_you_mean(choice, choices, ': ')}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         key = first.split("'")[-2].split("@")[0]
+        if having := choices_with(key):
+            group = key.partition(".")[0]
+            return f"{key} is not a key of the {group} chosen: choose {group}={' or '.join(having)}."
         return f"There is no key {key!r}" + did_you_mean(key, known_keys(name), ": ", "--help lists all keys.")
     if isinstance(error, AssertionError):
-        return (
-            "An override changes a part that is off, or that has no parts: +enhancer@algo.fork=fork and "
-            "+enhancer@algo.lifeguard=lifeguard switch an enhancer on."
-        )
+        return "An override changes something below a key that has nothing below it: --help lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
 

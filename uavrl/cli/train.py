@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.cli.errors import one_sentence, sentence
-from uavrl.configs import to_dataclass
+from uavrl.configs import complete, to_dataclass
 from uavrl.configs.memory import require_memory
 from uavrl.errors import Stopped, UavrlError
 from uavrl.files import removed_on_failure
@@ -43,7 +43,7 @@ def main(config: DictConfig) -> None:
 
 
 def _train(config: DictConfig) -> None:
-    _check(config)
+    config = _worked_out(config)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.training.run import create_run, resume_config
 
@@ -75,14 +75,16 @@ def full_disk_told(run_dir: Path) -> Iterator[None]:
         ) from error
 
 
-def _check(config: DictConfig) -> None:
-    """Finds what can be wrong with the settings before a folder is made."""
+def _worked_out(config: DictConfig) -> DictConfig:
+    """The configuration with every value worked out; finds what can be wrong with it before a folder is made."""
+    config = complete(config)
     require_memory(to_dataclass(config))
+    return config
 
 
 def _train_in_sweep(config: DictConfig) -> None:
     """Trains a combination unless an earlier sweep has: then it goes on with it, or skips it where it is finished."""
-    _check(config)
+    config = _worked_out(config)
     if config.resume is not None:
         raise UavrlError(
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "

@@ -5,29 +5,28 @@ from __future__ import annotations
 import os
 import re
 import uuid
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger, get_logger
+from omegaconf import DictConfig
+from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
 
-from uavrl.configs.train import LoggerConfig
+from uavrl.configs.build import build
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
 
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
-def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
+def make_logger(part: DictConfig, run_dir: Path, packages: Iterable[str] = ()) -> Logger | None:
     """Makes the logger; its files go below ``run_dir/logs``.
 
     Raises:
         UavrlError: when the logger's package is not installed.
     """
-    package = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb"}[config.name]
     try:
-        if config.name == "wandb":
-            return _wandb_logger(config, run_dir)
-        return get_logger(config.name, logger_name=str(run_dir / "logs"), experiment_name=run_dir.name)
+        return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / "logs"))
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "wandb":
             raise UavrlError(
@@ -36,9 +35,8 @@ def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
             ) from error
         if not isinstance(error, ImportError):
             raise
-        raise UavrlError(
-            f"logger={config.name} needs the package {package}: run pip install 'uavrl[{package}]'."
-        ) from error
+        package = str(error.name or "").partition(".")[0]
+        raise UavrlError(f"The logger needs the package {package}: run pip install 'uavrl[{package}]'.") from error
 
 
 def _first_line(error: Exception) -> str:
@@ -50,26 +48,20 @@ class OneRunWandbLogger(WandbLogger):
 
     shown = 0  # steps that a process before this one has logged
 
+    def __init__(self, project: str = "uavrl", offline: bool = True, *, exp_name: str, log_dir: str) -> None:
+        os.environ.setdefault("WANDB_SILENT", "true")
+        name = Path(log_dir) / "wandb_run_id"
+        name.parent.mkdir(parents=True, exist_ok=True)
+        if not name.exists():
+            with replacing(name) as partial:
+                partial.write_text(uuid.uuid4().hex[:8])
+        mode = "offline" if offline else "online"
+        super().__init__(exp_name=exp_name, log_dir=log_dir, id=name.read_text(), project=project, mode=mode)
+
     def log_scalar(self, name: str, value: float, step: int | None = None, *args: Any, **kwargs: Any) -> None:
         """Logs a value, unless its step is shown already: what is sent to wandb cannot be taken back."""
         if step is None or step > self.shown:
             super().log_scalar(name, value, step, *args, **kwargs)
-
-
-def _wandb_logger(config: LoggerConfig, run_dir: Path) -> WandbLogger:
-    os.environ.setdefault("WANDB_SILENT", "true")
-    name = run_dir / "logs" / "wandb_run_id"
-    name.parent.mkdir(parents=True, exist_ok=True)
-    if not name.exists():
-        with replacing(name) as partial:
-            partial.write_text(uuid.uuid4().hex[:8])
-    return OneRunWandbLogger(
-        exp_name=run_dir.name,
-        log_dir=str(run_dir / "logs"),
-        id=name.read_text(),
-        project=config.project,
-        mode="offline" if config.offline else "online",
-    )
 
 
 def close(logger: Logger | None) -> None:

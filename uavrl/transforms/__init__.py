@@ -2,19 +2,19 @@
 
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
 from uavrl.transforms.rewards import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
-from uavrl.transforms.state import navigation_state
+from uavrl.transforms.state import NavigationState
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 from uavrl.transforms.walker import WalkerReward, walker_reward
 
 __all__ = [
     "NavigationObservation",
     "NavigationReward",
+    "NavigationState",
     "TraditionalReward",
     "TruncatedIcosahedron",
     "WalkerReward",
     "navigation_observation",
     "navigation_reward",
-    "navigation_state",
     "traditional_reward",
     "walker_reward",
 ]

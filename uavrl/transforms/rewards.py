@@ -11,6 +11,8 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
+from uavrl.ranges import Positive
+
 AltitudeTerm = Literal["absolute", "literal"]
 
 
@@ -121,6 +123,25 @@ class _RewardTransform(Transform):
     def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
         raise NotImplementedError
 
+    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        raise NotImplementedError
+
+    arrived_reward: float
+    collided_reward: float
+
+    def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        """The terms that the reward is the sum of, each ``[*B]``, by its name.
+
+        Args:
+            before: ``[*B]`` with the in-keys before the steps.
+            after: ``[*B]`` after them.
+        """
+        arrived, collided = (self._get(after, key) for key in self.in_keys[-2:])
+        terms = {**self._terms(before, after), "arrival": self.arrived_reward * arrived.float()}
+        terms = {name: term * ~collided for name, term in terms.items()}
+        terms["collision"] = self.collided_reward * collided.float() + 0.0  # no negative zeros
+        return {name: term.squeeze(-1) for name, term in terms.items()}
+
     def _get(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
         value = tensordict.get(key, None)
         if value is None:
@@ -199,6 +220,11 @@ class TraditionalReward(_RewardTransform):
             collided_reward=self.collided_reward,
         )
 
+    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        distance, arrived, _ = self.in_keys
+        progress = self._get(before, distance) - self._get(after, distance)
+        return {"progress": progress * ~self._get(after, arrived)}
+
 
 class NavigationReward(_RewardTransform):
     """The thesis's reward for navigation (Chansuparp (2022), Eq. 3.6), see :func:`navigation_reward`.
@@ -231,8 +257,8 @@ class NavigationReward(_RewardTransform):
 
     def __init__(
         self,
-        weights: Sequence[float] = (8.0, 1.0, 0.5, 0.5),
-        flight_level: float = 3.5,
+        weights: tuple[float, float, float, float] = (8.0, 1.0, 0.5, 0.5),
+        flight_level: Positive = 3.5,
         collided_reward: float = -50.0,
         arrived_reward: float = 0.0,
         altitude_term: AltitudeTerm = "absolute",
@@ -268,3 +294,22 @@ class NavigationReward(_RewardTransform):
             arrived_reward=self.arrived_reward,
             altitude_term=self.altitude_term,
         )
+
+    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        distance, altitude, heading, elevation, arrived, _ = self.in_keys
+        never = torch.zeros_like(self._get(after, arrived))
+        return {
+            name: navigation_reward(
+                self._get(before, distance),
+                self._get(after, distance),
+                self._get(after, altitude),
+                self._get(after, heading),
+                self._get(after, elevation),
+                never,
+                never,
+                weights=[weight if i == place else 0.0 for i, weight in enumerate(self.weights)],
+                flight_level=self.flight_level,
+                altitude_term=self.altitude_term,
+            )
+            for place, name in enumerate(("progress", "altitude", "heading", "elevation"))
+        }
