@@ -1,8 +1,8 @@
 """How fast a training of the bipedal walker goes, and where its time goes.
 
 Run `python benchmarks/walker.py [--steps N] [--json FILE] [OVERRIDES]`, e.g. `trainer.execution=captured`. It is
-`uavrl-train env=bipedal_hardcore algo=td3_lg_walker` through its real trainer, with 300 random steps. Episodes in them
-and the first one after them, and with that compilation, are left out.
+`uavrl-train env=bipedal_hardcore learner=td3_lg_walker` through its real trainer, with 300 random steps. Episodes in
+them and the first one after them, and with that compilation, are left out.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, watch.watching(places):
         config = composed(
             "env=bipedal_hardcore",
-            "algo=td3_lg_walker",
+            "learner=td3_lg_walker",
             f"run_dir={folder}/run",
             f"algo.random_steps={RANDOM_STEPS}",
             "trainer.progress=false",

@@ -36,11 +36,12 @@ MISTAKES = {
     "episodes=60": "did you mean trainer.episodes?",
     "algo=tdd3": "got 'tdd3': did you mean td3?",
     "scheme=t": "scheme must be one of abr, abr_plus",
-    "algo=td3_schema": "algo=td3_schema is not a choice of its own: give algo=td3.",
+    "learner=td3_lg fork=on": "learner=td3_lg stands for fork=none, and fork=on was chosen",
     "scheme=tr reward=navigation": "scheme=tr stands for reward=traditional, and reward=navigation was chosen",
     "backward_reward=none scheme=abr": "scheme=abr stands for backward_reward=abr, and backward_reward=none was chosen",
     "algo=null": "Config group override must be a string",
-    "algo.lifeguard.capacity=3": "+enhancer@algo.lifeguard=lifeguard",
+    "lifeguard.capacity=3": "lifeguard.capacity is not a key of the lifeguard chosen: choose lifeguard=linear or mlp.",
+    "algo.target_entropy=-3": "algo.target_entropy is not a key of the algo chosen: choose algo=sac.",
     "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
     "run_dir=": "run_dir must be a folder to make, got ''",
     "env.airframe.inertia=[1,1]": "inertia takes three numbers, one for each axis, got [1.0, 1.0]",
@@ -57,7 +58,7 @@ MISTAKES = {
     "buffer.capacity=100000000000": "for buffer.capacity=100000000000, and this machine has",
     "algo.hidden=[1000000,1000000]": "for algo.hidden=[1000000, 1000000], and this machine has",
     "algo.batch_size=1000000000": "lower algo.batch_size.",
-    "algo=td3_lg algo.lifeguard.capacity=100000000000": "lower algo.lifeguard.capacity.",
+    "lifeguard=linear lifeguard.capacity=100000000000": "lower lifeguard.capacity.",
 }
 
 
@@ -79,11 +80,10 @@ def test_evaluation_names_the_nearest_key_too(
     assert not list(tmp_path.iterdir())
 
 
-def test_help_lists_no_choice_that_is_not_for_users(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_the_choices(capsys: pytest.CaptureFixture[str]) -> None:
     assert in_process(train_command.main, "--help") == 0
     printed = capsys.readouterr().out
-    assert "algo: ddpg, ddpg_lg, sac" in printed
-    assert "_schema" not in printed
+    assert "algo: ddpg, sac, td3" in printed
 
 
 def test_a_mistake_found_after_the_folder_was_made_leaves_none(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -144,11 +144,11 @@ def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does
 
 
 def test_the_estimate_of_a_network_is_the_size_of_its_weights() -> None:
-    wide = bytes_needed(to_dataclass(composed("config", "algo=ddpg", "algo.hidden=[1000,3000]")))
+    wide = bytes_needed(to_dataclass(composed("config", "algo.hidden=[1000,3000]")))
     actor = 106 * 1000 + 1001 * 3000 + 3001 * 4
     critic = 110 * 1000 + 1001 * 3000 + 3001
     copies = 6  # online, target, gradient, two moments of Adam, one on the way
-    assert wide["algo.hidden"] == pytest.approx(copies * 4 * (actor + critic), rel=0.04)
+    assert wide["algo.hidden"] == pytest.approx(copies * 4 * (actor + 2 * critic), rel=0.04)
 
 
 def test_a_long_silence_is_explained_once(caplog: pytest.LogCaptureFixture) -> None:

@@ -48,21 +48,21 @@ LIFEGUARD = [  # heard after a few collisions, which a wide hull among many obst
     "env.airframe.collision_radius=1.45",
     "env.world.obstacles=90",
     "env.max_steps=30",
-    "algo.lifeguard.min_collisions=3",
-    "algo.lifeguard.min_evaluations=1",
-    "algo.lifeguard.min_true_negative_rate=0",
-    "algo.lifeguard.batch_size=8",
+    "lifeguard.min_collisions=3",
+    "lifeguard.min_evaluations=1",
+    "lifeguard.min_true_negative_rate=0",
+    "lifeguard.batch_size=8",
 ]
 FORK_AND_LIFEGUARD = [
-    "algo=td3_fork_lg",
-    "algo.fork.threshold=10",
-    "algo.fork.system_hidden=[16]",
-    "algo.fork.reward_hidden=[16]",
-    "algo.lifeguard.model=mlp",
+    "fork=on",
+    "fork.threshold=10",
+    "fork.system_network.hidden=[16]",
+    "fork.reward_network.hidden=[16]",
+    "lifeguard=mlp",
     *LIFEGUARD,
 ]
 
-SAC = ["algo=sac_lg", *LIFEGUARD]
+SAC = ["algo=sac", "lifeguard=linear", *LIFEGUARD]
 ABR = [  # some goals are so near that random flights arrive; one class for nearly all states
     "backward_reward=abr",
     "backward_reward.threshold=0.1",
@@ -263,7 +263,7 @@ def test_states_kept_frame_by_frame_teach_the_same_and_older_checkpoints_go_on(
         config = small_config(tmp_path / name, "trainer.episodes=10", *small)
         with monkeypatch.context() as patch:
             if name == "whole":
-                patch.setattr("uavrl.training.factory.FrameStorage", WholeStates)
+                patch.setattr("uavrl.buffers.replay.FrameStorage", WholeStates)
             train(config, create_run(config))
     for episodes in (10, 14):
         if episodes == 14:

@@ -114,7 +114,7 @@ def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
 
 def _telling(overrides: list[str]) -> list[str]:
     """Those overrides that tell which tasks were flown by what, beside how many."""
-    return told_apart(overrides, ("run", "episodes", "output", "device", "threads", "products", "progress"))
+    return told_apart(overrides, ("run", "packages", "episodes", "output", "device", "threads", "products", "progress"))
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ def compose(*overrides: str, name: str = "config") -> DictConfig:
     choices = config.hydra.runtime.choices
     with open_dict(config):
         del config.hydra
-    return with_choices(config, choices)
+    return with_choices(config, choices) if "env" in config else config
 
 
 def with_choices(config: DictConfig, choices: Mapping[str, Any]) -> DictConfig:

@@ -140,6 +140,10 @@ def _evaluated(annotation: ast.expr | None, module: str) -> Any:
         return Any
 
 
+def _is_heavy(module: str) -> bool:
+    return module.partition(".")[0] in _HEAVY
+
+
 class _Names(dict[str, Any]):
     """The names in a module that mean plain data; every other one is :class:`Other`."""
 
@@ -153,11 +157,11 @@ class _Names(dict[str, Any]):
             source = _imported_from(statement, self._module)
             if source in _IMPORTED:
                 return getattr(import_module(source), _original(statement, name))
-            return _Names(source)[_original(statement, name)]
+            return Other if _is_heavy(source) else _Names(source)[_original(statement, name)]
         if isinstance(statement, ast.Assign):
             return _evaluated(statement.value, self._module)
         decorators = statement.decorator_list if isinstance(statement, ast.ClassDef) else []
         plain = any("dataclass" in ast.unparse(decorator) for decorator in decorators)
-        if plain and self._module.partition(".")[0] not in _HEAVY:
+        if plain and not _is_heavy(self._module):
             return getattr(import_module(self._module), name)  # can be made and checked at once
         return Other
