@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.utils import instantiate
 from tensordict.nn import TensorDictModule
-from torchrl.envs import RewardScaling
+from torchrl.envs import StepCounter
 
 from uavrl.losses import DDPGLoss
 from uavrl.models import Actor, Critic
@@ -18,12 +20,12 @@ from uavrl.transforms import TruncatedIcosahedron
 torchrl_configs = pytest.importorskip("torchrl.trainers.algorithms.configs")
 
 
-def test_ours_stand_beside_torchrls_and_are_built_from_there(tmp_path) -> None:
+def test_ours_stand_beside_torchrls_and_are_built_from_there(tmp_path: Path) -> None:
     register_in_torchrl()
     (tmp_path / "config.yaml").write_text(
         "defaults:\n"
         "  - transform@first: uavrl_truncated_icosahedron\n"
-        "  - transform@then: reward_scaling\n"
+        "  - transform@then: step_counter\n"
         "  - loss@learner: uavrl_ddpg_loss\n"
         "  - _self_\n"
         "first: {radius: 2.5}\n"
@@ -33,7 +35,7 @@ def test_ours_stand_beside_torchrls_and_are_built_from_there(tmp_path) -> None:
         config = compose("config")
     first, then = instantiate(config.first), instantiate(config.then)
     assert isinstance(first, TruncatedIcosahedron) and first.radius == 2.5
-    assert isinstance(then, RewardScaling)
+    assert isinstance(then, StepCounter)
     actor = TensorDictModule(Actor(6, 2, (8,)), ["observation"], ["action"])
     critic = TensorDictModule(Critic(6, 2, (8,)), ["observation", "action"], ["state_action_value"])
     loss = instantiate(config.learner, actor_network=actor, value_network=critic)

@@ -24,7 +24,7 @@ GROUPS: dict[str, tuple[type, ...]] = {
 
 
 def register_in_torchrl() -> None:
-    """Stores them as ``uavrl_<class name in snake case>``, with the constructor's defaults; call it before Hydra's main.
+    """Stores them as ``uavrl_<class name in snake case>``, with the constructors' defaults; call it before Hydra.
 
     What has no default, such as networks, is given to ``hydra.utils.instantiate``, or written below the node.
 
