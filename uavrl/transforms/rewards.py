@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from uavrl.ranges import Positive
+from uavrl.ranges import NonNegative, Positive
 
 AltitudeTerm = Literal["absolute", "literal"]
 
@@ -178,6 +178,7 @@ class TraditionalReward(_RewardTransform):
     Args:
         arrived_reward: r_g.
         collided_reward: r_c.
+        time_cost: what each step costs, so that waiting is never free; the thesis has none.
         distance: key of the distance to the goal, m.
         arrived: key of the bool that tells an arrival.
         collided: key of the bool that tells a collision.
@@ -199,6 +200,7 @@ class TraditionalReward(_RewardTransform):
         self,
         arrived_reward: float = 50.0,
         collided_reward: float = -50.0,
+        time_cost: NonNegative = 0.0,
         *,
         distance: NestedKey = "distance",
         arrived: NestedKey = "arrived",
@@ -208,6 +210,7 @@ class TraditionalReward(_RewardTransform):
         super().__init__(distance, [arrived, collided], out_key)
         self.arrived_reward = arrived_reward
         self.collided_reward = collided_reward
+        self.time_cost = time_cost
 
     def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
         distance, arrived, collided = self.in_keys
@@ -218,12 +221,13 @@ class TraditionalReward(_RewardTransform):
             self._get(after, collided),
             arrived_reward=self.arrived_reward,
             collided_reward=self.collided_reward,
-        )
+        ) - self.time_cost * ~self._get(after, collided)
 
     def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
         distance, arrived, _ = self.in_keys
         progress = self._get(before, distance) - self._get(after, distance)
-        return {"progress": progress * ~self._get(after, arrived)}
+        time = {"time": torch.full_like(progress, -self.time_cost)} if self.time_cost else {}
+        return {"progress": progress * ~self._get(after, arrived), **time}
 
 
 class NavigationReward(_RewardTransform):
