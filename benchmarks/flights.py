@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from common import experiment
 from torchrl.collectors import BaseCollector
+from torchrl.envs import EnvBase
 
 from uavrl.configs import TrainConfig
 from uavrl.training.factory import make_collector, make_env
@@ -29,7 +30,11 @@ def settings(uavs: int, **world: Any) -> TrainConfig:
 
 def flights(config: TrainConfig) -> BaseCollector:
     """The collector of whole flights that a training has."""
-    env = make_env(config.env, config.perception, config.reward, seed=config.seed)
+    return flights_in(make_env(config.env, config.perception, config.reward, seed=config.seed), config)
+
+
+def flights_in(env: EnvBase, config: TrainConfig) -> BaseCollector:
+    """The same in an environment of its configuration."""
     spaces = spaces_of(env)
     return make_collector(config, env, make_actor(config, spaces, CPU), spaces, CPU)
 

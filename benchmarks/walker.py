@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from common import composed, machine
+from common import compose, machine
 from profiling import Stopwatch
 
 RANDOM_STEPS, WARM_UP = 300, 100
@@ -52,7 +52,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
         "updates": [(ActorCriticStepper, "step"), (EpisodeReplay, "sample")],
     }
     with tempfile.TemporaryDirectory() as folder, watch.watching(places):
-        config = composed(
+        config = compose(
             "env=bipedal_hardcore",
             "learner=td3_lg_walker",
             f"run_dir={folder}/run",

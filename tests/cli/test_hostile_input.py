@@ -44,7 +44,7 @@ MISTAKES = {
     "algo.target_entropy=-3": "algo.target_entropy is not a key of the algo chosen: choose algo=sac.",
     "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
     "run_dir=": "run_dir must be a folder to make, got ''",
-    "env.airframe.inertia=[1,1]": "inertia takes three numbers, one for each axis, got [1.0, 1.0]",
+    "env.airframe.inertia=[1,1]": "inertia takes three numbers, one for each axis, got [1, 1]",
     "env.aerodynamics.wind=[1]": "wind takes three numbers",
     "perception.radius=1e30": "perception.radius must be at most 100, got 1e+30",
     "env.world.size=[1e9,1e9]": "size and ceiling must make at most 200,000 m³ of a valley",

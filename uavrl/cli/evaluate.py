@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -49,11 +50,11 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
         changed = to_dataclass(with_overrides(run_config, config, overrides))
         env_config, perception, choices = changed.env, changed.perception, changed.choices
     else:
-        _only_in_the_valley(env_config, "policy")
+        _only_in_the_valley(env_config, choices, "policy")
         policy, source = baseline(str(settings.policy), env_config.world.flight_level), {"policy": settings.policy}
     output = _output(settings, overrides)
     if settings.valleys is not None:
-        _only_in_the_valley(env_config, "valleys")
+        _only_in_the_valley(env_config, choices, "valleys")
         env_config.world.seeds = list(settings.valleys)
     told = {"seed": settings.seed, "env": choices.get("env", ""), "overrides": _telling(overrides)}
     count = min(settings.num_uavs, settings.episodes)
@@ -81,9 +82,9 @@ def _evaluate(config: DictConfig, overrides: list[str]) -> None:
     print(f"Written to {output}")
 
 
-def _only_in_the_valley(env: DictConfig, key: str) -> None:
+def _only_in_the_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:
     if "world" not in env:
-        raise UavrlError(f"{key} is for the valley, and the environment is {env._target_}: leave {key} out.")
+        raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
 
 
 def _fly(settings: EvaluateConfig, env: Any, policy: Any, told: dict[str, Any]) -> tuple[dict[str, Any], str]:
