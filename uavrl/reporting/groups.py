@@ -13,6 +13,7 @@ from uavrl.reporting.runs import LeftOut, Run, flatten
 HOW_IT_RUNS = (
     "run_dir",
     "resume",
+    "choices",
     "packages",
     "logger",
     "device",

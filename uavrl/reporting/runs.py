@@ -220,17 +220,17 @@ def _settings(config: dict[str, Any], choices: dict[str, str]) -> dict[str, Any]
     """Its values, and in the place of each part's class and name which yaml file it came from."""
     values = flatten({key: value for key, value in config.items() if key != "choices"})
     named = {key: value for key, value in values.items() if key.rpartition(".")[2] not in ("_target_", "name")}
-    return named | {group: choice for group, choice in choices.items() if group in PARTS and choice != NONE}
+    return {group: choice for group, choice in choices.items() if group in PARTS and choice != NONE} | named
 
 
 def _choices(config: dict[str, Any]) -> dict[str, str]:
     """The choices that made a configuration; those of an older uavrl were told by names among the values."""
     if "choices" in config:
         return {str(group): str(choice) for group, choice in config["choices"].items()}
-    groups = ("env", "perception", "reward", "buffer", "backward_reward")
     algo, guard = config["algo"], config["algo"].get("lifeguard")
+    parts = {group: config.get(group) for group in PARTS}
     return {
-        **{group: str(config.get(group, {}).get("name", NONE)) for group in groups},
+        **{group: str(part["name"]) for group, part in parts.items() if isinstance(part, dict) and "name" in part},
         "algo": str(algo["name"]).split("_")[0],
         "fork": "on" if algo.get("fork") else NONE,
         "lifeguard": str(guard["model"]) if guard else NONE,
