@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.configs import checked
-
-if TYPE_CHECKING:
-    from uavrl.configs.pretrain import PretrainConfig
+from uavrl.configs.pretrain import PretrainConfig
 
 
 @command("pretrain")
