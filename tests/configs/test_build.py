@@ -25,6 +25,8 @@ REFUSED = [
     ("subprocess.Popen", "subprocess is no package"),
     ("builtins.eval", "builtins is no package"),
     ("torchrl.envs.llm.transforms.MCPToolTransform", "torchrl is no package"),  # which starts what it is told
+    ("torchrl.modules.llm.TransformersWrapper", "torchrl is no package"),  # which loads what it is told
+    ("torchrl.envs.GymEnv", "torchrl is no package"),  # which imports what it is told
     ("torch.nn.Linear", "torch is no package"),
     ("uavrl_evil.Reward", "uavrl_evil is no package"),
     ("uavrl.errors.signal.Signals", "there is no class"),

@@ -27,7 +27,7 @@ PARTS = (
     "logger",
 )
 # What any configuration may name: not all of TorchRL, some of which starts commands.
-ALLOWED = ("uavrl", "torchrl.envs.transforms", "torchrl.record.loggers", "torchrl.modules")
+ALLOWED = ("uavrl", "torchrl.envs.transforms", "torchrl.record.loggers", "torchrl.modules.models")
 
 
 @dataclass

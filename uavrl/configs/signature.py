@@ -17,6 +17,8 @@ _HEAVY = ("torch", "torchrl", "tensordict")
 
 class _AnyAttribute(type):
     def __getattr__(cls, name: str) -> type:
+        if name.startswith("__"):
+            raise AttributeError(name)
         return cls
 
     def __getitem__(cls, item: object) -> type:
