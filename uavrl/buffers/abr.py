@@ -70,8 +70,8 @@ class ABRPlus(BackwardReward):
         UavrlError: when the artifact is missing, damaged, or of other states.
 
     Examples:
-        >>> ABRPlus().classifier.k
-        4000
+        >>> ABRPlus().classifier.inputs
+        105
     """
 
     def __init__(
