@@ -362,6 +362,7 @@ def test_a_missing_value_is_refused_by_name() -> None:
         ("algo.hidden", "400", "algo.hidden must be a list, got 400"),
         ("env.airframe", "3", "env.airframe must be the settings of Airframe, got 3"),
         ("reward", "null", "reward must be a part with a _target_, got None"),
+        ("algo.critic", "other", "algo.critic must be a part with a _target_, got 'other'"),
         ("lifeguard.model", "5", "lifeguard.model must be one of linear, mlp, got 5"),
     ],
 )

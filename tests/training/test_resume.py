@@ -23,7 +23,6 @@ from tests.cli.test_bad_input import in_process
 from tests.composing import with_run_dir
 from uavrl.buffers import GatheringStorage
 from uavrl.cli import train as train_command
-from uavrl.configs import to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder, read_recording
 from uavrl.training.checkpoint import rotation
@@ -172,13 +171,6 @@ def test_a_run_can_be_asked_for_its_states_later_and_the_recording_survives_a_sp
         config = OmegaConf.merge(config, {"trainer": {"episodes": episodes, "record_states": record}})
         train(config, tmp_path / "run", resume=True)
         assert len(read_recording(tmp_path / "run/states").outcomes) == (5 if episodes == 10 else 3)
-
-
-def test_a_run_older_than_the_backward_reward_goes_on(tmp_path: Path) -> None:
-    create_run(small_config(tmp_path / "run"))
-    saved = OmegaConf.load(tmp_path / "run/config.yaml")
-    del saved["backward_reward"]
-    assert to_dataclass(saved).backward_reward.name == "none"
 
 
 @pytest.mark.parametrize("frames", [1, 4])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from uavrl.configs.checks import did_you_mean, require
 from uavrl.configs.signature import classes, signature
 from uavrl.configs.typed import require_known, typed
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count, NonNegative, Whole, Widths
+from uavrl.ranges import Count, NonNegative, Range, Whole, Widths
 
 TARGET = "_target_"  # the key that names a class; null where the part is left out
 PARTS = (
@@ -30,6 +30,10 @@ PARTS = (
 ALLOWED = ("uavrl", "torchrl.envs.transforms", "torchrl.record.loggers", "torchrl.modules.models")
 
 
+# What is a part is checked as one, and comes to no range.
+Network = Annotated[Any, Range(f"a part with a {TARGET}", lambda value: False)]
+
+
 @dataclass
 class Learning:
     """What the loop itself reads of ``algo``."""
@@ -38,8 +42,8 @@ class Learning:
     random_steps: Whole
     exploration_noise: NonNegative
     hidden: Widths
-    actor: Any
-    critic: Any
+    actor: Network
+    critic: Network
 
 
 @dataclass
