@@ -19,8 +19,8 @@ from uavrl.files import replacing
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
-def make_logger(part: DictConfig, run_dir: Path, packages: Iterable[str] = ()) -> Logger | None:
-    """Makes the logger; its files go below ``run_dir/logs``.
+def make_logger(part: DictConfig, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
+    """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``.
 
     Raises:
         UavrlError: when the logger's package is not installed.
@@ -35,8 +35,8 @@ def make_logger(part: DictConfig, run_dir: Path, packages: Iterable[str] = ()) -
             ) from error
         if not isinstance(error, ImportError):
             raise
-        package = str(error.name or "").partition(".")[0]
-        raise UavrlError(f"The logger needs the package {package}: run pip install 'uavrl[{package}]'.") from error
+        package = (error.name or choice).partition(".")[0]
+        raise UavrlError(f"logger={choice} needs the package {package}: run pip install 'uavrl[{package}]'.") from error
 
 
 def _first_line(error: Exception) -> str:

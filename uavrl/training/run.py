@@ -265,7 +265,7 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         episodes=settings.trainer.episodes,
         seed=settings.seed,
         checkpoint_interval=settings.trainer.checkpoint_interval,
-        logger=make_logger(settings.logger, run_dir, settings.packages),
+        logger=make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages),
         log_interval=settings.logger.interval,
     )
 
