@@ -3,7 +3,7 @@
 Run `python benchmarks/minutes.py [--seeds 5] [--json FILE] [--figure FILE]`. Each row trains in the static valley, on a
 quiet machine with two cores, one run after the other, until `--success` of the last `--window` training flights arrive
 or `--episodes` are flown. "default" is `uavrl-train` with PyTorch's own products (`collector=sync`, one update a step,
-multiplied by MKL). Stable-Baselines3 trains on `uavrl/Valley-v0` with the default's reward, networks, batches and noise.
+multiplied by MKL). Stable-Baselines3 trains on `uavrl/Valley-v0` with the default's reward, networks and noise.
 Minutes are those of training, compiling included, building the valley left out.
 
 What is finished below `--folder` is not run again, so the command can be stopped and started; a run of ours that was
