@@ -34,6 +34,7 @@ MISTAKES = {
     "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",
     "+algo.gama=0.9": "There is no key 'algo.gama'",
     "episodes=60": "did you mean trainer.episodes?",
+    "backward_reward.max_classes=5": "backward_reward.max_classes belongs to another choice of backward_reward",
     "algo=tdd3": "got 'tdd3': did you mean td3?",
     "scheme=t": "scheme must be one of abr, abr_plus",
     "algo=td3_schema": "algo=td3_schema is not a choice of its own: give algo=td3.",

@@ -89,7 +89,10 @@ def explained(error: Exception, name: str) -> str:
         return f"{group} must be one of {', '.join(choices)}, got {choice!r}{did_you_mean(choice, choices, ': ')}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         key = first.split("'")[-2].split("@")[0]
-        return f"There is no key {key!r}" + did_you_mean(key, known_keys(name), ": ", "--help lists all keys.")
+        known = known_keys(name)
+        if key in known:
+            return f"{key} belongs to another choice of {key.rpartition('.')[0] or key}: choose that first, or leave it out."
+        return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help lists all keys.")
     if isinstance(error, AssertionError):
         return (
             "An override changes a part that is off, or that has no parts: +enhancer@algo.fork=fork and "
