@@ -190,7 +190,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
             trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
-        stop.ignore()
+        stop.ending()
         trainer.progress.close()
         trainer.shutdown()
         close(trainer.logger)
