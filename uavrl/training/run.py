@@ -190,7 +190,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
             trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
-        stop.ignore()
+        stop.ending()
         trainer.progress.close()
         trainer.shutdown()
         close(trainer.logger)
@@ -242,7 +242,6 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
     backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
     buffer = make_buffer(settings.buffer, device, backward_reward, frames=spaces.frames)
     return EpisodeTrainer(
-        collector=make_collector(settings, env, actor, device),
         loss=loss,
         stepper=_make_stepper(settings, loss),
         backward_reward=backward_reward,
@@ -258,6 +257,7 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         checkpoint_interval=settings.trainer.checkpoint_interval,
         logger=make_logger(settings.logger, run_dir),
         log_interval=settings.logger.interval,
+        collector=make_collector(settings, env, actor, device),  # last: it may have begun a process
     )
 
 
