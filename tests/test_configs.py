@@ -19,12 +19,17 @@ from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.configs import EvaluateConfig, TrainConfig, conf_dir, learner, to_dataclass
 from uavrl.configs.algo import DDPGConfig, ForkConfig, LifeGuardConfig, SACConfig, TD3Config
 from uavrl.configs.buffer import ABRConfig, ABRPlusConfig, FailureBiasedBufferConfig, PrioritizedBufferConfig
+from uavrl.configs.choices import known_keys
+from uavrl.configs.limits import MOST
+from uavrl.configs.memory import bytes_needed
 from uavrl.configs.train import GROUPS, LoggerConfig
 from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.configs.walker import BipedalConfig, WalkerRewardConfig
 from uavrl.envs.bipedal import BipedalEnv
 from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.limits import LARGEST
 from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import DDPGLoss, Fork, LifeGuard, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, OneShotClassifier, RewardNet, SystemNet
@@ -610,6 +615,13 @@ def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> No
 def test_evaluation_refuses_values_out_of_range_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(key)):
         to_dataclass(changed([], f"{key}={value}", name="evaluate"))
+
+
+def test_every_key_that_has_a_most_or_takes_memory_is_one() -> None:
+    known = {key for name in ("config", "evaluate", "pretrain", "replay") for key in known_keys(name)}
+    everything = settings("config", "algo=td3_fork_lg", "backward_reward=abr")
+    assert not {*MOST, *bytes_needed(everything)} - known
+    assert not {*LARGEST} - {f.name for f in fields(WorldConfig)}
 
 
 def test_a_group_left_out_is_refused_by_name() -> None:

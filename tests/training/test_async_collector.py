@@ -157,12 +157,14 @@ from pathlib import Path
 from tests.training.test_resume import small_config
 from uavrl.training import run
 
-def stop(self, episodes, *about):
-    if episodes >= 4:
-        raise KeyboardInterrupt
+def stop(*about, **more):
+    raise KeyboardInterrupt
 
 if __name__ == "__main__":
-    run.Progress.update = stop
+    if sys.argv[2] == "flying":
+        run.Progress.update = stop
+    else:
+        run.EpisodeTrainer = stop
     config = small_config(Path(sys.argv[1]), "collector=async")
     try:
         run.train(config, run.create_run(config))
@@ -171,9 +173,10 @@ if __name__ == "__main__":
 """
 
 
-def test_python_ends_after_a_training_that_was_stopped(tmp_path: Path) -> None:
+@pytest.mark.parametrize("when", ["flying", "built"])
+def test_python_ends_after_a_training_that_was_stopped(when: str, tmp_path: Path) -> None:
     (tmp_path / "stopped.py").write_text(STOPPED)
-    command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run"]
+    command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run", when]
     root = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     ended = subprocess.run(command, env=root, capture_output=True, text=True, timeout=600, check=True)
-    assert ended.stdout.endswith("stopped\n")
+    assert ended.stdout.endswith("stopped\n") and "leaked" not in ended.stderr

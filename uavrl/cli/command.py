@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from functools import wraps
 
@@ -18,6 +19,7 @@ from uavrl.configs.choices import check_choices, did_you_mean, is_schema, known_
 from uavrl.errors import UavrlError
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
+ENHANCERS = ("fork", "lifeguard")  # parts of an algorithm that may be off
 
 
 def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
@@ -89,14 +91,30 @@ def explained(error: Exception, name: str) -> str:
         return f"{group} must be one of {', '.join(choices)}, got {choice!r}{did_you_mean(choice, choices, ': ')}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         key = first.split("'")[-2].split("@")[0]
-        return f"There is no key {key!r}" + did_you_mean(key, known_keys(name), ": ", "--help lists all keys.")
-    if isinstance(error, AssertionError):
-        return (
-            "An override changes a part that is off, or that has no parts: +enhancer@algo.fork=fork and "
-            "+enhancer@algo.lifeguard=lifeguard switch an enhancer on."
-        )
+        known, group = known_keys(name), key.partition(".")[0]
+        if key in known:
+            return f"{key} belongs to another choice of {group} than the one made: choose that first, or leave it out."
+        return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help lists all keys.")
+    if isinstance(error, AssertionError):  # a key below null
+        return _off(sys.argv[1:])
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
+
+
+def _off(overrides: list[str]) -> str:
+    """What to do about an override below a part that is off.
+
+    Examples:
+        >>> _off(["algo.fork.threshold=1"])
+        'algo.fork is off: switch it on by +enhancer@algo.fork=fork, or leave its keys out.'
+        >>> _off(["+mine=null", "mine.key=1"])
+        'An override changes a part that is off: leave it out; --help lists all keys.'
+    """
+    parts = [part for part in ENHANCERS if any(o.lstrip("+").startswith(f"algo.{part}.") for o in overrides)]
+    if not parts:
+        return "An override changes a part that is off: leave it out; --help lists all keys."
+    off, on = (" or ".join(form.format(part) for part in parts) for form in ("algo.{0}", "+enhancer@algo.{0}={0}"))
+    return f"{off} is off: switch it on by {on}, or leave its keys out."
 
 
 def given_overrides() -> list[str]:

@@ -44,7 +44,6 @@ def main(config: DictConfig) -> None:
 
 def _train(config: DictConfig) -> None:
     _check(config)
-    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.training.run import create_run, resume_config
 
     if config.resume is None:
@@ -55,7 +54,7 @@ def _train(config: DictConfig) -> None:
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-    require_memory(to_dataclass(config))
+    _check(config)
     with full_disk_told(run_dir):
         _fly(config, run_dir, resume=True)
 
@@ -77,7 +76,12 @@ def full_disk_told(run_dir: Path) -> Iterator[None]:
 
 def _check(config: DictConfig) -> None:
     """Finds what can be wrong with the settings before a folder is made."""
-    require_memory(to_dataclass(config))
+    settings = to_dataclass(config)
+    require_memory(settings)
+    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
+    from uavrl.training.loggers import require_login
+
+    require_login(settings.logger)
 
 
 def _train_in_sweep(config: DictConfig) -> None:
@@ -88,7 +92,8 @@ def _train_in_sweep(config: DictConfig) -> None:
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
             "command is started again."
         )
-    from uavrl.training.run import create_run
+    from uavrl.training.checkpoint import FREE_KEYS
+    from uavrl.training.run import create_run, resume_config
     from uavrl.training.sweep import take_place
 
     place = take_place(config)
@@ -98,7 +103,7 @@ def _train_in_sweep(config: DictConfig) -> None:
     run_dir = Path(config.run_dir)
     with full_disk_told(run_dir):
         if place == "begun":
-            _fly(config, run_dir, resume=True)
+            _fly(resume_config(run_dir, config, list(FREE_KEYS)), run_dir, resume=True)
             return
         with removed_on_failure(run_dir, FIRST_CHECKPOINT):
             _fly(config, create_run(config), resume=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from omegaconf import OmegaConf
 
@@ -33,9 +34,15 @@ def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: 
 def known_keys(name: str) -> list[str]:
     """All keys and groups of ``conf/NAME.yaml`` with every choice of its groups, dotted."""
     folder = conf_dir()
-    keys = _dotted(OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml")))
+    config: Any = OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml"))
+    keys = _dotted(config)
+    groups = {str(group) for entry in config["defaults"] if isinstance(entry, dict) for group in entry}
     for path in folder.glob("*/*.yaml"):
-        group = {"enhancer": "algo." + path.stem.split("_")[0]}.get(path.parent.name, path.parent.name)
+        group = path.parent.name
+        if group == "enhancer" and "algo" in groups:
+            group = "algo." + path.stem.split("_")[0]
+        elif group not in groups:
+            continue
         keys |= {group, *(f"{group}.{key}" for key in _dotted(OmegaConf.to_container(OmegaConf.load(path))))}
     return sorted(keys)
 

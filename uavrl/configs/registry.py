@@ -123,13 +123,40 @@ def to_dataclass(config: DictConfig) -> Any:
         for key, value in _leaves(OmegaConf.to_container(config, resolve=True)):
             require(not isinstance(value, float) or math.isfinite(value), key, "a finite number", value)
             check_most(key, value)
-        return OmegaConf.to_object(config)
+        return _to_object(config)
     except UavrlError:
         raise
     except (OmegaConfBaseException, ValueError, TypeError) as error:
         place = getattr(error, "full_key", None)
         where, reason = f" at {place}" if place else "", str(error).splitlines()[0]
         raise UavrlError(f"The configuration does not hold together{where}: {reason}") from error
+
+
+def _to_object(config: DictConfig) -> Any:
+    """Makes the dataclasses. Those of the library know nothing of the keys above theirs, which are told here."""
+    try:
+        return OmegaConf.to_object(config)
+    except OmegaConfBaseException:
+        raise
+    except ValueError as error:
+        place, names = _refusing(config)
+        said = str(error)
+        if place and not said.startswith(place):
+            first = said.split(maxsplit=1)[0].partition(".")[0]
+            raise UavrlError(f"{place}.{said}" if first in names else f"{place}: {said}") from error
+        raise
+
+
+def _refusing(config: DictConfig, place: str = "") -> tuple[str, list[str]]:
+    """The innermost part whose dataclass refuses its values, and the names of these."""
+    for name in map(str, config):
+        if OmegaConf.is_missing(config, name) or not isinstance(part := config[name], DictConfig):
+            continue
+        try:
+            OmegaConf.to_object(part)
+        except ValueError:
+            return _refusing(part, f"{place}.{name}".lstrip("."))
+    return place, list(map(str, config))
 
 
 def _check_keys(config: DictConfig, above: str = "") -> None:

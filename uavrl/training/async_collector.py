@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import signal
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
 from typing import Any
 
 from tensordict import TensorDictBase
@@ -29,6 +31,7 @@ class AsyncCollector(MultiAsyncCollector):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         with _interrupts_held_back():
             super().__init__(*args, **kwargs)
+        Finalize(self, _kill, (self.procs,), exitpriority=0)
         if not all(parameter.is_shared() for parameter in self.policy.parameters()):
             self.shutdown()
             raise UavrlError(
@@ -93,6 +96,14 @@ def _death_told() -> Iterator[None]:
             f"The process that flies has ended ({reason}); what it printed stands above. Mend the reason, and go on "
             f"with resume=RUN_FOLDER."
         ) from error
+
+
+def _kill(processes: Sequence[BaseProcess]) -> None:
+    """Ends what nobody has shut down. Python's own ending would wait for it: it asks by SIGTERM, which is held back."""
+    for process in processes:
+        if process.is_alive():
+            process.kill()
+            process.join()
 
 
 @contextmanager

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,7 @@ from uavrl.configs.train import LoggerConfig
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
 
+WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
@@ -23,11 +27,30 @@ def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
     Raises:
         UavrlError: when the logger's package is not installed.
     """
-    package = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb"}[config.name]
-    try:
+    with _told(config):
         if config.name == "wandb":
             return _wandb_logger(config, run_dir)
         return get_logger(config.name, logger_name=str(run_dir / "logs"), experiment_name=run_dir.name)
+
+
+def require_login(config: LoggerConfig) -> None:
+    """Asks for the login that wandb's online runs need, before anything is made for the run.
+
+    Raises:
+        UavrlError: when nobody is logged in, or wandb is not installed.
+    """
+    if config.name == "wandb" and not config.offline:
+        os.environ.setdefault(*WANDB_SILENT)
+        with _told(config):
+            importlib.import_module("wandb").login(verify=False)
+
+
+@contextmanager
+def _told(config: LoggerConfig) -> Iterator[None]:
+    """Turns what wandb raises, and a missing package, into a sentence."""
+    package = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb"}[config.name]
+    try:
+        yield
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "wandb":
             raise UavrlError(
@@ -57,7 +80,7 @@ class OneRunWandbLogger(WandbLogger):
 
 
 def _wandb_logger(config: LoggerConfig, run_dir: Path) -> WandbLogger:
-    os.environ.setdefault("WANDB_SILENT", "true")
+    os.environ.setdefault(*WANDB_SILENT)
     name = run_dir / "logs" / "wandb_run_id"
     name.parent.mkdir(parents=True, exist_ok=True)
     if not name.exists():

@@ -196,7 +196,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
                 trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
-        stop.ignore()
+        stop.ending()
         trainer.progress.close()
         trainer.shutdown()
         close(trainer.logger)
@@ -250,7 +250,6 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         settings.buffer, device, backward_reward, frames=spaces.frames, multi_step=make_multi_step(settings.algo)
     )
     return EpisodeTrainer(
-        collector=make_collector(settings, env, actor, device),
         loss=loss,
         stepper=_make_stepper(settings, loss),
         backward_reward=backward_reward,
@@ -267,6 +266,7 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         checkpoint_interval=settings.trainer.checkpoint_interval,
         logger=make_logger(settings.logger, run_dir),
         log_interval=settings.logger.interval,
+        collector=make_collector(settings, env, actor, device),  # last: it may have begun a process
     )
 
 
