@@ -24,7 +24,7 @@ train: $(READY)
 	@echo "Training by preset=fast in $(RUN); the thesis's 5,000 episodes: $(BIN)/uavrl-train"
 	@$(BIN)/uavrl-train preset=fast run_dir=$(RUN) $(ARGS)
 	@$(BIN)/uavrl-evaluate run=$(RUN) episodes=100
-	@$(BIN)/uavrl-replay run=$(RUN) episodes=4
+	@$(BIN)/uavrl-replay run=$(RUN) episodes=4 output=$(RUN)/replay.html
 	@$(BIN)/python -m uavrl.cli.reached $(RUN)
 
 demo: $(READY)
