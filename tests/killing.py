@@ -15,7 +15,6 @@ import multiprocessing
 import os
 import random
 import signal
-import sys
 import time
 from collections import Counter
 from multiprocessing.context import ForkProcess
@@ -45,8 +44,7 @@ def train(said: Path, *arguments: str) -> None:
         code = in_process(train_command.main, *arguments)
     except KeyboardInterrupt:  # before the training began
         code = 130
-    sys.stderr.flush()
-    os._exit(code)
+    raise SystemExit(code)  # ends as a process does: whatever is left behind is told
 
 
 def started(run_dir: Path, overrides: list[str]) -> ForkProcess:

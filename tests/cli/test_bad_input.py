@@ -173,8 +173,11 @@ def test_a_run_that_cannot_start_leaves_its_folder_free(
 
 def test_resuming_a_missing_folder_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     sentence = refused(train_command.main, f"resume={tmp_path / 'none'}")
-    assert f"Expected a run folder with {tmp_path / 'none' / 'config.yaml'} and found none" in sentence
-    assert not list(tmp_path.iterdir())
+    assert f"Expected a run folder at {tmp_path / 'none'} and found none" in sentence
+    (tmp_path / "none").mkdir()
+    sentence = refused(train_command.main, f"resume={tmp_path / 'none'}")
+    assert f"The folder {tmp_path / 'none'} holds no run, for want of config.yaml" in sentence
+    assert not list((tmp_path / "none").iterdir())
 
 
 def test_resuming_without_checkpoints_is_refused(run_dir: Path, refused: Callable[..., str]) -> None:
@@ -327,7 +330,7 @@ def test_resuming_without_the_runs_episodes_is_refused(
     [
         (["run=r", "policy=straight"], "not both"),
         (["policy=brilliant"], "policy must be one of straight"),
-        (["run=none"], "Expected a run folder with none/config.yaml"),
+        (["run=none"], "Expected a run folder at none and found none"),
         (["policy=straight", "output=file/result.json"], "file/result.json cannot be written"),
         (["policy=straight", "output=folder"], "folder cannot be written"),
         (["policy=straight", "device=tpu"], "device must be auto, cpu"),

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from omegaconf import DictConfig
 
 from tests.cli.test_bad_input import TINY, in_process, refused
 from tests.composing import composed
@@ -25,7 +26,9 @@ from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.files import removed_on_failure
+from uavrl.training.loggers import require_login
 from uavrl.training.silence import Silence
+from uavrl.transforms import TruncatedIcosahedron
 from uavrl.transforms.functional import truncated_icosahedron
 
 __all__ = ["refused"]  # a fixture
@@ -34,23 +37,28 @@ MISTAKES = {
     "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",
     "+algo.gama=0.9": "There is no key 'algo.gama'",
     "episodes=60": "did you mean trainer.episodes?",
+    "backward_reward.max_classes=5": "backward_reward.max_classes belongs to another choice of backward_reward",
+    "env=bipedal_hardcore env.world.ceiling=5": "env.world.ceiling belongs to another choice of env than the one made",
     "algo=tdd3": "got 'tdd3': did you mean td3?",
     "scheme=t": "scheme must be one of abr, abr_plus",
     "learner=td3_lg fork=on": "learner=td3_lg stands for fork=none, and fork=on was chosen",
     "scheme=tr reward=navigation": "scheme=tr stands for reward=traditional, and reward=navigation was chosen",
     "backward_reward=none scheme=abr": "scheme=abr stands for backward_reward=abr, and backward_reward=none was chosen",
     "algo=null": "Config group override must be a string",
-    "lifeguard.capacity=3": "lifeguard.capacity is not a key of the lifeguard chosen: choose lifeguard=linear or mlp.",
-    "algo.target_entropy=-3": "algo.target_entropy is not a key of the algo chosen: choose algo=sac.",
+    "lifeguard.capacity=3": "choose lifeguard=linear or mlp, or leave it out",
+    "algo.target_entropy=-3": "choose algo=sac, or leave it out",
     "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
     "run_dir=": "run_dir must be a folder to make, got ''",
-    "env.airframe.inertia=[1,1]": "inertia takes three numbers, one for each axis, got [1, 1]",
-    "env.aerodynamics.wind=[1]": "wind takes three numbers",
+    "env.airframe.inertia=[1,1]": "uavrl: env.airframe.inertia takes three numbers, one for each axis, got [1, 1]",
+    "env.aerodynamics.wind=[1]": "uavrl: env.aerodynamics.wind takes three numbers",
+    "perception.lidar.dropout=1": "uavrl: perception.lidar.dropout must be a probability in [0, 1), got 1.0",
+    "collector.processes=2": "collector.processes belongs to another choice of collector than the one made",
     "perception.radius=1e30": "perception.radius must be at most 100, got 1e+30",
-    "env.world.size=[1e9,1e9]": "size and ceiling must make at most 200,000 m³ of a valley",
-    "env.world.obstacles=1000000000": "obstacles must be at most 2,000 in a valley",
+    "env.world.size=[1e9,1e9]": "uavrl: env.world.size and ceiling must make at most 200,000 m³ of a valley",
+    "env.world.obstacles=1000000000": "uavrl: env.world.obstacles must be at most 2,000 in a valley",
     "env.world.obstacle_scale=1e6": "lower obstacles or obstacle_scale",
-    "env.airframe.collision_radius=100": "collision_radius and half of collision_height must be at most min_clearance",
+    "env.airframe.collision_radius=100": "uavrl: env.airframe.collision_radius and half of airframe.collision_height",
+    "env.airframe.mass=-1": "uavrl: env.airframe: Mass, inertia, arm",
     "trainer.updates_per_step=1e9": "trainer.updates_per_step must be at most 100",
     "trainer.threads=1000000": "trainer.threads must be at most 256",
     "trainer.window=10000000000000000000000": "trainer.window must be at most 1e+15",
@@ -77,6 +85,9 @@ def test_evaluation_names_the_nearest_key_too(
     monkeypatch.chdir(tmp_path)
     assert "did you mean episodes?" in refused(evaluate_command.main, "policy=straight", "episode=3")
     assert "num_uavs must be at most 512" in refused(evaluate_command.main, "policy=straight", "num_uavs=1000000")
+    assert "There is no key 'algo.gamma': --help lists" in refused(
+        evaluate_command.main, "policy=straight", "algo.gamma=0.9"
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -210,10 +221,40 @@ def test_wandb_without_a_login_is_one_sentence(
     def no_login(*_: object, **__: object) -> None:
         raise wandb.errors.UsageError("No API key configured. Use `wandb login` to log in.")
 
-    monkeypatch.setattr(wandb, "init", no_login)
-    sentence = refused(train_command.main, *TINY, "logger=wandb", "logger.offline=false", f"run_dir={tmp_path / 'run'}")
-    assert "logger=wandb could not begin (No API key configured" in sentence and "wandb login" in sentence
-    assert not list(tmp_path.iterdir())
+    run_dir = tmp_path / "run"
+    asked = [*TINY, "logger=wandb", "logger.offline=false"]
+    for place in ("login", "init"):  # no login, and one that the server refuses
+        with monkeypatch.context() as patch:
+            patch.setattr(wandb, "login", lambda **_: True)
+            patch.setattr(wandb, place, no_login)
+            if place == "login":  # found before a folder is made, or is looked at to go on
+                patch.setattr("uavrl.training.run.create_run", pytest.fail)
+            sentence = refused(train_command.main, *asked, f"run_dir={run_dir}")
+        assert "logger=wandb could not begin (No API key configured" in sentence and "wandb login" in sentence
+        assert not list(tmp_path.iterdir())
+
+
+def wandb_logger(offline: bool) -> DictConfig:
+    return to_dataclass(composed("config", "logger=wandb", f"logger.offline={offline}")).logger
+
+
+def test_wandb_offline_asks_for_no_login(monkeypatch: pytest.MonkeyPatch) -> None:
+    wandb = pytest.importorskip("wandb")
+    asked: list[object] = []
+    monkeypatch.setattr(wandb, "login", lambda **_: asked.append(1))
+    for offline in (True, False):
+        require_login(wandb_logger(offline))
+        assert len(asked) == (not offline)
+
+
+def test_nobody_is_logged_in_who_has_no_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("wandb")
+    for name in ("WANDB_API_KEY", "WANDB_MODE", "WANDB_IDENTITY_TOKEN_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("NETRC", "WANDB_CONFIG_DIR", "WANDB_CACHE_DIR", "WANDB_DATA_DIR", "WANDB_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    with pytest.raises(UavrlError, match=r"logger=wandb could not begin \(No API key .* log in with wandb login"):
+        require_login(wandb_logger(offline=False))
 
 
 # ---------------------------------------------------------------------- the library
@@ -230,6 +271,8 @@ def test_wandb_without_a_login_is_one_sentence(
         (lambda: LidarConfig(max_range=1e30), "max_range must be a positive length in metres, at most"),
         (lambda: truncated_icosahedron([[1.0, 2.0, 3.0]]), "points must be a tensor .* got a list"),
         (lambda: truncated_icosahedron(torch.zeros(1, 3), radius=1e30), "radius must be a positive length"),
+        (lambda: truncated_icosahedron(torch.zeros(1, 3), radius="a"), "radius must be a positive length.* got 'a'"),
+        (lambda: TruncatedIcosahedron(radius=None), "radius must be a positive length.* got None"),
     ],
 )
 def test_the_library_refuses_by_one_sentence(make: Callable[[], object], said: str) -> None:

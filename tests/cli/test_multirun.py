@@ -80,6 +80,24 @@ def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_
         assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 6
 
 
+def test_a_sweep_that_is_asked_for_more_episodes_keeps_the_random_steps_that_it_began_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny = [override for override in TINY if not override.startswith(("algo.random_steps", "trainer.episodes"))]
+    places = [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    written = []
+    for episodes in (4, 12):
+        assert in_process(train_command.main, "-m", *tiny, *places, f"trainer.episodes={episodes}") == 0
+        (run,) = runs_in(tmp_path).values()
+        written.append((run / "episodes.csv").read_text())
+        config = OmegaConf.load(run / "config.yaml")
+        assert (config.trainer.episodes, config.algo.random_steps) == (episodes, 1)
+    assert f"Resuming {run}" in capsys.readouterr().out
+    assert written[1].startswith(written[0]) and len(written[1].splitlines()) == 1 + 12
+    assert in_process(train_command.main, "-m", *tiny, *places, "trainer.episodes=12", "algo.random_steps=4") == 0
+    assert len(list(tmp_path.glob("run_*"))) == 2, "other random steps that are asked for are another run"
+
+
 def test_a_run_whose_checkpoints_were_removed_keeps_what_it_has(
     swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -122,7 +122,7 @@ def test_flights_in_a_file_make_the_same_page_again(tmp_path: Path) -> None:
         (["policy=straight", "episodes=51"], "at most 50 in one page"),
         (["policy=straight", "points=0"], "points must be at least 1"),
         (["policy=straight", "video=film.tif"], "video must end in .mp4, "),
-        (["run=nothing"], "Expected a run folder with nothing/config.yaml and found none"),
+        (["run=nothing"], "Expected a run folder at nothing and found none"),
         (["flight=nothing.npz"], "found no such file"),
         (["flight=nothing.npz", "task=1"], "leave task out"),
     ],
@@ -139,7 +139,7 @@ def test_an_empty_run_folder_and_a_missing_checkpoint_are_named(
     run_dir: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     (tmp_path / "empty").mkdir()
-    assert "Expected a run folder with" in refused(f"run={tmp_path / 'empty'}")
+    assert "holds no run, for want of config.yaml" in refused(f"run={tmp_path / 'empty'}")
     assert "reward belongs to the run" in refused(f"run={run_dir}", "reward=navigation")
     missing = run_dir / "checkpoints/none.torchrl"
     assert f"Expected a checkpoint at {missing}" in refused(f"run={run_dir}", f"checkpoint={missing}")

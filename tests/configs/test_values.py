@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,12 @@ from omegaconf import OmegaConf
 
 from tests.composing import changed, composed
 from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner, to_dataclass
+from uavrl.configs.choices import known_keys
+from uavrl.configs.limits import MOST
+from uavrl.configs.memory import bytes_needed
 from uavrl.configs.parts import PARTS
+from uavrl.envs.limits import LARGEST
+from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
@@ -76,7 +82,7 @@ def test_every_key_has_a_comment(path: Path) -> None:
         for line in lines[:hydra]
         if re.match(r"\s*\w+:", line)
         and "#" not in line
-        and not re.match(r"\s*(defaults|_target_|name|world|trainer|algo|env):", line)
+        and not re.match(r"\s*(defaults|_target_|name|world|trainer|algo|env|buffer):", line)
     ]
     assert not bare
 
@@ -165,7 +171,45 @@ def test_the_lidars_range_and_the_observations_altitude_follow() -> None:
     assert settings("env.world.flight_level=3").perception.flight_level == 3.0
 
 
+def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn() -> None:
+    plain_run, fast = settings(), settings("preset=fast", "algo.n_steps=5", "collector=sync")
+    assert (plain_run.algo.n_steps, plain_run.algo.layer_norm, plain_run.algo.exploration_spread) == (1, False, 1.0)
+    assert (plain_run.buffer.mirror, plain_run.trainer.until_success) == (False, None)
+    assert (fast.algo.n_steps, fast.algo.critic.layer_norm, fast.buffer.mirror) == (5, True, True)
+    assert fast.algo.actor.hidden == [256, 256]
+    assert [fast.choices[group] for group in ("collector", "backward_reward", "reward")] == [
+        "sync",
+        "abr",
+        "navigation_prize",
+    ]
+    assert settings("preset=fast", "env=dynamic").env.world.planes == 3
+
+
 # ---------------------------------------------------------------------- what is refused
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["buffer.mirror=true", "perception.angles=raw"], r"buffer\.mirror must be false, but in the valley"),
+        (["buffer.mirror=true", "env=bipedal_hardcore"], r"buffer\.mirror must be false, but in the valley"),
+        (["fork=on", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
+        (["lifeguard=mlp", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
+        (["trainer.until_success=80"], r"trainer\.until_success must be in \(0, 1\], got 80"),
+        (["env.airframe.mass=-1"], r"env\.airframe: Mass, inertia"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -> None:
+    with pytest.raises(UavrlError, match=told):
+        settings(*overrides)
+
+
+def test_every_key_that_has_a_most_or_takes_memory_is_one() -> None:
+    known = {key for name in ("config", "evaluate", "pretrain", "replay") for key in known_keys(name)}
+    everything = settings("fork=on", "lifeguard=linear", "backward_reward=abr")
+    assert not {*MOST, *bytes_needed(everything)} - known
+    assert not {*LARGEST} - {field.name for field in fields(WorldConfig)}
+
 
 OUT_OF_RANGE = [
     ("seed", "-1"),

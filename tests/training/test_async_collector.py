@@ -93,6 +93,41 @@ def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
         flown.shutdown()
 
 
+class Seeded(Counter):
+    """Observes the seed that it was given, modulo a million."""
+
+    given = -1
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.given = -1 if seed is None else seed % 10**6
+
+    def disturbed(self) -> torch.Tensor:
+        return torch.tensor([float(self.given)])
+
+
+def test_two_processes_fly_tasks_of_their_own() -> None:
+    flown = AsyncCollector(
+        [Seeded, Seeded],
+        policy=policy(),
+        frames_per_batch=5,
+        total_frames=-1,
+        trajs_per_batch=1,
+        traj_format="cat",
+        device="cpu",
+    )
+    try:
+        flown.start_anew(11, 100)
+        seen = set()
+        for turn, batch in enumerate(flown):
+            assert batch["next", "done"].flatten().tolist() == [False] * 4 + [True]
+            seen |= set(batch["observation"].flatten().tolist())
+            if turn == 15:
+                break
+        assert 11.0 in seen and len(seen - {-1.0}) == 2
+    finally:
+        flown.shutdown()
+
+
 def test_a_process_that_dies_ends_the_run_with_a_sentence(capfd: pytest.CaptureFixture[str]) -> None:
     flown = collector(Breaking, policy())
     try:
@@ -122,12 +157,14 @@ from pathlib import Path
 from tests.training.test_resume import small_config
 from uavrl.training import run
 
-def stop(self, episodes, *about):
-    if episodes >= 4:
-        raise KeyboardInterrupt
+def stop(*about, **more):
+    raise KeyboardInterrupt
 
 if __name__ == "__main__":
-    run.Progress.update = stop
+    if sys.argv[2] == "flying":
+        run.Progress.update = stop
+    else:
+        run.EpisodeTrainer = stop
     config = small_config(Path(sys.argv[1]), "collector=async")
     try:
         run.train(config, run.create_run(config))
@@ -136,9 +173,10 @@ if __name__ == "__main__":
 """
 
 
-def test_python_ends_after_a_training_that_was_stopped(tmp_path: Path) -> None:
+@pytest.mark.parametrize("when", ["flying", "built"])
+def test_python_ends_after_a_training_that_was_stopped(when: str, tmp_path: Path) -> None:
     (tmp_path / "stopped.py").write_text(STOPPED)
-    command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run"]
+    command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run", when]
     root = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     ended = subprocess.run(command, env=root, capture_output=True, text=True, timeout=600, check=True)
-    assert ended.stdout.endswith("stopped\n")
+    assert ended.stdout.endswith("stopped\n") and "leaked" not in ended.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +16,10 @@ from uavrl.cli import train as train_command
 from uavrl.training.checkpoint import rotation
 from uavrl.training.episodes import Episode, read_episodes
 from uavrl.training.progress import Progress
+from uavrl.training.resuming import how_to_go_on
 from uavrl.training.run import create_run, train
 from uavrl.training.stopping import PATIENCE, Stop, stoppable
+from uavrl.training.trainer import EpisodeTrainer
 
 EPISODES = ["trainer.episodes=12"]
 
@@ -114,12 +117,31 @@ def test_flights_of_another_process_are_saved_at_once(
     assert len(rotation(tmp_path / "run").checkpoints()) == 2
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_ending_that_hangs_is_broken_off_by_the_second_signal(
+    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    passed: list[int] = []
+
+    def hang(_: EpisodeTrainer) -> None:
+        for _ in range(9):
+            os.kill(os.getpid(), number)
+            passed.append(number)
+
+    monkeypatch.setattr(EpisodeTrainer, "shutdown", hang)
+    overrides = [*SMALL, "trainer.episodes=2", f"run_dir={tmp_path / 'run'}"]
+    assert in_process(train_command.main, *overrides) == 128 + number
+    assert passed == [number], "the first one may be that of who asked twice"
+    expected = f"uavrl: stopped after episode 2, which is saved: go on with uavrl-train resume={tmp_path / 'run'}."
+    assert [line for line in capfd.readouterr().err.splitlines() if "stopped" in line] == [expected]
+
+
 def test_signals_are_given_back_to_who_had_them(whole: Path, tmp_path: Path) -> None:
     heard: list[int] = []
     before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:
         with stoppable() as stop:
-            stop.ignore()
+            stop.ending()
             os.kill(os.getpid(), signal.SIGTERM)
         assert stop.signal is None and not heard
         os.kill(os.getpid(), signal.SIGTERM)
@@ -144,6 +166,12 @@ def test_an_interrupt_that_was_swallowed_comes_again() -> None:
         stop.hear(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
         stop.foretell(1, 1)
+
+
+def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, tmp_path: Path) -> None:
+    run_dir = Path(shutil.copytree(whole, tmp_path / "run"))
+    rotation(run_dir).latest().write_bytes(b"")
+    assert how_to_go_on(run_dir) == f"stopped: go on with uavrl-train resume={run_dir}."
 
 
 @pytest.mark.parametrize(("left", "waits"), [(4, True), (6, False)])

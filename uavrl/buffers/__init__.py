@@ -8,6 +8,7 @@ from uavrl.buffers.admission import FailureBias, is_admitted
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
 from uavrl.buffers.functional import backward_reward
 from uavrl.buffers.history import TrajectoryHistory
+from uavrl.buffers.multi_step import MultiStep, multi_step_returns
 from uavrl.buffers.replay import EpisodeBuffer, FailureBiasedBuffer, PrioritizedBuffer
 from uavrl.buffers.storage import FrameStorage, GatheringStorage
 
@@ -20,9 +21,11 @@ __all__ = [
     "FailureBiasedBuffer",
     "FrameStorage",
     "GatheringStorage",
+    "MultiStep",
     "PrioritizedBuffer",
     "StateClassifier",
     "TrajectoryHistory",
     "backward_reward",
     "is_admitted",
+    "multi_step_returns",
 ]

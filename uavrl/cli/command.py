@@ -92,10 +92,11 @@ def explained(error: Exception, name: str) -> str:
         return f"{group} must be one of {', '.join(choices)}, got {choice!r}{did_you_mean(choice, choices, ': ')}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         key = first.split("'")[-2].split("@")[0]
-        if having := choices_with(key):
-            group = key.partition(".")[0]
-            return f"{key} is not a key of the {group} chosen: choose {group}={' or '.join(having)}."
-        return f"There is no key {key!r}" + did_you_mean(key, known_keys(name), ": ", "--help lists all keys.")
+        known, group = known_keys(name), key.partition(".")[0]
+        if key in known:
+            having = f"{group}={' or '.join(choices_with(key))}"
+            return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."
+        return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help lists all keys.")
     if isinstance(error, AssertionError):
         return "An override changes something below a key that has nothing below it: --help lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""

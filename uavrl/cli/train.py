@@ -43,8 +43,8 @@ def main(config: DictConfig) -> None:
 
 
 def _train(config: DictConfig) -> None:
-    config = _worked_out(config)
-    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
+    _check(config)
+    config = complete(config)
     from uavrl.training.run import create_run, resume_config
 
     if config.resume is None:
@@ -55,7 +55,7 @@ def _train(config: DictConfig) -> None:
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-    require_memory(to_dataclass(config))
+    _check(config)
     with full_disk_told(run_dir):
         _fly(config, run_dir, resume=True)
 
@@ -75,32 +75,37 @@ def full_disk_told(run_dir: Path) -> Iterator[None]:
         ) from error
 
 
-def _worked_out(config: DictConfig) -> DictConfig:
-    """The configuration with every value worked out; finds what can be wrong with it before a folder is made."""
-    config = complete(config)
-    require_memory(to_dataclass(config))
-    return config
+def _check(config: DictConfig) -> None:
+    """Finds what can be wrong with the settings before a folder is made."""
+    settings = to_dataclass(config)
+    require_memory(settings)
+    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
+    from uavrl.training.loggers import require_login
+
+    require_login(settings.logger, settings.packages)
 
 
 def _train_in_sweep(config: DictConfig) -> None:
     """Trains a combination unless an earlier sweep has: then it goes on with it, or skips it where it is finished."""
-    config = _worked_out(config)
+    _check(config)
     if config.resume is not None:
         raise UavrlError(
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
             "command is started again."
         )
-    from uavrl.training.run import create_run
+    from uavrl.training.checkpoint import FREE_KEYS
+    from uavrl.training.run import create_run, resume_config
     from uavrl.training.sweep import take_place
 
     place = take_place(config)
+    config = complete(config)
     if place == "finished":
         print(f"Finished before: {config.run_dir}")
         return
     run_dir = Path(config.run_dir)
     with full_disk_told(run_dir):
         if place == "begun":
-            _fly(config, run_dir, resume=True)
+            _fly(resume_config(run_dir, config, list(FREE_KEYS)), run_dir, resume=True)
             return
         with removed_on_failure(run_dir, FIRST_CHECKPOINT):
             _fly(config, create_run(config), resume=False)

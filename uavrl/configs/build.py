@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from uavrl.configs.parts import TARGET, require_allowed
 from uavrl.configs.signature import signature
-from uavrl.configs.typed import typed
+from uavrl.configs.typed import below, typed
 from uavrl.errors import UavrlError
 
 T = TypeVar("T")
@@ -43,13 +43,16 @@ def resolve(target: str, kind: type[T], packages: Iterable[str] = ()) -> type[T]
     return found
 
 
-def build(part: Mapping[str, Any], kind: type[T], *, packages: Iterable[str] = (), **offered: Any) -> T | None:
+def build(
+    part: Mapping[str, Any], kind: type[T], *, packages: Iterable[str] = (), key: str = "", **offered: Any
+) -> T | None:
     """Makes what a part names; None where it names nothing.
 
     Args:
         part: plain data with ``_target_`` and what the constructor takes; other keys are somebody else's.
         kind: what the class must be a subclass of.
         packages: packages that the user trusts, beside uavrl.
+        key: what the part is called, for messages.
         **offered: what the run has to give; the constructor gets what it names.
 
     Raises:
@@ -67,8 +70,10 @@ def build(part: Mapping[str, Any], kind: type[T], *, packages: Iterable[str] = (
     given = {**options(part, packages, **offered), **{name: value for name, value in offered.items() if name in hints}}
     try:
         return made(**given)
-    except UavrlError:
-        raise
+    except UavrlError as error:
+        if not key:
+            raise
+        raise UavrlError(below(key, str(error), hints)) from error
     except (ValueError, TypeError) as error:
         raise UavrlError(f"{part[TARGET]} cannot be made: {error}") from error
 

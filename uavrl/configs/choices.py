@@ -16,9 +16,13 @@ ROWS = ("scheme", "learner")  # groups whose choices stand for choices of other 
 def known_keys(name: str) -> list[str]:
     """All keys and groups of ``conf/NAME.yaml`` with every choice of its groups, dotted."""
     folder = conf_dir()
-    keys = _dotted(OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml")))
+    config = cast(dict[str, Any], OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml")))
+    keys = _dotted(config)
+    groups = {str(group) for entry in config["defaults"] if isinstance(entry, dict) for group in entry}
     for path in folder.glob("*/*.yaml"):
         group = path.parent.name
+        if group not in groups:
+            continue
         below = OmegaConf.to_container(OmegaConf.load(path))
         below = (
             below.get(group, below) if isinstance(below, dict) else below

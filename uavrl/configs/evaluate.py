@@ -29,6 +29,7 @@ class EvaluateConfig:
     episodes: Count = 500
     seed: Seed = 20_000
     valleys: Valleys | None = None
+    suite: str | tuple[str, ...] | None = None
     checkpoint: str | None = None
     output: str | None = None
     num_uavs: Count = 8

@@ -36,9 +36,10 @@ def bytes_needed(settings: TrainConfig) -> dict[str, float]:
         if isinstance(part, Mapping) and "hidden" in part:
             widths[f"fork.{name!s}.hidden"] = (part["hidden"], 1)
     hidden_values = 4 * sum(sum(hidden) for hidden, _ in widths.values())  # of one transition, with their gradients
-    transition = frame * 17 / 16 * NUMBER + 42
+    kept = frame * 17 / 16 if settings.algo.n_steps == 1 else 2 * state * 9 / 8  # both states whole: they share none
+    transition = kept * NUMBER + 42
     parts = {
-        "env.num_uavs": uavs * VEHICLE,
+        "env.num_uavs": uavs * settings.collector.get("processes", 1) * VEHICLE,
         "buffer.capacity": capacity * (transition + 32 * ("alpha" in settings.buffer)),
         "collector.steps_per_batch": 3 * settings.collector.steps_per_batch * uavs * 2 * state * NUMBER,
         **{

@@ -41,7 +41,10 @@ class Learning:
     batch_size: Count
     random_steps: Whole
     exploration_noise: NonNegative
+    exploration_spread: Annotated[float, Range("at least 1", lambda value: value >= 1)]
     hidden: Widths
+    layer_norm: bool
+    n_steps: Count
     actor: Network
     critic: Network
 
@@ -51,6 +54,14 @@ class Collecting:
     """What the loop itself reads of ``collector``."""
 
     steps_per_batch: Count
+    processes: Count
+
+
+@dataclass
+class Storing:
+    """What the loop itself reads of ``buffer``."""
+
+    mirror: bool
 
 
 @dataclass
@@ -60,7 +71,7 @@ class Logging:
     interval: Count
 
 
-_LOOP = {"algo": Learning, "collector": Collecting, "logger": Logging}
+_LOOP = {"algo": Learning, "buffer": Storing, "collector": Collecting, "logger": Logging}
 STEPPER = "uavrl.training.stepper.ActorCriticStepper"  # takes its part of algo
 
 

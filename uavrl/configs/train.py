@@ -8,7 +8,7 @@ from typing import Literal
 from omegaconf import DictConfig
 
 from uavrl.configs.checks import require
-from uavrl.ranges import Count, Positive, Seed
+from uavrl.ranges import Count, Positive, Seed, Share
 
 Execution = Literal["eager", "captured", "compiled", "auto"]
 Products = Literal["mkl", "onednn", "bf16", "auto"]
@@ -19,6 +19,7 @@ class TrainerConfig:
     """conf/trainer."""
 
     episodes: Count = 5000
+    until_success: Share | None = None
     updates_per_step: Positive = 1.0
     window: Count = 500
     checkpoint_interval: Count = 20_000
@@ -61,3 +62,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         """Checks what a range cannot say."""
         require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
+        single = all(part.get("_target_") is None for part in (self.fork, self.lifeguard, self.enhancer))
+        steps = self.algo.get("n_steps", 1)
+        require(steps == 1 or single, "algo.n_steps", "1 with FORK or LifeGuard: they learn from single steps", steps)
+        mirrors = not self.buffer.get("mirror") or self.perception.get("angles") == "folded"
+        require(mirrors, "buffer.mirror", "false, but in the valley with perception.angles=folded", True)

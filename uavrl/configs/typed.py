@@ -96,10 +96,21 @@ def _made(value: Any, kind: type, key: str) -> Any:
     options = {str(name): typed(child, hints[name], f"{prefix}{name}") for name, child in value.items()}
     try:
         return kind(**options)
-    except UavrlError:
-        raise
     except (ValueError, TypeError) as error:
-        raise UavrlError(f"{key or kind.__name__}: {error}") from error
+        raise UavrlError(below(key, str(error), hints)) from error
+
+
+def below(key: str, said: str, names: Iterable[str]) -> str:
+    """What a class says of its arguments, for somebody who knows them by the keys of a configuration.
+
+    Examples:
+        >>> below("env.world", "size must be above 0.", ["size"]), below("env", "It cannot fly.", ["world"])
+        ('env.world.size must be above 0.', 'env: It cannot fly.')
+    """
+    if not key or said.startswith(key):
+        return said
+    first = said.split(maxsplit=1)[0].partition(".")[0]
+    return f"{key}.{said}" if first in names else f"{key}: {said}"
 
 
 def require_known(given: Iterable[Any], known: Iterable[str], key: str) -> None:

@@ -61,6 +61,6 @@ def check_hull(airframe: Airframe, world: WorldConfig) -> None:
     reach = max(airframe.collision_radius, airframe.collision_height / 2)
     if reach > max(world.min_clearance, world.uav_radius):
         raise UavrlError(
-            f"collision_radius and half of collision_height must be at most min_clearance, {world.min_clearance} m, "
-            f"which starts keep from geometry, got {reach} m; lower them or raise env.world.min_clearance."
+            f"airframe.collision_radius and half of airframe.collision_height must be at most world.min_clearance, "
+            f"{world.min_clearance} m, which starts keep from geometry, got {reach} m; lower them or raise that."
         )

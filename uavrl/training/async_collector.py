@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import signal
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
 from typing import Any
 
 from tensordict import TensorDictBase
@@ -29,6 +31,7 @@ class AsyncCollector(MultiAsyncCollector):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         with _interrupts_held_back():
             super().__init__(*args, **kwargs)
+        Finalize(self, _kill, (self.procs,), exitpriority=0)
         if not all(parameter.is_shared() for parameter in self.policy.parameters()):
             self.shutdown()
             raise UavrlError(
@@ -58,9 +61,9 @@ class AsyncCollector(MultiAsyncCollector):
             super().reset(*args, **kwargs)
 
     def start_anew(self, seed: int, flights: int) -> None:
-        """Starts new episodes from a seed, unless some fly: these go on. All count."""
+        """Starts new episodes from a seed, another one in each process, unless some fly: these go on. All count."""
         if not self.running:
-            self.set_seed(seed, static_seed=True)
+            self.set_seed(seed)
             self.reset()
 
     def wind_down(self) -> bool:
@@ -93,6 +96,14 @@ def _death_told() -> Iterator[None]:
             f"The process that flies has ended ({reason}); what it printed stands above. Mend the reason, and go on "
             f"with resume=RUN_FOLDER."
         ) from error
+
+
+def _kill(processes: Sequence[BaseProcess]) -> None:
+    """Ends what nobody has shut down. Python's own ending would wait for it: it asks by SIGTERM, which is held back."""
+    for process in processes:
+        if process.is_alive():
+            process.kill()
+            process.join()
 
 
 @contextmanager

@@ -31,6 +31,7 @@ FREE_KEYS = (
     "choices",
     "packages",
     "trainer.episodes",
+    "trainer.until_success",
     "trainer.progress",
     "trainer.record_states",
     "trainer.keep_checkpoints",
@@ -127,10 +128,7 @@ def all_checkpoints(run_dir: Path) -> list[Path]:
     Raises:
         UavrlError: when there is no run or no checkpoint.
     """
-    if not run_dir.is_dir():
-        raise UavrlError(
-            f"Expected a run folder at {run_dir} and found none: give the folder that uavrl-train printed."
-        )
+    _require_folder(run_dir)
     found = sorted((run_dir / CHECKPOINTS).glob("checkpoint*"))
     if not found:
         raise UavrlError(
@@ -138,6 +136,13 @@ def all_checkpoints(run_dir: Path) -> list[Path]:
             f"start a new run in another folder."
         )
     return found
+
+
+def _require_folder(run_dir: Path) -> None:
+    if not run_dir.is_dir():
+        raise UavrlError(
+            f"Expected a run folder at {run_dir} and found none: give the folder that uavrl-train printed."
+        )
 
 
 def latest_checkpoint(run_dir: Path) -> Path:
@@ -158,9 +163,10 @@ def read_config(run_dir: Path) -> DictConfig:
     Raises:
         UavrlError: when it is missing or no yaml.
     """
+    _require_folder(run_dir)
     path = run_dir / CONFIG
     if not path.is_file():
-        raise UavrlError(f"Expected a run folder with {path} and found none: give the folder that uavrl-train printed.")
+        raise UavrlError(f"The folder {run_dir} holds no run, for want of {CONFIG}: give one that uavrl-train printed.")
     try:
         config = load_config(path)
     except Exception as error:

@@ -13,13 +13,14 @@ from torchrl.collectors import BaseCollector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
-from uavrl.buffers import BackwardReward, EpisodeBuffer
+from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
 from uavrl.configs.build import build, resolve
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.spaces import Spaces, flat
 from uavrl.training.sync_collector import SyncCollector
+from uavrl.transforms import Mirror
 
 
 def make_device(name: str) -> torch.device:
@@ -67,7 +68,7 @@ def make_env(
     """
     several = {} if num_uavs is None else {"num_uavs": num_uavs}
     own = {str(key): value for part in (perception, env) for key, value in part.items()}
-    base = build(own, EnvBase, packages=packages, **several, **offered)
+    base = build(own, EnvBase, packages=packages, key="env", **several, **offered)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = TransformedEnv(base, Compose())
@@ -116,14 +117,21 @@ def make_backward_reward(settings: TrainConfig, spaces: Spaces, kept: Path) -> B
 def make_buffer(
     settings: TrainConfig, env: EnvBase, spaces: Spaces, device: torch.device, backward_reward: BackwardReward | None
 ) -> EpisodeBuffer:
-    """The replay buffer of states that stacked frames make."""
+    """The replay buffer of states that stacked frames make.
+
+    The next state of an n-step transition shares no frames with its state: both are kept whole.
+    """
+    algo = settings.algo
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
-    transforms = [transform for transform in (backward_reward, move) if transform is not None]
+    multi_step = MultiStep(algo.n_steps, algo.gamma) if algo.n_steps > 1 else None
+    mirror = Mirror() if settings.buffer.get("mirror") else None
+    chain = (multi_step, backward_reward, mirror, move)  # writes pass from the right, samples from the left
+    transforms = [transform for transform in chain if transform is not None]
     buffer = build(
         settings.buffer,
         EpisodeBuffer,
         packages=settings.packages,
-        frames=spaces.frames,
+        frames=spaces.frames if multi_step is None else 1,
         seed=settings.seed,
         transform=Compose(*transforms) if transforms else None,
     )
@@ -131,6 +139,27 @@ def make_buffer(
         raise UavrlError("buffer must name a replay buffer, got null: choose one with buffer=NAME.")
     _require_keys(env, [(buffer.reads, [])], "buffer")
     return buffer
+
+
+def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
+    """What each vehicle's exploration noise is multiplied by: from 1/√ratio to √ratio, evenly in the logarithm.
+
+    As the actors of Ape-X explore (Horgan et al. 2018, arXiv:1803.00933): some try what others would not.
+
+    Args:
+        vehicles: N.
+        ratio: the largest over the smallest.
+
+    Returns:
+        ``[N, 1]`` as lists, or 1.0 where all are alike.
+
+    Examples:
+        >>> spread(3, 4.0), spread(3, 1.0)
+        ([[0.5], [1.0], [2.0]], 1.0)
+    """
+    if vehicles == 1 or ratio == 1.0:
+        return 1.0
+    return [[ratio ** (i / (vehicles - 1) - 0.5)] for i in range(vehicles)]
 
 
 def collector_class(settings: TrainConfig) -> type[SyncCollector | AsyncCollector]:
@@ -158,16 +187,18 @@ def make_collector(
         device: where the policy lives.
     """
     sigma = settings.algo.exploration_noise * spaces.limit
+    vehicles, processes = settings.env.get("num_uavs", 1), settings.collector.get("processes", 1)
     noise = AdditiveGaussianModule(
         spec=spaces.action_spec(device),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,
+        std=spread(vehicles, settings.algo.exploration_spread),
         device=device,
     )
     kwargs: dict[str, Any] = {
         "policy": TensorDictSequential(actor, noise),
-        "frames_per_batch": settings.env.get("num_uavs", 1) * settings.collector.steps_per_batch,
+        "frames_per_batch": vehicles * settings.collector.steps_per_batch,
         "total_frames": -1,
         "init_random_frames": settings.algo.random_steps,
         "trajs_per_batch": 1,
@@ -179,5 +210,7 @@ def make_collector(
     }
     found = collector_class(settings)
     if issubclass(found, AsyncCollector):
-        return found([env], num_threads=settings.trainer.threads, **kwargs)
+        return found([env] * processes, num_threads=settings.trainer.threads, **kwargs)
+    if processes != 1:
+        raise UavrlError(f"collector.processes must be 1, or with collector=async more, got {processes}.")
     return found(env, **kwargs)

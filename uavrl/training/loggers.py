@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
 from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
 
-from uavrl.configs.build import build
+from uavrl.configs.build import build, resolve
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
 
+WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
@@ -25,8 +28,29 @@ def make_logger(part: DictConfig, run_dir: Path, choice: str, packages: Iterable
     Raises:
         UavrlError: when the logger's package is not installed.
     """
-    try:
+    with _told(choice):
         return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / "logs"))
+
+
+def require_login(part: DictConfig, packages: Iterable[str] = ()) -> None:
+    """Asks for the login that wandb's online runs need, before anything is made for the run.
+
+    Raises:
+        UavrlError: when nobody is logged in, or wandb is not installed.
+    """
+    if part.get("offline", True) or part._target_ is None:
+        return
+    if issubclass(resolve(str(part._target_), Logger, packages), OneRunWandbLogger):
+        os.environ.setdefault(*WANDB_SILENT)
+        with _told("wandb"):
+            importlib.import_module("wandb").login(verify=False)
+
+
+@contextmanager
+def _told(choice: str) -> Iterator[None]:
+    """Turns what wandb raises, and a missing package, into a sentence."""
+    try:
+        yield
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "wandb":
             raise UavrlError(
@@ -49,7 +73,7 @@ class OneRunWandbLogger(WandbLogger):
     shown = 0  # steps that a process before this one has logged
 
     def __init__(self, project: str = "uavrl", offline: bool = True, *, exp_name: str, log_dir: str) -> None:
-        os.environ.setdefault("WANDB_SILENT", "true")
+        os.environ.setdefault(*WANDB_SILENT)
         name = Path(log_dir) / "wandb_run_id"
         name.parent.mkdir(parents=True, exist_ok=True)
         if not name.exists():

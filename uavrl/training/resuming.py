@@ -71,8 +71,11 @@ def how_to_go_on(run_dir: Path) -> str:
     """The sentence that a stopped run ends with."""
     if not any((run_dir / CHECKPOINTS).glob("checkpoint*")):
         return f"stopped before the first flight: start it again, or uavrl-train resume={run_dir}."
-    saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]
-    flown = len(read_episodes(run_dir / EPISODES))
+    try:
+        saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]
+        flown = len(read_episodes(run_dir / EPISODES))
+    except Exception:  # damaged meanwhile: whoever goes on is told what, and nothing may hide that the run was stopped
+        return f"stopped: go on with uavrl-train resume={run_dir}."
     if flown == saved:
         return f"stopped after episode {flown}, which is saved: go on with uavrl-train resume={run_dir}."
     again = f"episode {flown}" if flown == saved + 1 else f"episodes {saved + 1} to {flown}"

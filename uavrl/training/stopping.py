@@ -15,19 +15,21 @@ PATIENCE = 10.0  # s for which a stopped run goes on at most, where its next che
 class Stop:
     """Whether a run was asked to stop, and how long it may go on for.
 
-    The first signal ends a run at once, or behind its next checkpoint where that comes soon; the second at once.
+    The first signal ends a run at once, or behind its next checkpoint where that comes soon; the second at once. While
+    the run is ending, one signal more is let pass, and the next one breaks the ending off, which may hang.
     """
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        self._waiting = self._deaf = False
+        self._waiting = self._ending = self._insisted = False
         self._began, self._seconds_left = 0.0, float("inf")
 
     def hear(self, number: int, _: FrameType | None = None) -> None:
         """Handles a signal, and the alarm that ends the patience with the first one."""
-        if self._deaf:
+        if self._ending and not self._insisted:
+            self._insisted = True
             return
-        self._waiting = self.signal is None and self._seconds_left <= PATIENCE / 2
+        self._waiting = not self._ending and self.signal is None and self._seconds_left <= PATIENCE / 2
         self.signal = self.signal or number
         if not self._waiting:
             raise KeyboardInterrupt
@@ -52,9 +54,11 @@ class Stop:
         if self.signal is not None:
             raise KeyboardInterrupt
 
-    def ignore(self) -> None:
-        """From here on the run ends by itself, and no signal interrupts it."""
-        self._deaf = True
+    def ending(self) -> None:
+        """From here on the run ends by itself."""
+        self._ending = True
+        if self._waiting:
+            signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
 from typing import Literal
@@ -17,13 +18,15 @@ from uavrl.training.resuming import EPISODES, SUMMARY
 from uavrl.training.run import free, locked
 
 NAME_DIGITS = 6
+FOLLOWING = -1  # stands in a name for the random steps that follow from the episodes
 
 
 def take_place(config: DictConfig) -> Literal["new", "begun", "finished"]:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and says how far a run has come there.
 
-    What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint: a sweep that is
-    started again for more episodes goes on with its runs. A folder that never came to its first checkpoint is freed.
+    What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint, nor are random steps
+    that follow from the episodes: a sweep that is started again for more episodes goes on with its runs, whose random
+    steps stay what they were. A folder that never came to its first checkpoint is freed.
 
     Raises:
         UavrlError: when another process trains there, or when what was flown there has lost its checkpoints.
@@ -58,7 +61,10 @@ def _place(config: DictConfig) -> Path:
 
 def _named(config: DictConfig, products: str) -> Path:
     config.trainer.products = products
-    return Path(f"{config.run_dir}_{fingerprint(config)[:NAME_DIGITS]}")
+    named = copy.deepcopy(config)
+    if OmegaConf.is_interpolation(named.algo, "random_steps"):
+        named.algo.random_steps = FOLLOWING
+    return Path(f"{config.run_dir}_{fingerprint(named)[:NAME_DIGITS]}")
 
 
 def _episodes(run_dir: Path) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from numbers import Real
 from typing import Literal, NamedTuple
 
 import torch
@@ -198,8 +199,8 @@ def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tenso
 
 
 def _check_radius(radius: float) -> None:
-    if not 0.0 < radius <= LARGEST_RADIUS:
-        raise ValueError(f"radius must be a positive length in metres, at most {LARGEST_RADIUS:g}, got {radius}.")
+    if not (isinstance(radius, Real) and 0.0 < radius <= LARGEST_RADIUS):
+        raise ValueError(f"radius must be a positive length in metres, at most {LARGEST_RADIUS:g}, got {radius!r}.")
 
 
 def _check_points(points: Tensor) -> None:
