@@ -8,22 +8,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig
-
-from uavrl.configs import TrainConfig, conf_dir, register_schemas, to_dataclass
-
-
-def composed(*overrides: str) -> DictConfig:
-    """Returns what Hydra composes for `uavrl-train OVERRIDES`."""
-    register_schemas()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose("config", list(overrides))
+from uavrl.configs import TrainConfig, compose, to_dataclass
 
 
 def experiment(*overrides: str) -> TrainConfig:
     """Returns the checked configuration of `uavrl-train OVERRIDES`."""
-    return to_dataclass(composed(*overrides))
+    return to_dataclass(compose(*overrides))
 
 
 def machine() -> dict[str, Any]:

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from bare import State, bare_physics, bare_rays
 from common import machine
-from flights import Row, flights, flying, mean_of, measure, settings
+from flights import Row, flights_in, flying, mean_of, measure, settings
 from profiling import Stopwatch
 from scaling import print_scaling, scaling
 from torchrl.collectors import BaseCollector
@@ -30,7 +30,7 @@ from uavrl.envs.lidar import Lidar
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.vlp16 import NUM_RAYS
-from uavrl.envs.world import World
+from uavrl.training.factory import make_env
 from uavrl.transforms import NavigationObservation, NavigationReward, TruncatedIcosahedron
 
 PHYSICS, RAYS = "bare PyBullet physics", "bare Embree rays"
@@ -80,13 +80,14 @@ def profile(collector: BaseCollector, fly: Row) -> tuple[dict[str, float], list[
 def measured(uavs: int, steps: int, repeats: int) -> dict[str, Any]:
     """Times the rows and the parts of ours."""
     config = settings(uavs)
-    collector, world = flights(config), World(config.env.world)
+    env = make_env(config.env, config.perception, config.reward, seed=config.seed)
+    collector, world = flights_in(env, config), env.base_env.world
     fly = flying(collector, steps)
     parts, states = profile(collector, fly)
     calls = max(steps // uavs // 8, 1)  # the bare rows are steadier and need fewer
     rows: dict[str, Row] = {
         "uavrl": fly,
-        PHYSICS: mean_of(bare_physics(world, config.env.airframe, states), calls),
+        PHYSICS: mean_of(bare_physics(world, env.base_env.airframe, states), calls),
         RAYS: mean_of(bare_rays(world, config.perception.lidar.max_range, states), calls),
     }
     milliseconds = measure(rows, repeats)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 from common import experiment
 from torchrl.collectors import BaseCollector
+from torchrl.envs import EnvBase
 
 from uavrl.configs import TrainConfig
 from uavrl.training.factory import make_collector, make_env
 from uavrl.training.learner import make_actor
-from uavrl.training.spaces import make_spaces
+from uavrl.training.spaces import spaces_of
 
 CPU = torch.device("cpu")
 ALWAYS_RANDOM = 2**40  # steps
@@ -24,14 +24,19 @@ Row = Callable[[], float]  # returns milliseconds per UAV step
 
 def settings(uavs: int, **world: Any) -> TrainConfig:
     """The default experiment with so many UAVs, other values of its world, and random actions for ever."""
-    config = experiment(f"env.num_uavs={uavs}", f"algo.random_steps={ALWAYS_RANDOM}")
-    return replace(config, env=replace(config.env, world=replace(config.env.world, **world)))
+    world_values = [f"env.world.{key}={value}" for key, value in world.items()]
+    return experiment(f"env.num_uavs={uavs}", f"algo.random_steps={ALWAYS_RANDOM}", *world_values)
 
 
 def flights(config: TrainConfig) -> BaseCollector:
     """The collector of whole flights that a training has."""
-    env = make_env(config.env, config.perception, config.reward, seed=config.seed)
-    return make_collector(config, env, make_actor(config.algo, make_spaces(config.env, config.perception), CPU), CPU)
+    return flights_in(make_env(config.env, config.perception, config.reward, seed=config.seed), config)
+
+
+def flights_in(env: EnvBase, config: TrainConfig) -> BaseCollector:
+    """The same in an environment of its configuration."""
+    spaces = spaces_of(env)
+    return make_collector(config, env, make_actor(config, spaces, CPU), spaces, CPU)
 
 
 def flying(collector: BaseCollector, steps: int) -> Row:

@@ -26,6 +26,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.envs.world import World
 from uavrl.training.episodes import outcome, wilson
+from uavrl.training.factory import make_env
 
 Way = Callable[[np.ndarray, np.ndarray, np.random.Generator], list[np.ndarray]]
 REACHED = 0.5  # m from a point of its way at which a UAV turns to the next one
@@ -138,8 +139,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=77777)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    config = experiment(*arguments.overrides).env
-    env = NavigationEnv(16, world=config.world, airframe=config.airframe, max_steps=config.max_steps, blind=True)
+    config = experiment("perception.blind=true", *arguments.overrides)
+    env = make_env(config.env, config.perception, num_uavs=16).base_env
     rows = {}
     print(f"| blind flight, {arguments.tasks} tasks | arrives | 95 % interval |\n|---|---|---|")
     for name, way in controllers(env.world).items():

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import copy
 import time
-from dataclasses import replace
 from functools import partial
 
 from flights import flights, flying, measure, settings
@@ -61,9 +61,9 @@ def in_processes(processes: int, uavs: int, steps: int) -> float:
 
 def with_range(config: TrainConfig, reach: float) -> TrainConfig:
     """The same with another range of the sensor, which leaves the reduction's result as it is."""
-    return replace(
-        config, perception=replace(config.perception, lidar=replace(config.perception.lidar, max_range=reach))
-    )
+    result = copy.deepcopy(config)
+    result.perception.lidar.max_range = reach
+    return result
 
 
 def scaling(uavs: int, steps: int, repeats: int) -> dict[str, dict[str, float]]:

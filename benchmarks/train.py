@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import composed, machine
+from common import compose, machine
 
 RANDOM_STEPS = 1024  # of the uavrl rows; flights are learned from when they end, so that 8 UAVs need some to get going
 FEW_RANDOM_STEPS = 200  # of the others: two batches
@@ -91,7 +91,7 @@ def uavrl_train(overrides: list[str], steps: int, warm_up: int, threads: int) ->
 
     run.ActorCriticStepper = Watched  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as folder:
-        config = composed(
+        config = compose(
             f"run_dir={folder}/run",
             *overrides,
             f"trainer.threads={threads}",

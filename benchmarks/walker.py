@@ -1,8 +1,8 @@
 """How fast a training of the bipedal walker goes, and where its time goes.
 
 Run `python benchmarks/walker.py [--steps N] [--json FILE] [OVERRIDES]`, e.g. `trainer.execution=captured`. It is
-`uavrl-train env=bipedal_hardcore algo=td3_lg_walker` through its real trainer, with 300 random steps. Episodes in them
-and the first one after them, and with that compilation, are left out.
+`uavrl-train env=bipedal_hardcore learner=td3_lg_walker` through its real trainer, with 300 random steps. Episodes in
+them and the first one after them, and with that compilation, are left out.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from common import composed, machine
+from common import compose, machine
 from profiling import Stopwatch
 
 RANDOM_STEPS, WARM_UP = 300, 100
@@ -52,9 +52,9 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
         "updates": [(ActorCriticStepper, "step"), (EpisodeReplay, "sample")],
     }
     with tempfile.TemporaryDirectory() as folder, watch.watching(places):
-        config = composed(
+        config = compose(
             "env=bipedal_hardcore",
-            "algo=td3_lg_walker",
+            "learner=td3_lg_walker",
             f"run_dir={folder}/run",
             f"algo.random_steps={RANDOM_STEPS}",
             "trainer.progress=false",

@@ -8,28 +8,29 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl.configs import conf_dir, register_schemas
+from uavrl.configs import compose, conf_dir, register_resolvers
 
 
 @cache
-def _registered() -> None:
-    register_schemas()
+def _composed(name: str, overrides: tuple[str, ...]) -> DictConfig:
+    return compose(*overrides, name=name)
 
 
-@cache
-def _composed(name: str, overrides: tuple[str, ...], with_hydra: bool) -> DictConfig:
-    _registered()
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose(name, list(overrides), return_hydra_config=with_hydra)
-
-
-def composed(name: str = "config", *overrides: str, with_hydra: bool = False) -> Any:
+def composed(name: str = "config", *overrides: str) -> Any:
     """A copy of its own for every caller."""
-    return copy.deepcopy(_composed(name, overrides, with_hydra))
+    return copy.deepcopy(_composed(name, overrides))
+
+
+def with_hydra(name: str, *overrides: str) -> Any:
+    """The same with Hydra's own settings."""
+    register_resolvers()
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return hydra_compose(name, list(overrides), return_hydra_config=True)
 
 
 def changed(overrides: Sequence[str], *values: str, name: str = "config") -> Any:

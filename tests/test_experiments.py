@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from tests.composing import composed
+from tests.composing import composed, with_hydra
 from uavrl.configs import TrainConfig, conf_dir, learner, to_dataclass
 
 EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("*.yaml"))
@@ -24,7 +24,7 @@ REWARDS = {("traditional", "none"): "TR", ("navigation", "abr"): "ABR", ("naviga
 def combinations(experiment: str) -> list[tuple[Any, TrainConfig]]:
     """Every run of an experiment, as Hydra's sweeper makes them."""
     runs = []
-    hydra = composed("config", f"experiment={experiment}", with_hydra=True).hydra
+    hydra = with_hydra("config", f"experiment={experiment}").hydra
     params = hydra.sweeper.params or {}
     assert str(hydra.mode) == "RunMode.MULTIRUN"
     for values in product(*(str(choices).split(",") for choices in params.values())):
@@ -36,10 +36,9 @@ def combinations(experiment: str) -> list[tuple[Any, TrainConfig]]:
 
 def cell(config: Any, settings: TrainConfig) -> tuple[str, str, str]:
     """Where a run stands in the thesis's tables: environment, learner and reward."""
-    reward = REWARDS[(settings.reward.name, settings.backward_reward.name)]
-    bare = OmegaConf.merge(config, {"backward_reward": {"name": "none"}})
-    assert isinstance(bare, type(config))
-    return settings.env.name, learner(bare), reward
+    chosen = settings.choices
+    reward = REWARDS[(chosen["reward"], chosen["backward_reward"])]
+    return chosen["env"], learner({**chosen, "backward_reward": "none"}), reward
 
 
 def in_thesis(table: str, *sources: str) -> set[tuple[str, str, str]]:
@@ -81,8 +80,8 @@ def test_the_states_of_figure_4_2_are_kept() -> None:
 
 def test_figure_4_6_flies_three_learners_on_the_walker() -> None:
     runs = [settings for _, settings in combinations("figure_4_6")]
-    assert {settings.env.name for settings in runs} == {"bipedal_hardcore"}
-    assert [settings.algo.name for settings in runs] == ["td3_walker", "td3_fork_walker", "td3_lg_walker"]
+    assert {settings.choices["env"] for settings in runs} == {"bipedal_hardcore"}
+    assert [learner(settings.choices) for settings in runs] == ["td3", "td3_fork_walker", "td3_lg"]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -92,7 +91,7 @@ def test_a_scheme_changes_what_is_paid_alone(scheme: str) -> None:
     )
     assert isinstance(before, dict)
     assert isinstance(after, dict)
-    changed = {key for key in before | after if before.get(key) != after.get(key)} - {"run_dir"}
+    changed = {key for key in before | after if before.get(key) != after.get(key)} - {"run_dir", "choices"}
     assert changed <= {"reward", "backward_reward"}
     assert bool(changed) == (scheme != "prize")  # the default pays the prize
-    assert (after["reward"]["name"] == "navigation_prize") == scheme.endswith("prize")
+    assert (after["choices"]["reward"] == "navigation_prize") == scheme.endswith("prize")

@@ -6,7 +6,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
+import yaml
+
+from tests.cli.test_bad_input import in_process
+from uavrl.cli import train as train_command
+
 README = Path(__file__).resolve().parents[1] / "README.md"
+TINY_RUN = ["trainer.episodes=1", "env.num_uavs=1", "env.max_steps=3", "trainer.progress=false"]
 
 
 def test_its_python_runs() -> None:
@@ -18,3 +25,23 @@ def test_its_python_runs() -> None:
     assert names["faces"].shape == (8, 32)
     assert names["loss"].enhancers
     names["env"].close()
+
+
+def test_what_you_bring_is_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    section = README.read_text().split("## Bring your own\n")[1].split("\n## ")[0]
+    assert len(section.strip().splitlines()) <= 25
+    code, chosen, command = (
+        re.findall(rf"```{kind}\n(.*?)```", section, re.DOTALL)[0] for kind in ("py", "yaml", "sh")
+    )
+    for path, content in (
+        ("my_parts/__init__.py", ""),
+        ("my_parts/rewards.py", code),
+        ("my_conf/reward/bold.yaml", chosen),
+    ):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(content)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert in_process(train_command.main, *command.split()[1:], *TINY_RUN, "run_dir=run") == 0
+    written = yaml.safe_load((tmp_path / "run/config.yaml").read_text())
+    assert written["reward"] == {"_target_": "my_parts.rewards.Bold", "boldness": 4.0}

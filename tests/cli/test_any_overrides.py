@@ -37,14 +37,17 @@ SMALL = [
 ]
 # The asynchronous collector and wandb start processes of their own, which takes longer than the rest together.
 GROUPS = {
-    "env": ["static", "dynamic", "bipedal_hardcore", "static_schema"],
+    "env": ["static", "dynamic", "bipedal_hardcore"],
     "perception": ["truncated_icosahedron", "none", "nothing"],
     "reward": ["navigation", "navigation_prize", "traditional", "walker", "null"],
-    "algo": ["td3", "td3_lg", "td3_fork", "td3_fork_lg", "ddpg", "sac", "td3_walker", "ppo", "td3_schema"],
+    "algo": ["td3", "ddpg", "sac", "ppo"],
     "buffer": ["uniform", "prioritized", "failure_biased", "[uniform]"],
     "backward_reward": ["none", "abr", "abr_plus"],
     "scheme": ["tr", "abr", "abr_plus", "prize", "best"],
-    "+enhancer@algo.fork": ["fork", "fork_walker", "lifeguard"],
+    "fork": ["none", "on", "walker", "off"],
+    "lifeguard": ["none", "linear", "mlp", "tree"],
+    "learner": ["td3_lg", "td3_fork", "td3_walker", "ppo"],
+    "algo.actor._target_": ["os.system", "uavrl.models.actor_critic.Critic", "torch.nn.Linear", "null"],
     "logger": ["csv", "tensorboard", "mlflow"],
 }
 WILD = [
@@ -71,7 +74,7 @@ def all_keys() -> dict[str, Any]:
     """All keys of all choices, with a value that each may have."""
     found: dict[str, Any] = {}
     for overrides in (
-        ["algo=td3_fork_lg", "backward_reward=abr"],
+        ["fork=on", "lifeguard=mlp", "backward_reward=abr"],
         ["algo=sac", "backward_reward=abr_plus", "buffer=prioritized", "reward=traditional"],
         ["env=bipedal_hardcore"],
     ):

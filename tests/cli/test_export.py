@@ -77,7 +77,7 @@ def _cut_off(folder: Path) -> None:
 
 def _of_another_shape(folder: Path) -> None:
     config = OmegaConf.load(folder / "config.yaml")
-    config.algo.hidden = [9]
+    config.algo.actor.hidden = [9]
     OmegaConf.save(config, folder / "config.yaml")
 
 

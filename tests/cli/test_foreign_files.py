@@ -27,7 +27,7 @@ from uavrl.training import flight
 from uavrl.training.checkpoint import RandomState
 from uavrl.trust import check_archive
 
-EVERYTHING = ["algo=td3_fork_lg", "buffer=prioritized", "backward_reward=abr"]  # the most components
+EVERYTHING = ["fork=on", "lifeguard=linear", "buffer=prioritized", "backward_reward=abr"]  # the most components
 COMPONENTS = [
     "backward_reward",
     "collector",

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from omegaconf import DictConfig
 
 from tests.cli.test_bad_input import TINY, in_process, refused
 from tests.composing import composed
@@ -19,7 +20,6 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.configs import to_dataclass
 from uavrl.configs.memory import bytes_needed, require_memory
-from uavrl.configs.train import LoggerConfig
 from uavrl.envs.gym_env import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
@@ -41,17 +41,18 @@ MISTAKES = {
     "env=bipedal_hardcore env.world.ceiling=5": "env.world.ceiling belongs to another choice of env than the one made",
     "algo=tdd3": "got 'tdd3': did you mean td3?",
     "scheme=t": "scheme must be one of abr, abr_plus",
-    "algo=td3_schema": "algo=td3_schema is not a choice of its own: give algo=td3.",
+    "learner=td3_lg fork=on": "learner=td3_lg stands for fork=none, and fork=on was chosen",
     "scheme=tr reward=navigation": "scheme=tr stands for reward=traditional, and reward=navigation was chosen",
     "backward_reward=none scheme=abr": "scheme=abr stands for backward_reward=abr, and backward_reward=none was chosen",
     "algo=null": "Config group override must be a string",
-    "algo.lifeguard.capacity=3": "algo.lifeguard is off: switch it on by +enhancer@algo.lifeguard=lifeguard, or leave",
-    "algo=td3_lg algo.lifeguard.capacity=3 algo.fork.threshold=1": "algo.fork or algo.lifeguard is off: switch it on",
+    "lifeguard.capacity=3": "choose lifeguard=linear or mlp, or leave it out",
+    "algo.target_entropy=-3": "choose algo=sac, or leave it out",
     "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
     "run_dir=": "run_dir must be a folder to make, got ''",
-    "env.airframe.inertia=[1,1]": "uavrl: env.airframe.inertia takes three numbers, one for each axis, got [1.0, 1.0]",
+    "env.airframe.inertia=[1,1]": "uavrl: env.airframe.inertia takes three numbers, one for each axis, got [1, 1]",
     "env.aerodynamics.wind=[1]": "uavrl: env.aerodynamics.wind takes three numbers",
     "perception.lidar.dropout=1": "uavrl: perception.lidar.dropout must be a probability in [0, 1), got 1.0",
+    "collector.processes=2": "collector.processes belongs to another choice of collector than the one made",
     "perception.radius=1e30": "perception.radius must be at most 100, got 1e+30",
     "env.world.size=[1e9,1e9]": "uavrl: env.world.size and ceiling must make at most 200,000 m³ of a valley",
     "env.world.obstacles=1000000000": "uavrl: env.world.obstacles must be at most 2,000 in a valley",
@@ -65,7 +66,7 @@ MISTAKES = {
     "buffer.capacity=100000000000": "for buffer.capacity=100000000000, and this machine has",
     "algo.hidden=[1000000,1000000]": "for algo.hidden=[1000000, 1000000], and this machine has",
     "algo.batch_size=1000000000": "lower algo.batch_size.",
-    "algo=td3_lg algo.lifeguard.capacity=100000000000": "lower algo.lifeguard.capacity.",
+    "lifeguard=linear lifeguard.capacity=100000000000": "lower lifeguard.capacity.",
 }
 
 
@@ -90,11 +91,10 @@ def test_evaluation_names_the_nearest_key_too(
     assert not list(tmp_path.iterdir())
 
 
-def test_help_lists_no_choice_that_is_not_for_users(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_the_choices(capsys: pytest.CaptureFixture[str]) -> None:
     assert in_process(train_command.main, "--help") == 0
     printed = capsys.readouterr().out
-    assert "algo: ddpg, ddpg_lg, sac" in printed
-    assert "_schema" not in printed
+    assert "algo: ddpg, sac, td3" in printed
 
 
 def test_a_mistake_found_after_the_folder_was_made_leaves_none(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -155,11 +155,11 @@ def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does
 
 
 def test_the_estimate_of_a_network_is_the_size_of_its_weights() -> None:
-    wide = bytes_needed(to_dataclass(composed("config", "algo=ddpg", "algo.hidden=[1000,3000]")))
+    wide = bytes_needed(to_dataclass(composed("config", "algo.hidden=[1000,3000]")))
     actor = 106 * 1000 + 1001 * 3000 + 3001 * 4
     critic = 110 * 1000 + 1001 * 3000 + 3001
     copies = 6  # online, target, gradient, two moments of Adam, one on the way
-    assert wide["algo.hidden"] == pytest.approx(copies * 4 * (actor + critic), rel=0.04)
+    assert wide["algo.hidden"] == pytest.approx(copies * 4 * (actor + 2 * critic), rel=0.04)
 
 
 def test_a_long_silence_is_explained_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -234,12 +234,16 @@ def test_wandb_without_a_login_is_one_sentence(
         assert not list(tmp_path.iterdir())
 
 
+def wandb_logger(offline: bool) -> DictConfig:
+    return to_dataclass(composed("config", "logger=wandb", f"logger.offline={offline}")).logger
+
+
 def test_wandb_offline_asks_for_no_login(monkeypatch: pytest.MonkeyPatch) -> None:
     wandb = pytest.importorskip("wandb")
     asked: list[object] = []
     monkeypatch.setattr(wandb, "login", lambda **_: asked.append(1))
     for offline in (True, False):
-        require_login(LoggerConfig(name="wandb", offline=offline))
+        require_login(wandb_logger(offline))
         assert len(asked) == (not offline)
 
 
@@ -250,7 +254,7 @@ def test_nobody_is_logged_in_who_has_no_key(tmp_path: Path, monkeypatch: pytest.
     for name in ("NETRC", "WANDB_CONFIG_DIR", "WANDB_CACHE_DIR", "WANDB_DATA_DIR", "WANDB_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name))
     with pytest.raises(UavrlError, match=r"logger=wandb could not begin \(No API key .* log in with wandb login"):
-        require_login(LoggerConfig(name="wandb", offline=False))
+        require_login(wandb_logger(offline=False))
 
 
 # ---------------------------------------------------------------------- the library

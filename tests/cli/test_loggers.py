@@ -24,7 +24,7 @@ SETTINGS = ["logger.interval=1", "trainer.episodes=6", "algo.random_steps=20"]
 def train_and_write(config: DictConfig, *, resume: bool = False) -> None:
     """Trains, and waits for wandb's own process, which writes on after the end of a run."""
     train(config, Path(config.run_dir) if resume else create_run(config), resume=resume)
-    if config.logger.name == "wandb":
+    if "offline" in config.logger:
         importlib.import_module("wandb").teardown()
 
 

@@ -50,7 +50,7 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "guarded"
-    tiny = [*TINY, *WORLD, "algo=td3_lg", "reward=traditional", f"run_dir={folder}"]
+    tiny = [*TINY, *WORLD, "lifeguard=linear", "reward=traditional", f"run_dir={folder}"]
     assert in_process(train_command.main, *tiny) == 0
     return folder
 

@@ -36,8 +36,12 @@ def test_help_loads_nothing_heavy(command: str) -> None:
 @pytest.mark.parametrize(
     ("command", "argument", "told"),
     [
-        ("train", "algo=typo", "algo must be one of ddpg, ddpg_lg, sac"),
+        ("train", "algo=typo", "algo must be one of ddpg, sac, td3"),
         ("train", "trainer.episodes=-1", "trainer.episodes must be at least 1, got -1"),
+        ("train", "algo.gamma=1.5", "algo.gamma must be in [0, 1), got 1.5"),
+        ("train", "reward.arrived_reward=much", "reward.arrived_reward must be a number, got 'much'"),
+        ("train", "+reward.arived_reward=1", "did you mean reward.arrived_reward?"),
+        ("train", "reward._target_=os.system", "os is no package that you have listed"),
         ("evaluate", "seed=1", "Give either run=RUN_FOLDER or policy=NAME"),
         ("evaluate", "episodes=0", "episodes must be at least 1, got 0"),
         ("pretrain", "pretrain.states=0", "pretrain.states must be at least 1, got 0"),

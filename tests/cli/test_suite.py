@@ -12,7 +12,7 @@ from tests.cli.test_bad_input import in_process
 from tests.composing import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli.suite import scenarios
-from uavrl.configs import to_dataclass
+from uavrl.configs import EvaluateConfig, checked
 from uavrl.errors import UavrlError
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
@@ -20,7 +20,7 @@ LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
 
 @pytest.mark.parametrize("name", scenarios("all"))
 def test_every_scenario_is_an_evaluation(name: str) -> None:
-    settings = to_dataclass(composed("evaluate", "policy=straight", *scenarios([name])[name]))
+    settings = checked(composed("evaluate", "policy=straight", *scenarios([name])[name]), EvaluateConfig)
     world, lidar = settings.env.world, settings.perception.lidar
     seen = (world.obstacles, world.planes, len(settings.valleys or (0,)), settings.env.aerodynamics.wind, lidar.dropout)
     expected = {

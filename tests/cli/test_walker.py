@@ -54,7 +54,7 @@ def test_returns_are_recorded_as_gymnasium_gives_them(finished: Path) -> None:
     [
         (replay.main, [], "shows flights in the valley"),
         (evaluate.main, ["valleys=[1]"], "valleys is for the valley, and the environment is bipedal_hardcore"),
-        (evaluate.main, ["env=static"], "must be truncated_icosahedron with env=static"),
+        (evaluate.main, ["env=static"], "The policy reads 'observation', which NavigationEnv does not emit"),
     ],
 )
 def test_what_only_the_valley_has_is_refused(

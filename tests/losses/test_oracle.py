@@ -185,7 +185,7 @@ def library(case: Case) -> ActorCriticLoss:
 
 
 def stepper_of(loss: ActorCriticLoss, case: Case, execution: Execution) -> ActorCriticStepper:
-    return ActorCriticStepper(loss, policy_delay=case.delay, model_lr=3e-4, execution=execution)
+    return ActorCriticStepper(loss, policy_delay=case.delay, execution=execution)
 
 
 def enhancer(loss: ActorCriticLoss, kind: type) -> LifeGuard | Fork | None:

@@ -68,6 +68,6 @@ def test_another_task_is_left_out(tmp_path: Path) -> None:
     assert same_task([runs[0], runs[2]])[1][0].reason.startswith("It flies another task than the run reported (")
     told = "It flies another task than the 2 runs reported"
     assert [left.reason for left in left_out] == [
-        f"{told} (env.name is dynamic, not static; env.world.planes is 3, not 0): give it a report of its own.",
+        f"{told} (env is dynamic, not static; env.world.planes is 3, not 0): give it a report of its own.",
         f"{told} (perception.radius is 2, not 4): give it a report of its own.",
     ]

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from omegaconf import OmegaConf
 
 from tests.reporting.folders import DOCUMENTED, ROOT, WHEREABOUTS, evaluation, run_folder
+from uavrl.configs import complete, compose
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 from uavrl.reporting.runs import Run, find_run_folders, read_runs
@@ -31,7 +33,7 @@ def test_a_run_folder(tmp_path: Path) -> None:
     run = only(run_folder(tmp_path / "one", "cat", seed=3, algo__name="td3"))
     assert (run.name, run.seed, run.learner, run.planned, run.finished) == ("one", 3, "td3", 3, True)
     assert [e.outcome for e in run.episodes] == ["collided", "arrived", "timed_out"]
-    assert run.settings["backward_reward.name"] == "none", "a key younger than the run"
+    assert (run.choices["algo"], run.settings["algo"], run.settings["algo.gamma"]) == ("td3", "td3", 0.99)
     assert run.notes == [] and run.versions == {} and run.evaluations == []
 
 
@@ -47,8 +49,6 @@ def test_the_runs_that_the_documentation_keeps() -> None:
         ("td3_lg_mlp", 1),
     ]
     assert all(run.finished for run in runs)
-    for run in runs:  # they flew in the first valley, which had keys of its own
-        assert ["goal_height" in note and "not one of this version" in note for note in run.notes] == [True]
 
 
 def test_runs_are_found_below_a_folder_each_once(tmp_path: Path) -> None:
@@ -163,8 +163,16 @@ def test_a_run_before_its_first_episode(tmp_path: Path) -> None:
 
 def test_a_configuration_of_another_version_is_compared_as_it_stands(tmp_path: Path) -> None:
     run = only(run_folder(tmp_path / "run", "a", env__altitude_of_the_moon=3))
-    assert "not one of this version" in run.notes[0]
-    assert run.settings["env.altitude_of_the_moon"] == 3 and run.settings["backward_reward.name"] == "none"
+    assert run.settings["env.altitude_of_the_moon"] == 3
+
+
+def test_a_run_is_called_by_its_choices_whatever_its_values_are(tmp_path: Path) -> None:
+    config = complete(compose("algo=ddpg", "lifeguard=mlp", "reward=traditional", "run_dir=here"))
+    folder = run_folder(tmp_path / "run", "a")
+    (folder / "config.yaml").write_text(OmegaConf.to_yaml(config))
+    run = only(folder)
+    assert run.learner == "ddpg_lg_mlp" and run.settings["reward"] == "traditional"
+    assert not [key for key in run.settings if key.endswith(("_target_", ".name")) or key.startswith("choices")]
 
 
 def test_evaluations_are_read_without_their_flights(tmp_path: Path) -> None:

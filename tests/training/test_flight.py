@@ -14,14 +14,14 @@ import torch
 from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
-from tests.training.flights import REWARD, SEED, STEPS, small_env, small_replay
-from uavrl.configs.valley import NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
+from tests.training.flights import PERCEPTION, REWARD, SEED, STEPS, small_env, small_replay
 from uavrl.errors import UavrlError
 from uavrl.training.baselines import StraightPolicy
 from uavrl.training.evaluation import fly
-from uavrl.training.factory import make_env, make_reward
+from uavrl.training.factory import make_env
 from uavrl.training.flight import load_replay, save_replay, thinned
-from uavrl.training.replay import record_flight, record_flights, reward_terms
+from uavrl.training.replay import record_flight, record_flights
+from uavrl.transforms import NavigationReward, TraditionalReward
 from uavrl.transforms.functional import truncated_icosahedron
 
 
@@ -99,7 +99,7 @@ def test_planes_fly_between_the_moments() -> None:
 
 def test_a_flight_is_that_of_the_evaluation() -> None:
     tasks = (0, 1, 2)
-    env = make_env(small_env(), PerceptionConfig(), seed=SEED, num_uavs=2, measure_clearance=True)
+    env = make_env(small_env(), PERCEPTION, seed=SEED, num_uavs=2, measure_clearance=True)
     try:
         evaluated = fly(env, StraightPolicy(3.5), len(tasks))
     finally:
@@ -129,14 +129,14 @@ def test_a_flight_tells_where_it_went() -> None:
 def test_a_flight_does_not_depend_on_those_before_it() -> None:
     source = small_replay().source
     alone = record_flights(
-        small_env(2), PerceptionConfig(), StraightPolicy(3.5), [5], seed=SEED, source=source, reward=REWARD,
+        small_env(2), PERCEPTION, StraightPolicy(3.5), [5], seed=SEED, source=source, reward=REWARD,
         max_points=100_000,
     )  # fmt: skip
     same(alone.flights[0], small_replay().flights[1])
 
 
 def test_without_a_reward_its_own_is_kept_and_points_are_thinned() -> None:
-    env = make_env(small_env(), PerceptionConfig(), seed=0, num_uavs=1, measure_clearance=True, keep_cloud=True)
+    env = make_env(small_env(), PERCEPTION, seed=0, num_uavs=1, measure_clearance=True, keep_cloud=True)
     try:
         flight = record_flight(env, StraightPolicy(3.5), 1, seed=SEED, max_points=50)
     finally:
@@ -147,23 +147,23 @@ def test_without_a_reward_its_own_is_kept_and_points_are_thinned() -> None:
 
 
 def test_more_than_one_vehicle_and_no_tasks_are_refused() -> None:
-    env = make_env(small_env(), PerceptionConfig(), num_uavs=2, measure_clearance=True, keep_cloud=True)
+    env = make_env(small_env(), PERCEPTION, num_uavs=2, measure_clearance=True, keep_cloud=True)
     with pytest.raises(ValueError, match="num_uavs=1"):
         record_flight(env, StraightPolicy(3.5), 0, seed=0)
     with pytest.raises(ValueError, match="at least one task"):
-        record_flights(small_env(), PerceptionConfig(), StraightPolicy(3.5), [], seed=0, source={})
+        record_flights(small_env(), PERCEPTION, StraightPolicy(3.5), [], seed=0, source={})
 
 
 @pytest.mark.parametrize(
-    "config",
+    "reward",
     [
-        NavigationRewardConfig(arrived_reward=200.0),
-        NavigationRewardConfig(weights=(3.0, 2.0, 1.0, 0.5), altitude_term="literal", collided_reward=-10.0),
-        TraditionalRewardConfig(),
+        NavigationReward(arrived_reward=200.0),
+        NavigationReward((3.0, 2.0, 1.0, 0.5), altitude_term="literal", collided_reward=-10.0),
+        TraditionalReward(),
     ],
     ids=["prize", "literal", "traditional"],
 )
-def test_the_terms_add_up_to_the_reward(config: Any) -> None:
+def test_the_terms_add_up_to_the_reward(reward: NavigationReward | TraditionalReward) -> None:
     generator = torch.Generator().manual_seed(0)
     shape, draw = (200, 1), lambda: torch.rand(200, 1, generator=generator)
     ended = draw()
@@ -179,9 +179,9 @@ def test_the_terms_add_up_to_the_reward(config: Any) -> None:
         shape[:1],
     )
     steps = TensorDict({"distance": 20 * draw(), "next": after}, shape[:1])
-    terms = reward_terms(config, steps, after)
+    terms = reward.terms(steps, after)
     assert all(term.shape == (200,) for term in terms.values())
-    expected = make_reward(config)(steps)["next", "reward"][:, 0]
+    expected = reward(steps)["next", "reward"][:, 0]
     torch.testing.assert_close(torch.stack(list(terms.values())).sum(0), expected)
 
 

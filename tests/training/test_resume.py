@@ -23,7 +23,6 @@ from tests.cli.test_bad_input import in_process
 from tests.composing import with_run_dir
 from uavrl.buffers import GatheringStorage
 from uavrl.cli import train as train_command
-from uavrl.configs import to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.pretraining.recording import StateRecorder, read_recording
 from uavrl.training.checkpoint import rotation
@@ -48,21 +47,21 @@ LIFEGUARD = [  # heard after a few collisions, which a wide hull among many obst
     "env.airframe.collision_radius=1.45",
     "env.world.obstacles=90",
     "env.max_steps=30",
-    "algo.lifeguard.min_collisions=3",
-    "algo.lifeguard.min_evaluations=1",
-    "algo.lifeguard.min_true_negative_rate=0",
-    "algo.lifeguard.batch_size=8",
+    "lifeguard.min_collisions=3",
+    "lifeguard.min_evaluations=1",
+    "lifeguard.min_true_negative_rate=0",
+    "lifeguard.batch_size=8",
 ]
 FORK_AND_LIFEGUARD = [
-    "algo=td3_fork_lg",
-    "algo.fork.threshold=10",
-    "algo.fork.system_hidden=[16]",
-    "algo.fork.reward_hidden=[16]",
-    "algo.lifeguard.model=mlp",
+    "fork=on",
+    "fork.threshold=10",
+    "fork.system_network.hidden=[16]",
+    "fork.reward_network.hidden=[16]",
+    "lifeguard=mlp",
     *LIFEGUARD,
 ]
 
-SAC = ["algo=sac_lg", *LIFEGUARD]
+SAC = ["algo=sac", "lifeguard=linear", *LIFEGUARD]
 ABR = [  # some goals are so near that random flights arrive; one class for nearly all states
     "backward_reward=abr",
     "backward_reward.threshold=0.1",
@@ -175,13 +174,6 @@ def test_a_run_can_be_asked_for_its_states_later_and_the_recording_survives_a_sp
         assert len(read_recording(tmp_path / "run/states").outcomes) == (5 if episodes == 10 else 3)
 
 
-def test_a_run_older_than_the_backward_reward_goes_on(tmp_path: Path) -> None:
-    create_run(small_config(tmp_path / "run"))
-    saved = OmegaConf.load(tmp_path / "run/config.yaml")
-    del saved["backward_reward"]
-    assert to_dataclass(saved).backward_reward.name == "none"
-
-
 @pytest.mark.parametrize("frames", [1, 4])
 def test_abr_plus_refuses_states_that_its_artifact_does_not_know(tmp_path: Path, frames: int) -> None:
     config = small_config(tmp_path / "run", "backward_reward=abr_plus", f"perception.frames={frames}")
@@ -264,7 +256,7 @@ def test_states_kept_frame_by_frame_teach_the_same_and_older_checkpoints_go_on(
         config = small_config(tmp_path / name, "trainer.episodes=10", *small)
         with monkeypatch.context() as patch:
             if name == "whole":
-                patch.setattr("uavrl.training.factory.FrameStorage", WholeStates)
+                patch.setattr("uavrl.buffers.replay.FrameStorage", WholeStates)
             train(config, create_run(config))
     for episodes in (10, 14):
         if episodes == 14:

@@ -14,10 +14,9 @@ from torchrl.data import Bounded
 from tests.losses.test_fork import fork
 from tests.losses.test_lifeguard import episodes, lifeguard, sampler
 from tests.losses.test_sac import critics, stochastic_actor
-from uavrl.configs.buffer import PrioritizedBufferConfig
+from uavrl.buffers import PrioritizedBuffer
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic
-from uavrl.training.factory import make_buffer
 from uavrl.training.gradients import Execution, LossGradients
 from uavrl.training.stepper import ActorCriticStepper
 
@@ -198,7 +197,7 @@ def test_importance_weights_of_a_prioritised_buffer_count(name: str, execution: 
     loss = make_loss(name)
     stepper = ActorCriticStepper(loss, execution=execution, policy_delay=1)
     stepper.step(None, batch())
-    buffer = make_buffer(PrioritizedBufferConfig(capacity=32), torch.device("cpu"))
+    buffer = PrioritizedBuffer(32)
     buffer.extend(batch())
     drawn = buffer.sample(10)
     drawn["td_error"] = torch.linspace(0.1, 9.0, 10)

@@ -27,14 +27,16 @@ WALKER = [
     "trainer.execution=captured",
 ]
 ENHANCED = [
-    "algo=td3_lg_walker",
-    "algo.lifeguard.min_collisions=1",
-    "algo.lifeguard.min_evaluations=0",
-    "algo.lifeguard.min_true_negative_rate=0",
-    "algo.lifeguard.batch_size=8",
-    "+enhancer@algo.fork=fork_walker",
-    "algo.fork.threshold=10",
-    "algo.fork.system_hidden=[16]",
+    "lifeguard=linear",
+    "buffer=failure_biased",
+    "algo.actor_lr=1e-3",
+    "lifeguard.min_collisions=1",
+    "lifeguard.min_evaluations=0",
+    "lifeguard.min_true_negative_rate=0",
+    "lifeguard.batch_size=8",
+    "fork=walker",
+    "fork.threshold=10",
+    "fork.system_network.hidden=[16]",
 ]
 
 

@@ -129,3 +129,12 @@ def test_the_reward_goes_where_it_is_wanted(transform: type, key: NestedKey) -> 
     assert key in env.reward_keys
     flown = env.rollout(3)
     assert torch.equal(flown["next"].get(key), transform()(flown.clone())["next", "reward"])
+
+
+def test_time_costs_but_where_a_flight_collides() -> None:
+    flags = {"arrived": torch.tensor([[False], [True], [False]]), "collided": torch.tensor([[False], [False], [True]])}
+    after = TensorDict({"distance": torch.tensor([[4.0], [0.5], [3.0]]), **flags}, [3])
+    steps = TensorDict({"distance": torch.tensor([[5.0], [1.0], [3.5]]), "next": after}, [3])
+    reward = TraditionalReward(time_cost=0.25)
+    assert reward(steps)["next", "reward"].squeeze(-1).tolist() == [0.75, 49.75, -50.0]
+    assert reward.terms(steps, after)["time"].tolist() == [-0.25, -0.25, 0.0]

@@ -3,19 +3,26 @@
 It needs torch, tensordict, torchrl and sortedcontainers.
 """
 
+from uavrl.buffers.abr import ABR, ABRPlus
 from uavrl.buffers.admission import FailureBias, is_admitted
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
 from uavrl.buffers.functional import backward_reward
 from uavrl.buffers.history import TrajectoryHistory
 from uavrl.buffers.multi_step import MultiStep, multi_step_returns
+from uavrl.buffers.replay import EpisodeBuffer, FailureBiasedBuffer, PrioritizedBuffer
 from uavrl.buffers.storage import FrameStorage, GatheringStorage
 
 __all__ = [
+    "ABR",
+    "ABRPlus",
     "BackwardReward",
+    "EpisodeBuffer",
     "FailureBias",
+    "FailureBiasedBuffer",
     "FrameStorage",
     "GatheringStorage",
     "MultiStep",
+    "PrioritizedBuffer",
     "StateClassifier",
     "TrajectoryHistory",
     "backward_reward",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from functools import wraps
 
@@ -14,17 +13,18 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import configure_logging, one_sentence
-from uavrl.configs import conf_dir, register_schemas
-from uavrl.configs.choices import check_choices, did_you_mean, is_schema, known_keys
+from uavrl.configs import conf_dir, register_resolvers
+from uavrl.configs.checks import did_you_mean
+from uavrl.configs.choices import check_choices, choices_with, known_keys
+from uavrl.configs.registry import with_choices
 from uavrl.errors import UavrlError
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
-ENHANCERS = ("fork", "lifeguard")  # parts of an algorithm that may be off
 
 
 def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Makes a console command of a function that takes the configuration ``conf/NAME.yaml``, as overridden."""
-    register_schemas()
+    register_resolvers()
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], None]:
         @wraps(function)
@@ -32,8 +32,9 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
             mistakes.composed = True
             configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
             with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
-                check_choices(HydraConfig.get().runtime.choices)
-                function(config)
+                choices = HydraConfig.get().runtime.choices
+                check_choices(choices)
+                function(with_choices(config, choices) if "env" in config else config)
 
         mistakes = _Mistakes(name)
         by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(checked)
@@ -87,34 +88,19 @@ def explained(error: Exception, name: str) -> str:
         return f"The override {error.override!r} cannot be read: write KEY=VALUE, and quotes around special characters."
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
-        choices = [option for option in error.options if not is_schema(option)]
+        choices = error.options
         return f"{group} must be one of {', '.join(choices)}, got {choice!r}{did_you_mean(choice, choices, ': ')}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         key = first.split("'")[-2].split("@")[0]
         known, group = known_keys(name), key.partition(".")[0]
         if key in known:
-            return f"{key} belongs to another choice of {group} than the one made: choose that first, or leave it out."
+            having = f"{group}={' or '.join(choices_with(key))}"
+            return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."
         return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help lists all keys.")
-    if isinstance(error, AssertionError):  # a key below null
-        return _off(sys.argv[1:])
+    if isinstance(error, AssertionError):
+        return "An override changes something below a key that has nothing below it: --help lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
-
-
-def _off(overrides: list[str]) -> str:
-    """What to do about an override below a part that is off.
-
-    Examples:
-        >>> _off(["algo.fork.threshold=1"])
-        'algo.fork is off: switch it on by +enhancer@algo.fork=fork, or leave its keys out.'
-        >>> _off(["+mine=null", "mine.key=1"])
-        'An override changes a part that is off: leave it out; --help lists all keys.'
-    """
-    parts = [part for part in ENHANCERS if any(o.lstrip("+").startswith(f"algo.{part}.") for o in overrides)]
-    if not parts:
-        return "An override changes a part that is off: leave it out; --help lists all keys."
-    off, on = (" or ".join(form.format(part) for part in parts) for form in ("algo.{0}", "+enhancer@algo.{0}={0}"))
-    return f"{off} is off: switch it on by {on}, or leave its keys out."
 
 
 def given_overrides() -> list[str]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig
 
@@ -21,19 +22,15 @@ from uavrl.cli.policies import (
     writable,
 )
 from uavrl.cli.suite import evaluate_suite
-from uavrl.configs import EvaluateConfig, to_dataclass
-from uavrl.configs.walker import BipedalConfig
+from uavrl.configs import EvaluateConfig, checked, to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
-
-if TYPE_CHECKING:
-    from uavrl.configs import TrainConfig
 
 
 @command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
-    settings: EvaluateConfig = to_dataclass(config)
+    settings = checked(config, EvaluateConfig)
     if settings.suite is None:
         _evaluate(settings, config, given_overrides())
     else:
@@ -45,73 +42,71 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
+    from uavrl.envs.navigation import NavigationEnv
     from uavrl.training.arithmetic import multiplied_by
-    from uavrl.training.factory import make_device
+    from uavrl.training.factory import make_device, make_env
 
     torch.set_num_threads(settings.threads)
     device = make_device(settings.device)
-    env_config, perception = settings.env, settings.perception
+    env_config, perception, choices = settings.env, settings.perception, settings.choices
     if folder is not None:
-        run_config, policy, source = load_policy(folder, settings.checkpoint, device)
+        run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
         source["run"] = settings.run or f"policy={settings.policy}"
-        changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
-        env_config, perception = changed.env, changed.perception
+        changed = to_dataclass(with_overrides(run_config, config, overrides))
+        env_config, perception, choices = changed.env, changed.perception, changed.choices
     else:
-        _only_in_the_valley(env_config, "policy")
+        _only_in_the_valley(env_config, choices, "policy")
         policy, source = baseline(str(settings.policy), env_config.world.flight_level), {"policy": settings.policy}
     output = _output(settings, overrides)
     if settings.valleys is not None:
-        _only_in_the_valley(env_config, "valleys")
-        env_config = replace(env_config, world=replace(env_config.world, seeds=settings.valleys))
-    told = {"seed": settings.seed, "env": env_config.name, "overrides": _telling(overrides)}
-    if not isinstance(env_config, BipedalConfig):
+        _only_in_the_valley(env_config, choices, "valleys")
+        env_config.world.seeds = list(settings.valleys)
+    told = {"seed": settings.seed, "env": choices.get("env", ""), "overrides": _telling(overrides)}
+    count = min(settings.num_uavs, settings.episodes)
+    if "world" in env_config:
         told["valleys"] = list(env_config.world.seeds)
         told["planes"] = env_config.world.planes
-        told["num_uavs"] = min(settings.num_uavs, settings.episodes)  # planes move with the steps of all
-    fly = _walk if isinstance(env_config, BipedalConfig) else _fly
+        told["num_uavs"] = count  # planes move with the steps of all
     with multiplied_by(settings.products, settings.threads) as told["products"]:
-        result, text = fly(settings, env_config, perception, policy, {**told, **source})
+        env = make_env(
+            env_config,
+            perception,
+            packages=settings.packages,
+            seed=settings.seed,
+            num_uavs=count,
+            measure_clearance=True,
+        )
+        try:
+            fly = _fly if isinstance(env.base_env, NavigationEnv) else _walk
+            result, text = fly(settings, env, policy, {**told, **source})
+        finally:
+            env.close()
     with replacing(output) as partial:
         partial.write_text(json.dumps(result, indent=1) + "\n")
     print(text)
     print(f"Written to {output}")
 
 
-def _only_in_the_valley(env: Any, key: str) -> None:
-    if isinstance(env, BipedalConfig):
-        raise UavrlError(f"{key} is for the valley, and the environment is {env.name}: leave {key} out.")
+def _only_in_the_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:
+    if "world" not in env:
+        raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
 
 
-def _fly(
-    settings: EvaluateConfig, env_config: Any, perception: Any, policy: Any, told: dict[str, Any]
-) -> tuple[dict[str, Any], str]:
+def _fly(settings: EvaluateConfig, env: Any, policy: Any, told: dict[str, Any]) -> tuple[dict[str, Any], str]:
     """What goes into the file, and onto the screen."""
     from uavrl.training.evaluation import fly, summarize_flights, table
-    from uavrl.training.factory import make_env
     from uavrl.training.whereabouts import Whereabouts
 
-    count = min(settings.num_uavs, settings.episodes)
-    env = make_env(env_config, perception, seed=settings.seed, num_uavs=count, measure_clearance=True)
-    try:
-        places = Whereabouts(env.base_env.world)
-        flights = fly(env, policy, settings.episodes, watch=places.add, progress=settings.progress)
-    finally:
-        env.close()
+    places = Whereabouts(env.base_env.world)
+    flights = fly(env, policy, settings.episodes, watch=places.add, progress=settings.progress)
     result = {**summarize_flights(flights), "whereabouts": places.summary()}
     return {**result, **told, "flights": [asdict(flight) for flight in flights]}, table(result)
 
 
-def _walk(
-    settings: EvaluateConfig, env_config: Any, perception: Any, policy: Any, told: dict[str, Any]
-) -> tuple[dict[str, Any], str]:
-    from uavrl.training.factory import make_env
+def _walk(settings: EvaluateConfig, env: Any, policy: Any, told: dict[str, Any]) -> tuple[dict[str, Any], str]:
     from uavrl.training.walks import summarize_walks, walk, walk_table
 
-    env = make_env(env_config, perception, seed=settings.seed)
-    try:
-        walks = walk(env, policy, settings.episodes, progress=settings.progress)
-    finally:
-        env.close()
+    walks = walk(env, policy, settings.episodes, progress=settings.progress)
     result = summarize_walks(walks)
     return {**result, **told, "flights": [asdict(each) for each in walks]}, walk_table(result)
 

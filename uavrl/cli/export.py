@@ -19,6 +19,9 @@ def main() -> None:
     parser.add_argument("run", type=Path, metavar="RUN_FOLDER", help="a run that uavrl-train made")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="where the policy goes")
     parser.add_argument("--checkpoint", default=None, metavar="FILE", help="a checkpoint (default: the run's newest)")
+    parser.add_argument(
+        "--packages", nargs="*", default=[], metavar="PACKAGE", help="packages whose classes the run may name"
+    )
     with one_sentence():
         _export(parser.parse_args())
 
@@ -30,7 +33,7 @@ def _export(args: argparse.Namespace) -> None:
 
     if is_exported(args.run):
         raise UavrlError(f"{args.run} holds a policy on its own already: copy the folder.")
-    config, actor, about = load_actor(args.run, args.checkpoint, "cpu")
+    config, actor, about = load_actor(args.run, args.checkpoint, "cpu", args.packages)
     export_policy(actor, config, {**about, "run": args.run.resolve().name}, args.output)
     print(f"Written to {args.output}")
     print(f"Evaluate with: uavrl-evaluate run={args.output}")

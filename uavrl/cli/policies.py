@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
 
 # Keys of an evaluation that do not tell which tasks were flown by what.
-UNTOLD = ("run", "episodes", "output", "device", "threads", "products", "progress")
+UNTOLD = ("run", "packages", "episodes", "output", "device", "threads", "products", "progress")
 
 
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
@@ -30,9 +30,11 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     and ``perception.blind_to=value`` change one value. The rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
+    result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
     keys = [override.split("=", 1)[0] for override in overrides]
     if "env" in keys:
         result.env = composed.env
+        result.choices.env = composed.choices.env
     for key in keys:
         if key.startswith(("env.", "perception.lidar.")) or key in ("perception.blind", "perception.blind_to"):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
@@ -99,8 +101,16 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
     return PACKAGED / str(policy) if policy in packaged_policies() else None
 
 
-def load_policy(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfig, Any, dict[str, Any]]:
+def load_policy(
+    run_dir: Path, checkpoint: str | None, device: Any, packages: Sequence[str] = ()
+) -> tuple[DictConfig, Any, dict[str, Any]]:
     """The policy of a run or of a folder that ``uavrl-export`` wrote, ready to fly.
+
+    Args:
+        run_dir: the folder.
+        checkpoint: a checkpoint's file, or None.
+        device: where it computes.
+        packages: packages whose classes the run may name, as the one says who runs this.
 
     Returns:
         The run's configuration, the policy, and what a result says about them.
@@ -108,7 +118,7 @@ def load_policy(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[Dic
     Raises:
         UavrlError: when the run or the checkpoint is missing or damaged.
     """
-    config, actor, about = load_actor(run_dir, checkpoint, device)
+    config, actor, about = load_actor(run_dir, checkpoint, device, packages)
 
     def policy(tensordict: Any) -> Any:
         acted = actor(tensordict.select("observation").to(device))
@@ -118,7 +128,9 @@ def load_policy(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[Dic
     return config, policy, {"run": str(run_dir), **{key: about[key] for key in told if key in about}}
 
 
-def load_actor(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[DictConfig, Any, dict[str, Any]]:
+def load_actor(
+    run_dir: Path, checkpoint: str | None, device: Any, packages: Sequence[str] = ()
+) -> tuple[DictConfig, Any, dict[str, Any]]:
     """The policy's module, from the checkpoint named, else from a policy on its own, else from the newest checkpoint.
 
     Returns:
@@ -131,12 +143,16 @@ def load_actor(run_dir: Path, checkpoint: str | None, device: Any) -> tuple[Dict
 
     from uavrl.training.checkpoint import check_checkpoint, read_config, restore
     from uavrl.training.exported import is_exported, load_exported
+    from uavrl.training.factory import make_env
     from uavrl.training.learner import make_actor
-    from uavrl.training.spaces import make_spaces
+    from uavrl.training.spaces import spaces_of
 
     config = read_config(run_dir)
-    train_config: TrainConfig = to_dataclass(config)
-    actor = make_actor(train_config.algo, make_spaces(train_config.env, train_config.perception), device)
+    config.packages = list(packages)
+    settings: TrainConfig = to_dataclass(config)
+    env = make_env(settings.env, settings.perception, packages=settings.packages, num_uavs=1)
+    actor = make_actor(settings, spaces_of(env), device)
+    env.close()
     if checkpoint is None and is_exported(run_dir):
         return config, actor, load_exported(run_dir, actor)
     path = checkpoint_path(run_dir, checkpoint)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
-from uavrl.configs import to_dataclass
-
-if TYPE_CHECKING:
-    from uavrl.configs.pretrain import PretrainConfig
+from uavrl.configs import checked
+from uavrl.configs.pretrain import PretrainConfig
 
 
 @command("pretrain")
@@ -20,7 +16,7 @@ def main(config: DictConfig) -> None:
 
 
 def _pretrain(config: DictConfig) -> None:
-    settings: PretrainConfig = to_dataclass(config)
+    settings = checked(config, PretrainConfig)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
     from uavrl.training.arithmetic import multiplied_by

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,13 +20,11 @@ from uavrl.cli.policies import (
     with_overrides,
     writable,
 )
-from uavrl.configs import to_dataclass
-from uavrl.configs.walker import BipedalConfig
+from uavrl.configs import checked, to_dataclass
+from uavrl.configs.replay import ReplayConfig
 from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
-    from uavrl.configs import TrainConfig
-    from uavrl.configs.replay import ReplayConfig
     from uavrl.training.flight import Replay
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".webm", ".avi", ".mov")
@@ -40,7 +37,7 @@ def main(config: DictConfig) -> None:
 
 
 def _replay(config: DictConfig, overrides: list[str]) -> None:
-    settings: ReplayConfig = to_dataclass(config)
+    settings = checked(config, ReplayConfig)
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
         raise UavrlError("Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz, and no two of them.")
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
@@ -99,15 +96,16 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     device = make_device(settings.device)
     env, perception, reward, risk = settings.env, settings.perception, settings.reward, None
     source: dict[str, Any]
+    choices, packages = settings.choices, settings.packages
     folder = policy_folder(settings.run, settings.policy)
     if folder is not None:
-        run_config, policy, source = load_policy(folder, settings.checkpoint, device)
-        changed: TrainConfig = to_dataclass(with_overrides(run_config, config, overrides))
-        env, perception, reward = changed.env, changed.perception, changed.reward
-        if isinstance(env, BipedalConfig):
+        run_config, policy, source = load_policy(folder, settings.checkpoint, device, packages)
+        changed = to_dataclass(with_overrides(run_config, config, overrides))
+        env, perception, reward, choices = changed.env, changed.perception, changed.reward, changed.choices
+        if "world" not in env:
             raise UavrlError(
-                f"uavrl-replay shows flights in the valley, and {folder} is a run of {env.name}: see how it does with "
-                f"uavrl-evaluate run={folder}."
+                f"uavrl-replay shows flights in the valley, and {folder} is a run of {choices.get('env')}: see how it "
+                f"does with uavrl-evaluate run={folder}."
             )
         if settings.checkpoint is not None or not is_exported(folder):  # LifeGuard is not exported
             risk = load_risk(changed, checkpoint_path(folder, settings.checkpoint), device)
@@ -115,7 +113,7 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     else:
         policy, source = baseline(str(settings.policy), env.world.flight_level), {"policy": settings.policy}
     if settings.valleys is not None:
-        env = replace(env, world=replace(env.world, seeds=settings.valleys))
+        env.world.seeds = list(settings.valleys)
     return partial(
         record_flights,
         env,
@@ -123,8 +121,9 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
         policy,
         settings.task_numbers,
         seed=settings.seed,
-        source={**source, "env": env.name, "seed": settings.seed},
+        source={**source, "env": choices.get("env", ""), "seed": settings.seed},
         reward=reward,
+        packages=packages,
         risk=risk,
         max_points=settings.points,
         progress=settings.progress,

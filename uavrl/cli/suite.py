@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from uavrl.cli.command import FULL_ERROR
 from uavrl.cli.policies import UNTOLD, checkpoint_path, name_of_output, policy_folder, told_apart, writable
 from uavrl.configs import EvaluateConfig, conf_dir
-from uavrl.configs.choices import did_you_mean
+from uavrl.configs.checks import did_you_mean
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
 
@@ -59,7 +59,7 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
         if override.split("=")[0] in ("valleys", "env") or override.startswith("env."):
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
     folder = _folder(settings, kept)
-    chosen = scenarios(settings.suite)
+    chosen = scenarios(settings.suite or "all")
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         flown = [pool.submit(_scenario, settings, folder / f"{name}.json", kept, chosen[name]) for name in chosen]
         try:

@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.cli.errors import one_sentence, sentence
-from uavrl.configs import to_dataclass
+from uavrl.configs import complete, to_dataclass
 from uavrl.configs.memory import require_memory
 from uavrl.errors import Stopped, UavrlError
 from uavrl.files import removed_on_failure
@@ -44,6 +44,7 @@ def main(config: DictConfig) -> None:
 
 def _train(config: DictConfig) -> None:
     _check(config)
+    config = complete(config)
     from uavrl.training.run import create_run, resume_config
 
     if config.resume is None:
@@ -81,7 +82,7 @@ def _check(config: DictConfig) -> None:
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.training.loggers import require_login
 
-    require_login(settings.logger)
+    require_login(settings.logger, settings.packages)
 
 
 def _train_in_sweep(config: DictConfig) -> None:
@@ -97,6 +98,7 @@ def _train_in_sweep(config: DictConfig) -> None:
     from uavrl.training.sweep import take_place
 
     place = take_place(config)
+    config = complete(config)
     if place == "finished":
         print(f"Finished before: {config.run_dir}")
         return

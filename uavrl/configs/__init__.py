@@ -1,7 +1,18 @@
-"""Typed configuration dataclasses and their registration with Hydra."""
+"""Checked settings, and what makes objects of them."""
 
+from uavrl.configs.checked import checked, complete, to_dataclass
 from uavrl.configs.evaluate import EvaluateConfig
-from uavrl.configs.registry import conf_dir, learner, register_schemas, to_dataclass
+from uavrl.configs.registry import compose, conf_dir, learner, register_resolvers
 from uavrl.configs.train import TrainConfig
 
-__all__ = ["EvaluateConfig", "TrainConfig", "conf_dir", "learner", "register_schemas", "to_dataclass"]
+__all__ = [
+    "EvaluateConfig",
+    "TrainConfig",
+    "checked",
+    "complete",
+    "compose",
+    "conf_dir",
+    "learner",
+    "register_resolvers",
+    "to_dataclass",
+]

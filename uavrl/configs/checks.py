@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Iterable
 from typing import Any
 
 from uavrl.errors import UavrlError
@@ -16,16 +17,13 @@ def require(condition: bool, key: str, expected: str, value: Any) -> None:
         )
 
 
-def require_one_of(value: str, key: str, choices: Sequence[str]) -> None:
-    """Raises one clear sentence unless ``value`` is one of ``choices``."""
-    require(value in choices, key, f"one of {', '.join(choices)}", value)
+def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: str = "") -> str:
+    """A question about the nearest known name, or what is said where none is near.
 
-
-def require_products(value: str, key: str = "products") -> None:
-    """Raises one clear sentence unless ``value`` names what multiplies matrices."""
-    require_one_of(value, key, ("mkl", "onednn", "bf16", "auto"))
-
-
-def require_widths(widths: Sequence[int], key: str) -> None:
-    """Raises one clear sentence unless ``widths`` are those of hidden layers."""
-    require(len(widths) > 0 and min(widths) >= 1, key, "one or more widths above 0", list(widths))
+    Examples:
+        >>> did_you_mean("td4", ["td3", "sac"])
+        'did you mean td3?'
+    """
+    near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)
+    text = f"did you mean {near[0]}?" if near else otherwise
+    return before + text if text else "."

@@ -2,60 +2,62 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 from omegaconf import OmegaConf
 
 from uavrl.configs.registry import conf_dir
 from uavrl.errors import UavrlError
 
-SCHEMA = "_schema"  # ends the names of the dataclasses that the yaml files rest on
-
-
-def is_schema(choice: str) -> bool:
-    """Whether a choice is a dataclass that a yaml file rests on, and not for users."""
-    return choice.endswith(SCHEMA)
-
-
-def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: str = "") -> str:
-    """A question about the nearest known name, or what is said where none is near.
-
-    Examples:
-        >>> did_you_mean("td4", ["td3", "sac"])
-        'did you mean td3?'
-    """
-    near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)
-    text = f"did you mean {near[0]}?" if near else otherwise
-    return before + text if text else "."
+ROWS = ("scheme", "learner")  # groups whose choices stand for choices of other groups
 
 
 def known_keys(name: str) -> list[str]:
     """All keys and groups of ``conf/NAME.yaml`` with every choice of its groups, dotted."""
     folder = conf_dir()
-    config: Any = OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml"))
+    config = cast(dict[str, Any], OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml")))
     keys = _dotted(config)
     groups = {str(group) for entry in config["defaults"] if isinstance(entry, dict) for group in entry}
     for path in folder.glob("*/*.yaml"):
         group = path.parent.name
-        if group == "enhancer" and "algo" in groups:
-            group = "algo." + path.stem.split("_")[0]
-        elif group not in groups:
+        if group not in groups:
             continue
-        keys |= {group, *(f"{group}.{key}" for key in _dotted(OmegaConf.to_container(OmegaConf.load(path))))}
+        below = OmegaConf.to_container(OmegaConf.load(path))
+        below = (
+            below.get(group, below) if isinstance(below, dict) else below
+        )  # what is at home at the root names its group
+        keys |= {group, *(f"{group}.{key}" for key in _dotted(below))}
     return sorted(keys)
+
+
+def choices_with(key: str) -> list[str]:
+    """The choices of a group whose yaml has a dotted key of it.
+
+    Examples:
+        >>> choices_with("lifeguard.capacity")
+        ['linear', 'mlp']
+    """
+    group, _, below = key.partition(".")
+    folder = conf_dir() / group
+
+    def has(stem: str) -> bool:
+        content = cast(dict[str, Any], OmegaConf.to_container(OmegaConf.load(folder / f"{stem}.yaml")))
+        bases = [base for base in content.get("defaults", []) if isinstance(base, str) and base != "_self_"]
+        return below in _dotted(content) or any(map(has, bases))
+
+    return sorted(path.stem for path in folder.glob("*.yaml") if has(path.stem))
 
 
 def _dotted(node: object) -> set[str]:
     if not isinstance(node, dict):
         return set()
-    keys = {str(key) for key in node if key not in ("defaults", "hydra")}
+    keys = {str(key) for key in node if key not in ("defaults", "hydra", "_target_")}
     return keys | {f"{key}.{below}" for key in keys for below in _dotted(node[key])}
 
 
 def check_choices(choices: Mapping[str, str | None]) -> None:
-    """Refuses choices that are not for users, and those that a scheme contradicts.
+    """Refuses choices that a scheme or a learner contradicts.
 
     Args:
         choices: what every group's choice is, by the group.
@@ -66,18 +68,13 @@ def check_choices(choices: Mapping[str, str | None]) -> None:
     Examples:
         >>> check_choices({"scheme": "tr", "reward": "traditional", "backward_reward": "none"})
     """
-    for group, choice in choices.items():
-        if is_schema(str(choice)):
-            raise UavrlError(
-                f"{group}={choice} is not a choice of its own: give {group}={str(choice)[: -len(SCHEMA)]}."
-            )
-    if (scheme := choices.get("scheme")) is None:
-        return
-    for entry in OmegaConf.load(conf_dir() / "scheme" / f"{scheme}.yaml").defaults:
-        for override, chosen in entry.items():
-            group = str(override).removeprefix("override /")
-            if choices.get(group) != chosen:
-                raise UavrlError(
-                    f"scheme={scheme} stands for {group}={chosen}, and {group}={choices.get(group)} was chosen: leave "
-                    f"one of the two out."
-                )
+    for row in ROWS:
+        path = conf_dir() / row / f"{choices.get(row)}.yaml"
+        for entry in OmegaConf.load(path).defaults if path.is_file() else []:
+            for override, chosen in entry.items() if not isinstance(entry, str) else []:
+                group = str(override).removeprefix("override /")
+                if choices.get(group) != chosen:
+                    raise UavrlError(
+                        f"{row}={choices[row]} stands for {group}={chosen}, and {group}={choices.get(group)} was "
+                        f"chosen: leave one of the two out."
+                    )

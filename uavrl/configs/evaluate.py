@@ -1,40 +1,39 @@
-"""Typed configuration of an evaluation. Meanings and units stand in the yaml."""
+"""Settings of an evaluation. Meanings and units stand in the yaml."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated
 
-from uavrl.configs.checks import require, require_products
+from omegaconf import DictConfig
+
+from uavrl.configs.train import Products
+from uavrl.ranges import Count, Range, Seed
+
+Valleys = Annotated[
+    tuple[int, ...], Range("null or a list of seeds from 0", lambda seeds: len(seeds) > 0 and min(seeds) >= 0)
+]
 
 
 @dataclass
 class EvaluateConfig:
     """conf/evaluate.yaml: one evaluation."""
 
+    env: DictConfig
+    perception: DictConfig
+    reward: DictConfig
+    choices: dict[str, str] = field(default_factory=dict)
+    packages: tuple[str, ...] = ()
     run: str | None = None
     policy: str | None = None
-    env: Any = None
-    perception: Any = None
-    episodes: int = 500
-    seed: int = 20_000
-    valleys: tuple[int, ...] | None = None
-    suite: Any = None  # a name, or a list of names
+    episodes: Count = 500
+    seed: Seed = 20_000
+    valleys: Valleys | None = None
+    suite: str | tuple[str, ...] | None = None
     checkpoint: str | None = None
     output: str | None = None
-    num_uavs: int = 8
+    num_uavs: Count = 8
     device: str = "cpu"
-    threads: int = 1
-    products: str = "mkl"
+    threads: Count = 1
+    products: Products = "mkl"
     progress: bool = True
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        for key in ("episodes", "num_uavs", "threads"):
-            require(getattr(self, key) >= 1, key, "at least 1", getattr(self, key))
-        seeds = self.valleys
-        require(
-            seeds is None or (len(seeds) > 0 and min(seeds) >= 0), "valleys", "null or a list of seeds from 0", seeds
-        )
-        require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
-        require_products(self.products)

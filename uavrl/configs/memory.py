@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from uavrl.configs.algo import SACConfig, TD3Config
-from uavrl.configs.buffer import ABRConfig, PrioritizedBufferConfig
 from uavrl.configs.train import TrainConfig
-from uavrl.configs.valley import EnvConfig
 from uavrl.errors import UavrlError
 
 NUMBER = 4  # bytes of a float32
@@ -23,40 +20,38 @@ GIGABYTE = 1e9
 
 
 def bytes_needed(settings: TrainConfig) -> dict[str, float]:
-    """An estimate of what a training takes, by the key that decides most of it.
+    """An estimate of what a training takes, by the key that decides most of it: of two critics, in a valley.
 
     Examples:
-        >>> from uavrl.configs.algo import TD3Config
-        >>> from uavrl.configs.buffer import NoBackwardRewardConfig, UniformBufferConfig
-        >>> from uavrl.configs.valley import PerceptionConfig, TraditionalRewardConfig
-        >>> config = TrainConfig(EnvConfig(), PerceptionConfig(), TraditionalRewardConfig(), TD3Config(),
-        ...     UniformBufferConfig(), NoBackwardRewardConfig())
-        >>> {key: round(value / 1e6) for key, value in bytes_needed(config).items() if value > 1e6}
+        >>> from uavrl.configs import compose, to_dataclass
+        >>> settings = to_dataclass(compose("run_dir=here"))
+        >>> {key: round(value / 1e6) for key, value in bytes_needed(settings).items() if value > 1e6}
         {'env.num_uavs': 28, 'buffer.capacity': 191, 'algo.hidden': 15, 'algo.batch_size': 4}
     """
-    algo, buffer, uavs = settings.algo, settings.buffer, getattr(settings.env, "num_uavs", 1)
-    valley = isinstance(settings.env, EnvConfig)
-    frame, frames = (35, settings.perception.frames) if valley else (24, 1)
-    state, actions = frame * frames, 4
-    critics = 2 if isinstance(algo, (TD3Config, SACConfig)) else 1
-    widths = [("algo.hidden", algo.hidden, 1 + critics)]
-    if algo.fork is not None:
-        widths += [("algo.fork.system_hidden", algo.fork.system_hidden, 1)]
-        widths += [("algo.fork.reward_hidden", algo.fork.reward_hidden, 1)]
-    hidden_values = 4 * sum(sum(hidden) for _, hidden, _ in widths)  # of one transition, with their gradients
-    kept = frame * 17 / 16 if algo.n_steps == 1 else 2 * state * 9 / 8  # both states whole: they share no frames
+    uavs, frames = settings.env.get("num_uavs", 1), settings.perception.get("frames", 1)
+    frame, actions = 35, 4
+    state, batch, capacity = frame * frames, settings.algo.batch_size, settings.buffer.get("capacity", 0)
+    widths = {"algo.hidden": (settings.algo.hidden, 3)}
+    for name, part in settings.fork.items():
+        if isinstance(part, Mapping) and "hidden" in part:
+            widths[f"fork.{name!s}.hidden"] = (part["hidden"], 1)
+    hidden_values = 4 * sum(sum(hidden) for hidden, _ in widths.values())  # of one transition, with their gradients
+    kept = frame * 17 / 16 if settings.algo.n_steps == 1 else 2 * state * 9 / 8  # both states whole: they share none
     transition = kept * NUMBER + 42
     parts = {
-        "env.num_uavs": uavs * settings.collector.processes * VEHICLE * valley,
-        "buffer.capacity": buffer.capacity * (transition + 32 * isinstance(buffer, PrioritizedBufferConfig)),
+        "env.num_uavs": uavs * settings.collector.get("processes", 1) * VEHICLE,
+        "buffer.capacity": capacity * (transition + 32 * ("alpha" in settings.buffer)),
         "collector.steps_per_batch": 3 * settings.collector.steps_per_batch * uavs * 2 * state * NUMBER,
-        **{key: COPIES * NUMBER * nets * _weights([2 * state + actions, *w, 1]) for key, w, nets in widths},
-        "algo.batch_size": algo.batch_size * NUMBER * (BATCHES * (2 * state + 10) + hidden_values),
+        **{
+            key: COPIES * NUMBER * nets * _weights([2 * state + actions, *hidden, 1])
+            for key, (hidden, nets) in widths.items()
+        },
+        "algo.batch_size": batch * NUMBER * (BATCHES * (2 * state + 10) + hidden_values),
     }
-    if algo.lifeguard is not None:
-        parts["algo.lifeguard.capacity"] = algo.lifeguard.capacity * (frame + actions) * NUMBER
-        parts["algo.lifeguard.batch_size"] = 4 * algo.lifeguard.batch_size * (frame + actions) * NUMBER
-    if isinstance(settings.backward_reward, ABRConfig):
+    for key, each in (("capacity", 1), ("batch_size", 4)):
+        if key in settings.lifeguard:
+            parts[f"lifeguard.{key}"] = each * settings.lifeguard[key] * (frame + actions) * NUMBER
+    if "max_classes" in settings.backward_reward:
         parts["backward_reward.max_classes"] = 2 * settings.backward_reward.max_classes * 10 * frames * NUMBER
     return parts
 
@@ -96,4 +91,4 @@ def _weights(widths: Sequence[int]) -> float:
 def _value(settings: Any, key: str) -> Any:
     for name in key.split("."):
         settings = getattr(settings, name)
-    return list(settings) if isinstance(settings, tuple) else settings
+    return settings

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from uavrl.configs.checks import require, require_products, require_widths
+from uavrl.configs.checks import require
+from uavrl.configs.train import Products
+from uavrl.ranges import Count, Fraction, Positive, Seed, Widths
 
 THESIS_CLUSTERS = (100, 250, 500, 750, 1000, *range(1500, 6001, 500))
 
@@ -14,35 +16,28 @@ class PretrainRecipe:
     """conf/pretrain: how much of everything."""
 
     name: str = "full"
-    states: int = 200_000
-    features: int = 20
-    hidden: int = 64
-    tradeoff: float = 0.7
-    psae_epochs: int = 60
-    psae_batch_size: int = 256
-    psae_lr: float = 1e-3
+    states: Count = 200_000
+    features: Count = 20
+    hidden: Count = 64
+    tradeoff: Fraction = 0.7
+    psae_epochs: Count = 60
+    psae_batch_size: Count = 256
+    psae_lr: Positive = 1e-3
     clusters: tuple[int, ...] = THESIS_CLUSTERS
     k: int | None = None
-    kmeans_batch_size: int = 4096
-    kmeans_iterations: int = 30
-    classifier_hidden: tuple[int, ...] = (64,)
-    classifier_epochs: int = 40
-    classifier_batch_size: int = 512
-    classifier_lr: float = 3e-3
+    kmeans_batch_size: Count = 4096
+    kmeans_iterations: Count = 30
+    classifier_hidden: Widths = (64,)
+    classifier_epochs: Count = 40
+    classifier_batch_size: Count = 512
+    classifier_lr: Positive = 3e-3
     held_out: float = 0.1
     compare_k: int | None = 4000
     one_shot: bool = True
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        counts = ("states", "features", "hidden", "psae_epochs", "psae_batch_size", "kmeans_batch_size")
-        for key in (*counts, "kmeans_iterations", "classifier_epochs", "classifier_batch_size"):
-            require(getattr(self, key) >= 1, f"pretrain.{key}", "at least 1", getattr(self, key))
-        for key in ("psae_lr", "classifier_lr"):
-            require(getattr(self, key) > 0, f"pretrain.{key}", "above 0", getattr(self, key))
-        require(0 <= self.tradeoff <= 1, "pretrain.tradeoff", "in [0, 1]", self.tradeoff)
         require(0 < self.held_out < 1, "pretrain.held_out", "in (0, 1)", self.held_out)
-        require_widths(self.classifier_hidden, "pretrain.classifier_hidden")
         ks = list(self.clusters)
         ascending = ks == sorted(set(ks)) and min(ks, default=2) >= 2
         require(ascending, "pretrain.clusters", "ascending numbers of clusters from 2", ks)
@@ -66,16 +61,7 @@ class PretrainConfig:
     recording: str | None = None
     output: str | None = None
     pretrain: PretrainRecipe = field(default_factory=PretrainRecipe)
-    seed: int = 0
-    threads: int = 1
-    products: str = "mkl"
+    seed: Seed = 0
+    threads: Count = 1
+    products: Products = "mkl"
     progress: bool = True
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        require(0 <= self.seed < 2**31, "seed", "in [0, 2**31)", self.seed)
-        require_products(self.products)
-        require(self.threads >= 1, "threads", "at least 1", self.threads)
-
-
-PRETRAIN_GROUPS: dict[str, dict[str, type]] = {"pretrain": {"quick": PretrainRecipe, "full": PretrainRecipe}}

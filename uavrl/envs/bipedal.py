@@ -13,6 +13,7 @@ from torchrl.data import Binary, Unbounded
 from torchrl.envs import GymWrapper
 
 from uavrl.errors import UavrlError
+from uavrl.ranges import Count
 
 OBSERVATIONS, ACTIONS, ACTION_LIMIT = 24, 4, 1.0
 FALL_REWARD = -100.0  # what Gymnasium gives for the step that falls, and for no other
@@ -24,6 +25,8 @@ class BipedalEnv(GymWrapper):
     The observation is Gymnasium's: 14 numbers of the body and 10 rays of a LiDAR. An episode ends by a fall
     (``collided``: the hull touches the ground, or the walker leaves the course at its start), at the end of the course
     (``arrived``), or after ``max_steps`` (``truncated``, from which a learner bootstraps).
+
+    Beside the signals it emits ``episode_reward``, the return so far as Gymnasium gives it.
 
     Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, as in the valley: each episode gets a
     physics world of its own, since an episode in a Box2D world that was used before differs in its last digits.
@@ -45,12 +48,13 @@ class BipedalEnv(GymWrapper):
 
     _env: gymnasium.Env
 
-    def __init__(self, max_steps: int = 2000, seed: int = 0, **kwargs: Any) -> None:
+    def __init__(self, max_steps: Count = 2000, seed: int = 0, **kwargs: Any) -> None:
         self.__dict__.update(_max_steps=max_steps, _courses_seed=seed, _next_task=0, _task=0)
         super().__init__(_make(max_steps), **kwargs)
         flag = Binary(n=1, shape=(1,), dtype=torch.bool)
         self.observation_spec["arrived"], self.observation_spec["collided"] = flag, flag.clone()
         self.observation_spec["task"] = Unbounded(shape=(1,), dtype=torch.int64)
+        self.observation_spec["episode_reward"] = Unbounded(shape=(1,), dtype=torch.float32)
 
     def _set_seed(self, seed: int | None) -> None:
         self._courses_seed, self._next_task = 0 if seed is None else int(seed), 0
@@ -67,15 +71,18 @@ class BipedalEnv(GymWrapper):
         self._task, self._next_task = self._next_task, self._next_task + 1
         first = super()._reset(tensordict, seed=course)
         nothing = torch.zeros(1, dtype=torch.bool)
+        self._return = torch.zeros(1)
         return self._with_signals(first, nothing, nothing.clone())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         after = super()._step(tensordict)
+        self._return = self._return + after["reward"]
         fell = after["terminated"] & (after["reward"] == FALL_REWARD)
         return self._with_signals(after, after["terminated"] & ~fell, fell)
 
     def _with_signals(self, tensordict: TensorDictBase, arrived: torch.Tensor, fell: torch.Tensor) -> TensorDictBase:
-        return tensordict.update({"arrived": arrived, "collided": fell, "task": torch.tensor([self._task])})
+        signals = {"arrived": arrived, "collided": fell, "task": torch.tensor([self._task])}
+        return tensordict.update({**signals, "episode_reward": self._return})
 
 
 def _make(max_steps: int) -> gymnasium.Env:

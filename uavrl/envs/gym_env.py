@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 from tensordict import TensorDictBase
-from torchrl.envs import TransformedEnv
+from torchrl.envs import Compose, TransformedEnv
 
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import ACTION_LIMIT, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.transforms import NavigationReward, TraditionalReward, navigation_state
+from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
 
@@ -60,9 +60,9 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if reward not in _REWARDS:
             raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
         world = world or WorldConfig()
-        transforms = navigation_state(_REWARDS[reward](), radius=radius, flight_level=world.flight_level, frames=frames)
+        state = NavigationState(radius, flight_level=world.flight_level, frames=frames)
         base = NavigationEnv(1, world=world, lidar=lidar or LidarConfig(max_range=radius), **kwargs)
-        self._env = TransformedEnv(base, transforms)
+        self._env = TransformedEnv(base, Compose(state, _REWARDS[reward]()))
         width = self._env.observation_spec["observation"].shape[-1]
         self.observation_space = Box(-np.inf, np.inf, (width,), np.float32)
         self.action_space = Box(-ACTION_LIMIT, ACTION_LIMIT, (4,), np.float32)

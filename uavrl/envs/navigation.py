@@ -21,6 +21,7 @@ from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
+from uavrl.ranges import Count
 
 GoalAngle = Literal["elevation", "course"]
 Hidden = Literal["planes"]
@@ -78,13 +79,13 @@ class NavigationEnv(EnvBase):
 
     def __init__(
         self,
-        num_uavs: int = 8,
+        num_uavs: Count = 8,
         *,
         world: WorldConfig | None = None,
         lidar: LidarConfig | None = None,
         airframe: Airframe | None = None,
         aerodynamics: Aerodynamics | None = None,
-        max_steps: int = 300,
+        max_steps: Count = 300,
         goal_angle: GoalAngle = "elevation",
         blind: bool = False,
         blind_to: Hidden | None = None,
@@ -105,10 +106,10 @@ class NavigationEnv(EnvBase):
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
-        self.world = World(world or WorldConfig())
+        self._world_config = world or WorldConfig()
         self.airframe = airframe or Airframe()
         self.aerodynamics = aerodynamics or Aerodynamics()
-        check_hull(self.airframe, self.world.config)
+        check_hull(self.airframe, self._world_config)
         self._lidar_config = lidar or LidarConfig()
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None
@@ -185,6 +186,11 @@ class NavigationEnv(EnvBase):
         self._stale = False
         if planes:
             self._simulation.place_planes(self.plane_poses())
+
+    @cached_property
+    def world(self) -> World:
+        """Valleys, goals and routes; built at the first use, which takes seconds."""
+        return World(self._world_config)
 
     @property
     def tasks_begun(self) -> int:

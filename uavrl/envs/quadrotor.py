@@ -7,14 +7,18 @@ Gazebo". Axes are x forward, y left, z up. Gravity and rigid-body motion (Eq. 2.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from uavrl.errors import UavrlError
+from uavrl.ranges import Positive, Range
 
 GRAVITY = 9.81  # m/s²
 Vector = tuple[float, float, float]
+Tilt = Annotated[float, Range("an angle in (0, π/2) rad", lambda angle: 0 < angle < math.pi / 2)]
 
 # The rotors sit in front, at the left, at the back and at the right; neighbours turn against each other.
 ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -79,16 +83,16 @@ class Airframe:
     inertia: Vector = (0.01152, 0.01152, 0.0218)
     arm: float = 0.275
     thrust_coefficient: float = 1.53819e-5
-    torque_to_thrust: float = 0.01534
+    torque_to_thrust: Positive = 0.01534
     motor_time_constant: float = 0.05
     max_total_thrust: float = 38.0
-    tilt_limit: float = 0.5
-    collision_radius: float = 0.35
-    collision_height: float = 0.28
+    tilt_limit: Tilt = 0.5
+    collision_radius: Positive = 0.35
+    collision_height: Positive = 0.28
     lidar_mass: float = 0.83
     lidar_position: Vector = (0.0, 0.0, 0.1)
-    lidar_diameter: float = 0.103
-    lidar_height: float = 0.072
+    lidar_diameter: Positive = 0.103
+    lidar_height: Positive = 0.072
 
     def __post_init__(self) -> None:
         """Refuses vehicles that cannot fly."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from tensordict import TensorDictBase, TensorDictParams
-from tensordict.nn import TensorDictModuleBase, dispatch
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, dispatch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
+from torchrl.data import Bounded
 from torchrl.objectives import LossModule
 from torchrl.objectives.value import ValueEstimatorBase
 
@@ -38,6 +39,33 @@ class ActorCriticLoss(_LossModule):
 
     actor_reads_target = False
     """Whether the actor ascends the target critics in place of the online ones."""
+
+    num_critics: ClassVar[int] = 2
+    """How many critics :meth:`of_networks` takes."""
+
+    @classmethod
+    def policy_of(cls, network: nn.Module, action_spec: Bounded) -> TensorDictModuleBase:
+        """The policy that this loss trains, of a network that takes states to actions.
+
+        Args:
+            network: ``observation [*B, S]`` to what the policy is made of: here, the action.
+            action_spec: the bounds of one action.
+        """
+        return TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
+
+    @classmethod
+    def of_networks(
+        cls, actor: TensorDictModuleBase, critics: Sequence[TensorDictModule], action_spec: Bounded, **options: Any
+    ) -> Self:
+        """The loss of a policy and :attr:`num_critics` critics; a constructor that takes them otherwise says so here.
+
+        Args:
+            actor: what :meth:`policy_of` gave.
+            critics: each reads ``observation`` and ``action``, writes ``state_action_value``.
+            action_spec: the bounds of one action.
+            **options: of the constructor.
+        """
+        return cls(actor, critics, action_spec=action_spec, **options)
 
     @property
     def unenhanced(self) -> ActorCriticLoss:

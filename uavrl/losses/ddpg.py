@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Self
 
 from tensordict import TensorDictBase, TensorDictParams
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import unravel_key
 from torch import Tensor
+from torchrl.data import Bounded
 from torchrl.objectives import DDPGLoss as _DDPGLoss
 from torchrl.objectives import ValueEstimators
 
 from uavrl.losses.actor_critic import ActorCriticLoss
+from uavrl.ranges import Discount
 
 
 class DDPGLoss(ActorCriticLoss, _DDPGLoss):
@@ -39,6 +42,7 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         torch.Size([])
     """
 
+    num_critics = 1
     actor_network: TensorDictModule
     value_network: TensorDictModule
     actor_network_params: TensorDictParams
@@ -51,7 +55,7 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         actor_network: TensorDictModule,
         value_network: TensorDictModule,
         *,
-        gamma: float = 0.99,
+        gamma: Discount = 0.99,
         loss_function: str = "l2",
         reduction: str = "mean",
         **kwargs: Any,
@@ -67,6 +71,13 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         )
         self.out_keys = ["loss_actor", "loss_value", "pred_value", "target_value", "pred_value_max", "target_value_max"]
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    @classmethod
+    def of_networks(
+        cls, actor: TensorDictModuleBase, critics: Sequence[TensorDictModule], action_spec: Bounded, **options: Any
+    ) -> Self:
+        """DDPG has one critic, and asks for no bounds."""
+        return cls(actor, critics[0], **options)
 
     def _set_in_keys(self) -> None:
         """What :meth:`forward` needs: with TorchRL's longer list, selected out-keys take a batch for arguments."""

@@ -22,6 +22,7 @@ from uavrl.losses.functional import (
     masked_mse,
 )
 from uavrl.losses.ring import Ring
+from uavrl.ranges import Count, Discount, NonNegative, Positive
 
 Variant = Literal["fork", "bipedal"]
 
@@ -55,6 +56,7 @@ class Fork(Enhancer):
         backprop_through_model: let the actor's gradient flow through the predicted states; the authors detach
             them.
         clamp: clamp predicted states to the range observed so far, each dimension by itself.
+        model_lr: Adam's step for both networks, for whoever trains them.
 
     Raises:
         ValueError: for an unknown variant, a missing or needless network, a missing ``max_reward``, or an actor
@@ -113,14 +115,15 @@ class Fork(Enhancer):
         system_network: nn.Module,
         reward_network: nn.Module | None = None,
         observations: int,
-        max_reward: float | None = None,
-        gamma: float = 0.99,
-        base_weight: float | None = None,
-        threshold: float = 0.020,
-        return_window: int = 100,
+        max_reward: Positive | None = None,
+        gamma: Discount = 0.99,
+        base_weight: NonNegative | None = None,
+        threshold: Positive = 0.020,
+        return_window: Count = 100,
         variant: Variant = "fork",
         backprop_through_model: bool = False,
         clamp: bool = True,
+        model_lr: Positive = 3e-4,
     ) -> None:
         _check(variant, reward_network, max_reward)
         super().__init__(base)
@@ -134,6 +137,7 @@ class Fork(Enhancer):
         self.threshold = threshold
         self.backprop_through_model = backprop_through_model
         self.clamp = clamp
+        self.model_lr = model_lr
         self.max_reward = 300.0 if max_reward is None else max_reward
         self.base_weight = {"fork": 0.6, "bipedal": 1.0}[variant] if base_weight is None else base_weight
         if variant == "bipedal":

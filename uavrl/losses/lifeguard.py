@@ -22,6 +22,7 @@ from uavrl.losses.lifeguard_functional import (
 from uavrl.losses.ring import Ring
 from uavrl.models.classifiers import LinearClassifier, MinMaxScaler, MLPClassifier
 from uavrl.models.linear_sgd import logistic_loss, regularized_error
+from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
 Sample = Callable[[int], TensorDictBase]
 _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes each
@@ -37,7 +38,7 @@ class LifeGuard(Enhancer):
 
     Args:
         base: the loss to enhance.
-        observations: width of the last observation: that many entries at the end of the state.
+        observations: width of the state.
         actions: width of the action.
         model: ``"linear"`` (the thesis), ``"mlp"``, or a module that takes features ``[*B, observations + actions]``
             to logits ``[*B]``. A linear one pushes every action the same way, whatever the observation.
@@ -54,6 +55,7 @@ class LifeGuard(Enhancer):
         min_true_negative_rate: the actor listens while the rate exceeds this.
         model_lr: Adam's step for a model with parameters; see :meth:`make_optimizer`.
         alpha: α of Eq. 3.8.
+        stacked: observations that are stacked in the state; the classifier reads the last one.
 
     Raises:
         ValueError: for an unknown model or penalty, or an odd batch size.
@@ -65,7 +67,7 @@ class LifeGuard(Enhancer):
         >>> from uavrl.models import Actor, Critic
         >>> critic = Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"])
         >>> base = DDPGLoss(Mod(Actor(6, 4), ["observation"], ["action"]), critic)
-        >>> loss = LifeGuard(base, observations=3, actions=4, min_collisions=0)
+        >>> loss = LifeGuard(base, observations=6, stacked=2, actions=4, min_collisions=0)
         >>> crash = TensorDict({"observation": torch.rand(2, 6), "action": torch.rand(2, 4), "next": {
         ...     "done": torch.tensor([[False], [True]]), "collided": torch.tensor([[False], [True]]),
         ...     "arrived": torch.zeros(2, 1, dtype=torch.bool)}}, [2])
@@ -99,30 +101,31 @@ class LifeGuard(Enhancer):
         actions: int,
         model: Literal["linear", "mlp"] | nn.Module = "linear",
         penalty: Literal["probability", "label"] = "probability",
-        penalty_weight: float = 10.0,
-        success_window: int | None = 100,
-        capacity: int = 10_000,
-        batch_size: int = 100,
-        min_collisions: int = 50,
-        min_evaluations: int = 20,
-        evaluation_window: int = 100,
-        min_true_negative_rate: float = 0.96,
-        model_lr: float = 1e-3,
-        alpha: float = 1e-4,
+        penalty_weight: NonNegative = 10.0,
+        success_window: Count | None = 100,
+        capacity: Count = 10_000,
+        batch_size: Pairs = 100,
+        min_collisions: Whole = 50,
+        min_evaluations: Whole = 20,
+        evaluation_window: Count = 100,
+        min_true_negative_rate: Discount = 0.96,
+        model_lr: Positive = 1e-3,
+        alpha: Positive = 1e-4,
+        stacked: Count = 1,
     ) -> None:
         if penalty not in ("probability", "label"):
             raise ValueError(f'penalty must be "probability" or "label", got {penalty!r}.')
         if batch_size < 2 or batch_size % 2:
             raise ValueError(f"batch_size must be even, half of it collisions, got {batch_size}.")
         super().__init__(base)
-        self.observations, self.actions = observations, actions
+        self.observations, self.actions = observations // stacked, actions
         self.penalty: str = penalty
         self.penalty_weight = penalty_weight
         self.batch_size = batch_size
         self.min_collisions, self.min_evaluations = min_collisions, min_evaluations
         self.min_true_negative_rate = min_true_negative_rate
         self.model_lr, self.alpha = model_lr, alpha
-        features = observations + actions
+        features = self.observations + actions
         self.classifier = _make_classifier(model, features, alpha)
         self.scaler = MinMaxScaler(features)
         self.collisions = Ring(capacity, (features,))

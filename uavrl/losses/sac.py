@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
-from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.data import TensorSpec
+from torchrl.data import Bounded, TensorSpec
+from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.modules.distributions.utils import rsample_and_log_prob
 from torchrl.objectives import SACLoss as _SACLoss
 from torchrl.objectives import ValueEstimators
@@ -16,6 +17,7 @@ from torchrl.objectives.utils import distance_loss
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.critics import is_stackable, stacked_values
+from uavrl.ranges import Discount
 
 
 class SACLoss(ActorCriticLoss, _SACLoss):
@@ -72,8 +74,8 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         qvalue_networks: Sequence[TensorDictModule],
         *,
         action_spec: TensorSpec,
-        gamma: float = 0.99,
-        target_entropy: float | str = "auto",
+        gamma: Discount = 0.99,
+        target_entropy: float | Literal["auto"] = "auto",
         loss_function: str = "l2",
         reduction: str = "mean",
         **kwargs: Any,
@@ -93,6 +95,18 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         self.out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy"]
         _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an enhancer
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
+
+    @classmethod
+    def policy_of(cls, network: nn.Module, action_spec: Bounded) -> TensorDictModuleBase:
+        """A policy that samples: the network gives mean and deviation of a normal, squashed to the bounds."""
+        return ProbabilisticActor(
+            TensorDictModule(network, in_keys=["observation"], out_keys=["loc", "scale"]),
+            in_keys=["loc", "scale"],
+            spec=action_spec,
+            distribution_class=TanhNormal,
+            distribution_kwargs={"low": action_spec.space.low[0].item(), "high": action_spec.space.high[0].item()},
+            return_log_prob=True,
+        )
 
     def _make_vmap(self) -> None:
         super()._make_vmap()

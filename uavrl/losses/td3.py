@@ -14,6 +14,7 @@ from torchrl.objectives import ValueEstimators
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.critics import is_stackable, stacked_values
+from uavrl.ranges import Discount, NonNegative
 
 
 class TD3Loss(ActorCriticLoss, _TD3Loss):
@@ -67,9 +68,9 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
         qvalue_networks: Sequence[TensorDictModule],
         *,
         action_spec: Bounded,
-        gamma: float = 0.99,
-        policy_noise: float = 0.2,
-        noise_clip: float = 0.5,
+        gamma: Discount = 0.99,
+        policy_noise: NonNegative = 0.2,
+        noise_clip: NonNegative = 0.5,
         loss_function: str = "l2",
         reduction: str = "mean",
         **kwargs: Any,

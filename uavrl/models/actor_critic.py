@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call
 
+from uavrl.ranges import Widths
+
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, layer_norm: bool = False) -> nn.Sequential:
     """A fully connected network with ReLU between its layers and none after the last.
@@ -48,7 +50,7 @@ class Actor(nn.Module):
         torch.Size([7, 4])
     """
 
-    def __init__(self, observations: int, actions: int, hidden: Sequence[int] = (400, 300), limit: float = 2.0) -> None:
+    def __init__(self, observations: int, actions: int, hidden: Widths = (400, 300), limit: float = 2.0) -> None:
         super().__init__()
         self.net = mlp(observations, hidden, actions)
         self.limit = limit
@@ -77,7 +79,7 @@ class GaussianActor(nn.Module):
         self,
         observations: int,
         actions: int,
-        hidden: Sequence[int] = (400, 300),
+        hidden: Widths = (400, 300),
         log_scale: tuple[float, float] = (-5.0, 2.0),
     ) -> None:
         super().__init__()
@@ -106,7 +108,7 @@ class Critic(nn.Module):
     """
 
     def __init__(
-        self, observations: int, actions: int, hidden: Sequence[int] = (400, 300), *, layer_norm: bool = False
+        self, observations: int, actions: int, hidden: Widths = (400, 300), *, layer_norm: bool = False
     ) -> None:
         super().__init__()
         self.net = mlp(observations + actions, hidden, 1, layer_norm=layer_norm)

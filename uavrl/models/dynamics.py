@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
 from uavrl.models.actor_critic import mlp
+from uavrl.ranges import Widths
 
 
 class SystemNet(nn.Module):
@@ -25,7 +24,7 @@ class SystemNet(nn.Module):
         torch.Size([7, 105])
     """
 
-    def __init__(self, observations: int, actions: int, hidden: Sequence[int] = (400, 300)) -> None:
+    def __init__(self, observations: int, actions: int, hidden: Widths = (400, 300)) -> None:
         super().__init__()
         self.net = mlp(observations + actions, hidden, observations)
         self.reset_parameters()
@@ -55,7 +54,7 @@ class RewardNet(nn.Module):
         torch.Size([7, 1])
     """
 
-    def __init__(self, observations: int, actions: int, hidden: Sequence[int] = (256, 256)) -> None:
+    def __init__(self, observations: int, actions: int, hidden: Widths = (256, 256)) -> None:
         super().__init__()
         self.net = mlp(2 * observations + actions, hidden, 1)
 

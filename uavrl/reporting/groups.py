@@ -13,6 +13,8 @@ from uavrl.reporting.runs import LeftOut, Run, flatten
 HOW_IT_RUNS = (
     "run_dir",
     "resume",
+    "choices",
+    "packages",
     "logger",
     "device",
     "trainer.episodes",
@@ -158,18 +160,18 @@ def how_they_ran(runs: Sequence[Run]) -> dict[str, list[Any]]:
 
 
 def _short(key: str) -> str:
-    """A key without its group; of the name of a group's choice, the group."""
+    """A key without its group."""
     group, _, rest = key.partition(".")
-    return group if rest == "name" else rest or group
+    return rest or group
 
 
 def _labels(groups: Sequence[list[Run]]) -> list[str]:
     """The learner, with the reward where that differs, and with more settings where it does not suffice."""
     settings = [runs[0].settings for runs in groups]
-    rewards = {flat.get("reward.name") for flat in settings}
+    rewards = {flat.get("reward") for flat in settings}
     labels = [runs[0].learner for runs in groups]
     if len(rewards) > 1:
-        labels = [f"{label} · {flat.get('reward.name')}" for label, flat in zip(labels, settings, strict=True)]
+        labels = [f"{label} · {flat.get('reward')}" for label, flat in zip(labels, settings, strict=True)]
     result = list(labels)
     for label in {label for label in labels if labels.count(label) > 1}:
         alike = [i for i, other in enumerate(labels) if other == label]

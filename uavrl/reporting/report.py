@@ -111,7 +111,7 @@ def make_report(
     if not groups:
         reasons = "; ".join(f"{left.folder}: {left.reason}" for left in left_out)
         raise UavrlError(f"There is nothing to report. {reasons or 'Give one run folder or more.'}")
-    env = str(groups[0].runs[0].settings.get("env.name"))
+    env = str(groups[0].runs[0].choices.get("env"))
     rows = [_group_facts(group, window, threshold) for group in groups]
     return Report(
         title=title or _TITLES.get(env, f"Training runs in the {env} valley"),
@@ -204,7 +204,7 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
 
 
 def _beside_the_thesis(groups: list[Group], rows: list[dict[str, Any]], window: int) -> dict[str, Any]:
-    reference, env = thesis(), groups[0].runs[0].settings.get("env.name")
+    reference, env = thesis(), groups[0].runs[0].choices.get("env")
     found = [counterpart(group) for group in groups]
 
     def ours(learner: str, reward: str, threshold: float | None = None) -> list[dict[str, Any]]:

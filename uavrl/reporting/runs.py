@@ -6,14 +6,15 @@ import json
 import math
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
-from uavrl.configs import learner, to_dataclass
-from uavrl.configs.registry import ABSENT
+from uavrl.configs import learner
+from uavrl.configs.parts import PARTS
+from uavrl.configs.registry import NONE
 from uavrl.configs.saved import load_config
 from uavrl.errors import UavrlError
 from uavrl.reporting.evaluations import read_evaluations, read_json
@@ -32,7 +33,8 @@ class Run:
         folder: where it lies, as it was given.
         name: what it is called in a report.
         config: its configuration as its file has it.
-        settings: the same with keys that are younger than the run, by their dotted names (see :func:`flatten`).
+        settings: its values by their dotted names (see :func:`flatten`).
+        choices: the yaml file of each part, by the part's name.
         learner: what learns, as :func:`uavrl.configs.learner` names it.
         seed: of the run.
         episodes: at least one.
@@ -48,6 +50,7 @@ class Run:
     name: str
     config: dict[str, Any]
     settings: dict[str, Any]
+    choices: dict[str, str]
     learner: str
     seed: int
     episodes: list[Episode]
@@ -165,18 +168,19 @@ def read_run(folder: Path, name: str | None = None) -> Run:
     notes: list[str] = []
     if (folder / POLICY).is_file():
         raise UavrlError("It is an exported policy, which has no training to report: give the folder of its run.")
-    config, loaded = _read_config(folder / CONFIG)
+    config = _read_config(folder / CONFIG)
     episodes = _read_episodes(folder / EPISODES, notes)
-    settings = _settings(loaded, notes)
     try:
-        seed, planned, label = int(config["seed"]), int(config["trainer"]["episodes"]), learner(loaded)
+        choices = _choices(config)
+        seed, planned, label = int(config["seed"]), int(config["trainer"]["episodes"]), learner(choices)
     except Exception as error:
         raise _damaged(folder / CONFIG, f"it has no proper seed, trainer.episodes or algo ({error})") from error
     return Run(
         folder=folder,
         name=name or folder.resolve().name,
         config=config,
-        settings=settings,
+        settings=_settings(config, choices),
+        choices=choices,
         learner=label,
         seed=seed,
         episodes=episodes,
@@ -196,12 +200,11 @@ def _missing(path: Path, holds: str) -> UavrlError:
     return UavrlError(f"{path.name} is missing, which holds {holds}: bring it back, or leave the folder out.")
 
 
-def _read_config(path: Path) -> tuple[dict[str, Any], DictConfig]:
+def _read_config(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise _missing(path, "the configuration of the run")
     try:
-        loaded = load_config(path)
-        plain = OmegaConf.to_container(loaded)
+        plain = OmegaConf.to_container(load_config(path))
     except Exception as error:  # yaml, OmegaConf and the decoder each have their own
         raise _damaged(path, " ".join(str(error).split())[:120]) from error
     groups = ("env", "perception", "reward", "algo", "trainer")
@@ -210,18 +213,28 @@ def _read_config(path: Path) -> tuple[dict[str, Any], DictConfig]:
     for group in groups:
         if not isinstance(plain.get(group), dict):
             raise _damaged(path, f"{group} is not in it")
-    return {str(key): value for key, value in plain.items()}, loaded
+    return {str(key): value for key, value in plain.items()}
 
 
-def _settings(config: DictConfig, notes: list[str]) -> dict[str, Any]:
-    """The configuration with today's keys, so that an older run compares with a younger one."""
-    try:
-        return flatten(asdict(to_dataclass(config)))
-    except UavrlError as error:
-        notes.append(f"Its configuration is not one of this version of uavrl ({error}), and compared as it stands.")
-    absent = {group: {"name": name} for group, name in ABSENT.items()}
-    plain = OmegaConf.to_container(OmegaConf.merge(absent, config))
-    return flatten(cast(dict[str, Any], plain))
+def _settings(config: dict[str, Any], choices: dict[str, str]) -> dict[str, Any]:
+    """Its values, and in the place of each part's class and name which yaml file it came from."""
+    values = flatten({key: value for key, value in config.items() if key != "choices"})
+    named = {key: value for key, value in values.items() if key.rpartition(".")[2] not in ("_target_", "name")}
+    return {group: choice for group, choice in choices.items() if group in PARTS and choice != NONE} | named
+
+
+def _choices(config: dict[str, Any]) -> dict[str, str]:
+    """The choices that made a configuration; those of an older uavrl were told by names among the values."""
+    if "choices" in config:
+        return {str(group): str(choice) for group, choice in config["choices"].items()}
+    algo, guard = config["algo"], config["algo"].get("lifeguard")
+    parts = {group: config.get(group) for group in PARTS}
+    return {
+        **{group: str(part["name"]) for group, part in parts.items() if isinstance(part, dict) and "name" in part},
+        "algo": str(algo["name"]).split("_")[0],
+        "fork": "on" if algo.get("fork") else NONE,
+        "lifeguard": str(guard["model"]) if guard else NONE,
+    }
 
 
 def _read_episodes(path: Path, notes: list[str]) -> list[Episode]:

@@ -33,7 +33,7 @@ def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
         the group has no such row.
     """
     run = group.runs[0]
-    reward, backward = (str(run.settings.get(f"{name}.name", "none")) for name in ("reward", "backward_reward"))
+    reward, backward = (run.choices.get(name, "none") for name in ("reward", "backward_reward"))
     learner = run.learner.removesuffix(f"_{backward}")
     unlike = []
     if learner.endswith("_lg_mlp"):
@@ -50,7 +50,7 @@ def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
             f"reward={reward} with backward_reward={backward} has no row: the thesis has reward=traditional (TR) "
             f"and backward_reward=abr or abr_plus with reward=navigation."
         )
-    env = run.settings.get("env.name")
+    env = run.choices.get("env")
     if not any((r["env"], r["learner"], r["reward"]) == (env, learner, column) for r in thesis()["rates"]):
         return f"{learner} with {column} in the environment {env} has no row in the thesis."
     flown = sorted({len(run.episodes) for run in group.runs})

@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 def warn_of_random_steps(settings: TrainConfig) -> None:
     """Before the run: its random steps may not end before it does."""
     random_steps, episodes = settings.algo.random_steps, settings.trainer.episodes
-    if random_steps > (expected := expected_steps(episodes, settings.env.max_steps)):
+    if random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6))):
         log.warning(
             "algo.random_steps=%d: nothing is learned before, and the first trainer.episodes=%d flights may be over by "
             "then, since random ones last about %d steps together. Choose fewer random steps or more episodes.",

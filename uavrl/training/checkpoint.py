@@ -28,6 +28,8 @@ FREE_KEYS = (
     "run_dir",
     "resume",
     "logger",
+    "choices",
+    "packages",
     "trainer.episodes",
     "trainer.until_success",
     "trainer.progress",

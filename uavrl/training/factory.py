@@ -1,44 +1,26 @@
-"""Builds environment, buffer and collector from a configuration."""
+"""Environment, buffer and collector of a configuration."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
+from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
-from torchrl.envs import Compose, EnvBase, RewardSum, Transform, TransformedEnv
+from torchrl.collectors import BaseCollector
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
-from uavrl.buffers import BackwardReward, FailureBias, FrameStorage, MultiStep
-from uavrl.configs.algo import DDPGConfig
-from uavrl.configs.buffer import (
-    ABRConfig,
-    ABRPlusConfig,
-    FailureBiasedBufferConfig,
-    NoBackwardRewardConfig,
-    PrioritizedBufferConfig,
-    UniformBufferConfig,
-)
+from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
+from uavrl.configs.build import build, resolve
 from uavrl.configs.train import TrainConfig
-from uavrl.configs.valley import EnvConfig, NavigationRewardConfig, PerceptionConfig, TraditionalRewardConfig
-from uavrl.configs.walker import BipedalConfig, NoPerceptionConfig, WalkerRewardConfig
-from uavrl.envs.bipedal import BipedalEnv
-from uavrl.envs.navigation import GoalAngle, Hidden, NavigationEnv
 from uavrl.errors import UavrlError
-from uavrl.models import OneShotClassifier, TrajectoryClassifier
-from uavrl.models.trajectory_classifier import ABOUT, WEIGHTS, packaged_artifact
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.spaces import make_spaces
+from uavrl.training.spaces import Spaces, flat
 from uavrl.training.sync_collector import SyncCollector
-from uavrl.transforms import Mirror, NavigationReward, TraditionalReward, WalkerReward, navigation_state
-from uavrl.transforms.functional import Statistic
-from uavrl.transforms.observation import Angles
-
-RewardConfig = NavigationRewardConfig | TraditionalRewardConfig
+from uavrl.transforms import Mirror
 
 
 def make_device(name: str) -> torch.device:
@@ -59,150 +41,104 @@ def make_device(name: str) -> torch.device:
     return device
 
 
-def make_reward(config: RewardConfig | WalkerRewardConfig) -> Transform:
-    """The reward transform that the configuration names."""
-    if isinstance(config, NavigationRewardConfig):
-        return NavigationReward(
-            config.weights,
-            config.flight_level,
-            config.collided_reward,
-            config.arrived_reward,
-            config.altitude_term,  # type: ignore[arg-type]
-        )
-    if isinstance(config, WalkerRewardConfig):
-        return WalkerReward(config.fall_reward, config.scale)
-    return TraditionalReward(config.arrived_reward, config.collided_reward)
-
-
 def make_env(
-    env: EnvConfig | BipedalConfig,
-    perception: PerceptionConfig | NoPerceptionConfig,
-    reward: RewardConfig | WalkerRewardConfig | None = None,
+    env: DictConfig,
+    perception: DictConfig,
+    reward: DictConfig | None = None,
     *,
-    seed: int = 0,
+    packages: Iterable[str] = (),
     num_uavs: int | None = None,
-    measure_clearance: bool = False,
     keep_cloud: bool = False,
+    **offered: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read.
 
-    The walker takes none of the keyword arguments but the seed: it walks alone.
+    Args:
+        env: the part of the configuration that names the environment.
+        perception: the one that names the transform which makes ``observation``; what it does not take is the
+            environment's.
+        reward: the one that names the reward's transform; None keeps the environment's own.
+        packages: packages whose classes may be named.
+        num_uavs: vehicles, where the environment has several; None takes the configuration's.
+        keep_cloud: whether the raw scan stays beside the state.
+        **offered: such as ``seed``, for an environment that takes it.
+
+    Raises:
+        UavrlError: when a part does not go with another.
     """
-    if isinstance(env, BipedalConfig):
-        rewards = [make_reward(reward)] if reward is not None else []
-        return TransformedEnv(BipedalEnv(env.max_steps, seed), Compose(RewardSum(), *rewards))
-    assert isinstance(perception, PerceptionConfig) and not isinstance(reward, WalkerRewardConfig)
-    base = NavigationEnv(
-        num_uavs or env.num_uavs,
-        world=env.world,
-        lidar=perception.lidar,
-        airframe=env.airframe,
-        aerodynamics=env.aerodynamics,
-        max_steps=env.max_steps,
-        goal_angle=cast(GoalAngle, env.goal_angle),
-        blind=perception.blind,
-        blind_to=cast(Hidden | None, perception.blind_to),
-        measure_clearance=measure_clearance,
-        seed=seed,
-    )
-    transforms = navigation_state(
-        make_reward(reward) if reward is not None else None,
-        radius=perception.radius,
-        statistic=cast(Statistic, perception.statistic),
-        flight_level=env.world.flight_level,
-        angles=cast(Angles, perception.angles),
-        frames=perception.frames,
-        keep_cloud=keep_cloud,
-    )
-    return TransformedEnv(base, transforms)
+    several = {} if num_uavs is None else {"num_uavs": num_uavs}
+    own = {str(key): value for part in (perception, env) for key, value in part.items()}
+    base = build(own, EnvBase, packages=packages, key="env", **several, **offered)
+    if base is None:
+        raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
+    made = TransformedEnv(base, Compose())
+    state = build(perception, Transform, packages=packages, keep_cloud=keep_cloud)
+    paid = None if reward is None else build(reward, Transform, packages=packages)
+    for transform, part in ((state, "perception"), (paid, "reward")):
+        if transform is not None:
+            _require_keys(made, [(inner.in_keys, inner.out_keys) for inner in flat(transform)], part)
+            made.append_transform(transform)
+    _require_keys(made, [(["observation"], [])], "policy")
+    return made
 
 
-def make_backward_reward(
-    config: NoBackwardRewardConfig | ABRConfig | ABRPlusConfig, perception: PerceptionConfig, kept: Path
-) -> BackwardReward | None:
+def _require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:
+    """Refuses what reads more than an environment emits, each step also what the steps before it have written."""
+    specs = (env.observation_spec, env.full_reward_spec, env.full_done_spec)
+    emitted = {key for spec in specs for key in spec.keys(True, True)}
+    for read, written in steps:
+        for key in read:
+            if key not in emitted:
+                raise UavrlError(
+                    f"The {reader} reads {key!r}, which {type(env.base_env).__name__} does not emit: choose an env, a "
+                    f"perception and a reward that go together."
+                )
+        emitted.update(written)
+
+
+def make_backward_reward(settings: TrainConfig, spaces: Spaces, kept: Path) -> BackwardReward | None:
     """The write-path transform that pays arriving flights again, or None.
 
     Args:
-        config: which backward reward.
-        perception: what the states are.
-        kept: the run's copy of the artifact of ABR⁺, made here at the first time and read from then on.
-
-    Raises:
-        UavrlError: when the classifier does not fit the states, or its artifact is missing.
+        settings: the run's.
+        spaces: what the states are.
+        kept: where the run keeps what it loaded from elsewhere.
     """
-    classifier: OneShotClassifier | TrajectoryClassifier
-    if isinstance(config, ABRConfig):
-        if perception.frames < 2:
-            raise UavrlError(
-                f"With backward_reward=abr perception.frames must be at least 2, got {perception.frames}: "
-                f"it convolves over time."
-            )
-        classifier = OneShotClassifier(
-            frames=perception.frames,
-            features=10 * (perception.frames - 1),  # 20 for 3 frames (Table 4.1)
-            threshold=config.threshold,
-            max_classes=config.max_classes,
-            seed=config.seed,
-        )
-    elif isinstance(config, ABRPlusConfig):
-        if not kept.exists():
-            source = packaged_artifact() if config.artifact == "packaged" else Path(config.artifact)
-            TrajectoryClassifier.load(source)
-            kept.mkdir()
-            for name in (WEIGHTS, ABOUT):  # and nothing that lies beside them
-                shutil.copyfile(source / name, kept / name)
-        classifier = TrajectoryClassifier.load(kept)
-        width = make_spaces(None, perception).state
-        if classifier.inputs != width:
-            raise UavrlError(
-                f"The artifact {config.artifact} classifies states of {classifier.inputs} numbers, these have "
-                f"{width}: make one with uavrl-pretrain from a run with perception.frames="
-                f"{perception.frames}."
-            )
-    else:
-        return None
-    return BackwardReward(classifier, perception.frames, config.multiplier)
+    return build(
+        settings.backward_reward,
+        BackwardReward,
+        packages=settings.packages,
+        stacked=spaces.frames,
+        observations=spaces.state,
+        kept=kept,
+    )
 
 
 def make_buffer(
-    config: UniformBufferConfig,
-    device: torch.device,
-    backward_reward: BackwardReward | None = None,
-    *,
-    frames: int = 1,
-    multi_step: MultiStep | None = None,
-) -> TensorDictReplayBuffer:
-    """The replay buffer, uniform or prioritised (Eq. 2.17–2.18), of states that ``frames`` stacked frames make.
+    settings: TrainConfig, env: EnvBase, spaces: Spaces, device: torch.device, backward_reward: BackwardReward | None
+) -> EpisodeBuffer:
+    """The replay buffer of states that stacked frames make.
 
     The next state of an n-step transition shares no frames with its state: both are kept whole.
     """
-    sampler = (
-        PrioritizedSampler(config.capacity, config.alpha, config.beta)
-        if isinstance(config, PrioritizedBufferConfig)
-        else RandomSampler()
-    )
+    algo = settings.algo
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
-    mirror = Mirror() if config.mirror else None
+    multi_step = MultiStep(algo.n_steps, algo.gamma) if algo.n_steps > 1 else None
+    mirror = Mirror() if settings.buffer.get("mirror") else None
     chain = (multi_step, backward_reward, mirror, move)  # writes pass from the right, samples from the left
     transforms = [transform for transform in chain if transform is not None]
-    return TensorDictReplayBuffer(
-        storage=FrameStorage(config.capacity, frames if multi_step is None else 1, device="cpu"),
-        sampler=sampler,
-        priority_key="td_error",
+    buffer = build(
+        settings.buffer,
+        EpisodeBuffer,
+        packages=settings.packages,
+        frames=spaces.frames if multi_step is None else 1,
+        seed=settings.seed,
         transform=Compose(*transforms) if transforms else None,
     )
-
-
-def make_multi_step(config: DDPGConfig) -> MultiStep | None:
-    """What turns episodes into n-step transitions, or None where single steps are learned from."""
-    return MultiStep(config.n_steps, config.gamma) if config.n_steps > 1 else None
-
-
-def make_admission(config: UniformBufferConfig, seed: int) -> FailureBias | None:
-    """What decides which episodes are stored, or None where all are."""
-    if not isinstance(config, FailureBiasedBufferConfig):
-        return None
-    return FailureBias(config.success_return, config.probability, config.falls_per_success, seed)
+    if buffer is None:
+        raise UavrlError("buffer must name a replay buffer, got null: choose one with buffer=NAME.")
+    _require_keys(env, [(buffer.reads, [])], "buffer")
+    return buffer
 
 
 def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
@@ -226,33 +162,45 @@ def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
     return [[ratio ** (i / (vehicles - 1) - 0.5)] for i in range(vehicles)]
 
 
+def collector_class(settings: TrainConfig) -> type[SyncCollector | AsyncCollector]:
+    """The class of the run's collector."""
+    found = resolve(str(settings.collector._target_), BaseCollector, settings.packages)
+    if not issubclass(found, SyncCollector | AsyncCollector):
+        raise UavrlError(f"collector must be a SyncCollector or an AsyncCollector, got {found.__name__}: subclass one.")
+    return found
+
+
 def make_collector(
-    config: TrainConfig, env: EnvBase | Callable[[], EnvBase], actor: TensorDictModuleBase, device: torch.device
+    settings: TrainConfig,
+    env: EnvBase | Callable[[], EnvBase],
+    actor: TensorDictModuleBase,
+    spaces: Spaces,
+    device: torch.device,
 ) -> SyncCollector | AsyncCollector:
     """Collects whole episodes, one a batch, with exploration noise after the random steps.
 
     Args:
-        config: the run's.
-        env: the environment; for ``collector=async`` what makes it, in the process that flies.
+        settings: the run's.
+        env: the environment; for an :class:`AsyncCollector` what makes it, in the process that flies.
         actor: the policy without noise.
+        spaces: what it writes.
         device: where the policy lives.
     """
-    spaces = make_spaces(config.env, config.perception)
-    sigma = config.algo.exploration_noise * spaces.limit
-    vehicles = getattr(config.env, "num_uavs", 1)
+    sigma = settings.algo.exploration_noise * spaces.limit
+    vehicles, processes = settings.env.get("num_uavs", 1), settings.collector.get("processes", 1)
     noise = AdditiveGaussianModule(
         spec=spaces.action_spec(device),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,
-        std=spread(vehicles, config.algo.exploration_spread),
+        std=spread(vehicles, settings.algo.exploration_spread),
         device=device,
     )
     kwargs: dict[str, Any] = {
         "policy": TensorDictSequential(actor, noise),
-        "frames_per_batch": vehicles * config.collector.steps_per_batch,
+        "frames_per_batch": vehicles * settings.collector.steps_per_batch,
         "total_frames": -1,
-        "init_random_frames": config.algo.random_steps,
+        "init_random_frames": settings.algo.random_steps,
         "trajs_per_batch": 1,
         "traj_format": "cat",
         "policy_device": device,
@@ -260,6 +208,9 @@ def make_collector(
         "storing_device": "cpu",
         "auto_register_policy_transforms": False,
     }
-    if config.collector.name == "async":
-        return AsyncCollector([env] * config.collector.processes, num_threads=config.trainer.threads, **kwargs)
-    return SyncCollector(env, **kwargs)
+    found = collector_class(settings)
+    if issubclass(found, AsyncCollector):
+        return found([env] * processes, num_threads=settings.trainer.threads, **kwargs)
+    if processes != 1:
+        raise UavrlError(f"collector.processes must be 1, or with collector=async more, got {processes}.")
+    return found(env, **kwargs)

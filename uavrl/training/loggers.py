@@ -6,14 +6,15 @@ import importlib
 import os
 import re
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger, get_logger
+from omegaconf import DictConfig
+from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
 
-from uavrl.configs.train import LoggerConfig
+from uavrl.configs.build import build, resolve
 from uavrl.errors import UavrlError
 from uavrl.files import replacing
 
@@ -21,34 +22,33 @@ WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
-def make_logger(config: LoggerConfig, run_dir: Path) -> Logger:
-    """Makes the logger; its files go below ``run_dir/logs``.
+def make_logger(part: DictConfig, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
+    """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``.
 
     Raises:
         UavrlError: when the logger's package is not installed.
     """
-    with _told(config):
-        if config.name == "wandb":
-            return _wandb_logger(config, run_dir)
-        return get_logger(config.name, logger_name=str(run_dir / "logs"), experiment_name=run_dir.name)
+    with _told(choice):
+        return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / "logs"))
 
 
-def require_login(config: LoggerConfig) -> None:
+def require_login(part: DictConfig, packages: Iterable[str] = ()) -> None:
     """Asks for the login that wandb's online runs need, before anything is made for the run.
 
     Raises:
         UavrlError: when nobody is logged in, or wandb is not installed.
     """
-    if config.name == "wandb" and not config.offline:
+    if part.get("offline", True) or part._target_ is None:
+        return
+    if issubclass(resolve(str(part._target_), Logger, packages), OneRunWandbLogger):
         os.environ.setdefault(*WANDB_SILENT)
-        with _told(config):
+        with _told("wandb"):
             importlib.import_module("wandb").login(verify=False)
 
 
 @contextmanager
-def _told(config: LoggerConfig) -> Iterator[None]:
+def _told(choice: str) -> Iterator[None]:
     """Turns what wandb raises, and a missing package, into a sentence."""
-    package = {"csv": "", "tensorboard": "tensorboard", "wandb": "wandb"}[config.name]
     try:
         yield
     except Exception as error:
@@ -59,9 +59,8 @@ def _told(config: LoggerConfig) -> Iterator[None]:
             ) from error
         if not isinstance(error, ImportError):
             raise
-        raise UavrlError(
-            f"logger={config.name} needs the package {package}: run pip install 'uavrl[{package}]'."
-        ) from error
+        package = (error.name or choice).partition(".")[0]
+        raise UavrlError(f"logger={choice} needs the package {package}: run pip install 'uavrl[{package}]'.") from error
 
 
 def _first_line(error: Exception) -> str:
@@ -73,26 +72,20 @@ class OneRunWandbLogger(WandbLogger):
 
     shown = 0  # steps that a process before this one has logged
 
+    def __init__(self, project: str = "uavrl", offline: bool = True, *, exp_name: str, log_dir: str) -> None:
+        os.environ.setdefault(*WANDB_SILENT)
+        name = Path(log_dir) / "wandb_run_id"
+        name.parent.mkdir(parents=True, exist_ok=True)
+        if not name.exists():
+            with replacing(name) as partial:
+                partial.write_text(uuid.uuid4().hex[:8])
+        mode = "offline" if offline else "online"
+        super().__init__(exp_name=exp_name, log_dir=log_dir, id=name.read_text(), project=project, mode=mode)
+
     def log_scalar(self, name: str, value: float, step: int | None = None, *args: Any, **kwargs: Any) -> None:
         """Logs a value, unless its step is shown already: what is sent to wandb cannot be taken back."""
         if step is None or step > self.shown:
             super().log_scalar(name, value, step, *args, **kwargs)
-
-
-def _wandb_logger(config: LoggerConfig, run_dir: Path) -> WandbLogger:
-    os.environ.setdefault(*WANDB_SILENT)
-    name = run_dir / "logs" / "wandb_run_id"
-    name.parent.mkdir(parents=True, exist_ok=True)
-    if not name.exists():
-        with replacing(name) as partial:
-            partial.write_text(uuid.uuid4().hex[:8])
-    return OneRunWandbLogger(
-        exp_name=run_dir.name,
-        log_dir=str(run_dir / "logs"),
-        id=name.read_text(),
-        project=config.project,
-        mode="offline" if config.offline else "online",
-    )
 
 
 def close(logger: Logger | None) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import torch
+from omegaconf import DictConfig
 from scipy.spatial.transform import Rotation
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -17,7 +18,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
 from uavrl.configs.train import TrainConfig
-from uavrl.configs.valley import EnvConfig, PerceptionConfig, TraditionalRewardConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.traffic import plane_mesh
@@ -25,64 +25,19 @@ from uavrl.envs.world import World
 from uavrl.losses import LifeGuard
 from uavrl.training.checkpoint import restore
 from uavrl.training.evaluation import Flight, FlightRecorder, Policy
-from uavrl.training.factory import RewardConfig, make_env
+from uavrl.training.factory import make_env
 from uavrl.training.flight import RecordedFlight, Replay, Scenery, thinned
 from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.spaces import make_spaces
+from uavrl.training.spaces import flat, spaces_of
 from uavrl.training.whereabouts import Whereabouts
-from uavrl.transforms.rewards import navigation_reward, traditional_reward
 
 Risk = Callable[[Tensor, Tensor], Tensor]
+Terms = Callable[[TensorDictBase, TensorDictBase], dict[str, Tensor]]
 _SEEN = ("observation", "faces", "altitude", "heading_deg", "elevation_deg")
 _KEPT = ("position", "velocity", "distance", "clearance", "arrived", "collided", *_SEEN)
 
 
-def reward_terms(config: RewardConfig, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
-    """The terms that a reward is the sum of.
-
-    Args:
-        config: The reward.
-        before: ``[*B]`` with what the reward reads before the steps.
-        after: ``[*B]`` after them.
-
-    Returns:
-        ``[*B]`` for each term, by its name.
-
-    Examples:
-        >>> end = TensorDict({"distance": torch.tensor([[1.0]]), "arrived": torch.tensor([[True]]),
-        ...                   "collided": torch.tensor([[False]])}, [1])
-        >>> terms = reward_terms(TraditionalRewardConfig(), TensorDict({"distance": torch.tensor([[1.5]])}, [1]), end)
-        >>> {name: term.tolist() for name, term in terms.items()}
-        {'progress': [0.0], 'arrival': [50.0], 'collision': [0.0]}
-    """
-    arrived, collided = after["arrived"], after["collided"]
-    never = torch.zeros_like(arrived)
-    terms: dict[str, Tensor]
-    if isinstance(config, TraditionalRewardConfig):
-        terms = {"progress": traditional_reward(before["distance"], after["distance"], never, never) * ~arrived}
-    else:
-        terms = {}
-        for place, name in enumerate(("progress", "altitude", "heading", "elevation")):
-            weights = [weight if place == i else 0.0 for i, weight in enumerate(config.weights)]
-            terms[name] = navigation_reward(
-                before["distance"],
-                after["distance"],
-                after["altitude"],
-                after["heading_deg"],
-                after["elevation_deg"],
-                never,
-                never,
-                weights=weights,
-                flight_level=config.flight_level,
-                altitude_term=config.altitude_term,  # type: ignore[arg-type]
-            )
-    terms["arrival"] = config.arrived_reward * arrived.float()
-    terms = {name: term * ~collided for name, term in terms.items()}
-    terms["collision"] = config.collided_reward * collided.float() + 0.0  # no negative zeros
-    return {name: term.squeeze(-1) for name, term in terms.items()}
-
-
-def make_scenery(world: World, valley: int, perception: PerceptionConfig, sensor: Sequence[float]) -> Scenery:
+def make_scenery(world: World, valley: int, perception: DictConfig, sensor: Sequence[float]) -> Scenery:
     """The valley with an index, as numbers to draw."""
     place, config = world.valleys[valley], world.config
     names = tuple(sorted({obstacle.kind for obstacle in place.obstacles}))
@@ -113,7 +68,6 @@ def record_flight(
     task: int,
     *,
     seed: int,
-    reward: RewardConfig | None = None,
     risk: Risk | None = None,
     max_points: int = 1500,
 ) -> RecordedFlight:
@@ -126,7 +80,6 @@ def record_flight(
         policy: Reads the environment's output, writes ``action``.
         task: Number of the task, from 0.
         seed: Seed of the tasks.
-        reward: Whose terms are kept; None keeps the environment's reward.
         risk: From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
         max_points: Points kept of each scan.
 
@@ -152,7 +105,12 @@ def record_flight(
             moments.append(_moment(base, stepped["next"], valley, max_points))
             steps.append(TensorDict({"action": stepped["action"][0], "reward": stepped["next", "reward"][0]}))
             state = step_mdp(stepped)
-    return _recorded(ended[0], base.world, moments, steps, origins[valley], goal, reward, risk)
+    return _recorded(ended[0], base.world, moments, steps, origins[valley], goal, _terms_of(env), risk)
+
+
+def _terms_of(env: TransformedEnv) -> Terms | None:
+    """What splits the environment's reward into named terms, where its transform can."""
+    return next((transform.terms for transform in flat(env.transform) if hasattr(transform, "terms")), None)
 
 
 def _moment(base: NavigationEnv, state: TensorDictBase, valley: int, max_points: int) -> dict[str, Any]:
@@ -174,12 +132,12 @@ def _recorded(
     taken: list[TensorDict],
     origin: np.ndarray,
     goal: np.ndarray,
-    reward: RewardConfig | None,
+    terms_of: Terms | None,
     risk: Risk | None,
 ) -> RecordedFlight:
     states = cast(TensorDict, torch.stack([moment["state"] for moment in moments]))
     steps = cast(TensorDict, torch.stack(cast(list[Tensor], taken)))
-    terms = {"reward": steps["reward"][:, 0]} if reward is None else reward_terms(reward, states[:-1], states[1:])
+    terms = {"reward": steps["reward"][:, 0]} if terms_of is None else terms_of(states[:-1], states[1:])
     planes = np.stack([moment["planes"] for moment in moments])
     places = Whereabouts(world)
     places.add(states["position"][1:].numpy())
@@ -209,7 +167,7 @@ def load_risk(config: TrainConfig, checkpoint: Path, device: torch.device) -> Ri
     """What the LifeGuard of a run has learned, or None where the run has none.
 
     Args:
-        config: The run's configuration.
+        config: The run's settings.
         checkpoint: A checkpoint that was found good.
         device: Where to compute.
 
@@ -219,12 +177,16 @@ def load_risk(config: TrainConfig, checkpoint: Path, device: torch.device) -> Ri
     Raises:
         UavrlError: When the checkpoint holds another LifeGuard than the configuration.
     """
-    if config.algo.lifeguard is None:
+    if config.lifeguard._target_ is None:
         return None
-    spaces = make_spaces(config.env, config.perception)
-    guard = make_loss(config.algo, make_actor(config.algo, spaces, device), spaces, device)
-    restore(Checkpoint(loss_module=guard), checkpoint, ["loss_module"])
-    assert isinstance(guard, LifeGuard)
+    env = make_env(config.env, config.perception, packages=config.packages, num_uavs=1)
+    spaces = spaces_of(env)
+    env.close()
+    loss = make_loss(config, make_actor(config, spaces, device), spaces, device)
+    restore(Checkpoint(loss_module=loss), checkpoint, ["loss_module"])
+    guard = next((part for part in getattr(loss, "enhancers", []) if isinstance(part, LifeGuard)), None)
+    if guard is None:
+        return None
 
     def risk(observations: Tensor, actions: Tensor) -> Tensor:
         features = torch.cat([observations[..., -guard.observations :], actions], -1).to(device)
@@ -235,14 +197,15 @@ def load_risk(config: TrainConfig, checkpoint: Path, device: torch.device) -> Ri
 
 
 def record_flights(
-    env_config: EnvConfig,
-    perception: PerceptionConfig,
+    env_config: DictConfig,
+    perception: DictConfig,
     policy: Policy,
     tasks: Sequence[int],
     *,
     seed: int,
     source: dict[str, Any],
-    reward: RewardConfig | None = None,
+    reward: DictConfig | None = None,
+    packages: Iterable[str] = (),
     risk: Risk | None = None,
     max_points: int = 1500,
     progress: bool = False,
@@ -256,7 +219,8 @@ def record_flights(
         tasks: Numbers of the tasks, from 0.
         seed: Seed of the tasks.
         source: Kept with the flights, for a heading.
-        reward: Whose terms are kept.
+        reward: What pays; its terms are kept.
+        packages: Packages whose classes may be named.
         risk: From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
         max_points: Points kept of each scan.
         progress: Show a progress line.
@@ -266,16 +230,25 @@ def record_flights(
     """
     if not tasks:
         raise ValueError("Expected at least one task to fly, got none.")
-    env = make_env(env_config, perception, reward, seed=seed, num_uavs=1, measure_clearance=True, keep_cloud=True)
+    env = make_env(
+        env_config,
+        perception,
+        reward,
+        packages=packages,
+        seed=seed,
+        num_uavs=1,
+        measure_clearance=True,
+        keep_cloud=True,
+    )
     try:
         flights = tuple(
-            record_flight(env, policy, task, seed=seed, reward=reward, risk=risk, max_points=max_points)
+            record_flight(env, policy, task, seed=seed, risk=risk, max_points=max_points)
             for task in tqdm(tasks, disable=not progress, unit="flight")
         )
         world = env.base_env.world
         seen = {flight.summary.world_seed for flight in flights}
         sceneries = {
-            valley.seed: make_scenery(world, i, perception, env_config.airframe.lidar_position)
+            valley.seed: make_scenery(world, i, perception, env.base_env.airframe.lidar_position)
             for i, valley in enumerate(world.valleys)
             if valley.seed in seen
         }

@@ -8,7 +8,7 @@ import platform
 import random
 import shutil
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -19,11 +19,14 @@ import torch
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
-from torchrl.data import ReplayBuffer
+from torchrl.envs import EnvBase
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 import uavrl
+from uavrl.buffers import EpisodeBuffer
 from uavrl.configs import learner, to_dataclass
+from uavrl.configs.build import options
+from uavrl.configs.parts import STEPPER, TARGET
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.files import replacing
@@ -32,6 +35,7 @@ from uavrl.pretraining.from_run import STATES_FOLDER
 from uavrl.pretraining.recording import StateRecorder
 from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
 from uavrl.training.arithmetic import carried, chosen_products, denormals_flushed, multiplied_by
+from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.checkpoint import (
     CHECKPOINTS,
     CONFIG,
@@ -42,13 +46,12 @@ from uavrl.training.checkpoint import (
 )
 from uavrl.training.episodes import EpisodeLog, read_episodes
 from uavrl.training.factory import (
-    make_admission,
+    collector_class,
     make_backward_reward,
     make_buffer,
     make_collector,
     make_device,
     make_env,
-    make_multi_step,
 )
 from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss
@@ -57,7 +60,7 @@ from uavrl.training.progress import Progress
 from uavrl.training.provenance import commit
 from uavrl.training.resuming import BEGUN, EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.silence import Silence
-from uavrl.training.spaces import make_spaces
+from uavrl.training.spaces import spaces_of
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop, stoppable
 from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
@@ -188,7 +191,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
             done=trainer.episode_log.count,
             steps=trainer.collected_frames,
             random_steps=settings.algo.random_steps,
-            max_steps=settings.env.max_steps,
+            max_steps=settings.env.get("max_steps", 0),
             until_success=settings.trainer.until_success,
         )
         if not trainer.finished:
@@ -240,20 +243,23 @@ def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
 
 def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
     device = make_device(settings.device)
-    new_env = partial(make_env, settings.env, settings.perception, settings.reward, seed=barrier_seed(settings.seed, 0))
-    env = carried(new_env) if settings.collector.name == "async" else new_env()
-    spaces = make_spaces(settings.env, settings.perception)
-    actor = make_actor(settings.algo, spaces, device)
-    loss = make_loss(settings.algo, actor, spaces, device)
-    backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
-    buffer = make_buffer(
-        settings.buffer, device, backward_reward, frames=spaces.frames, multi_step=make_multi_step(settings.algo)
-    )
+    parts = (settings.env, settings.perception, settings.reward)
+    new_env = partial(make_env, *parts, packages=settings.packages, seed=barrier_seed(settings.seed, 0))
+    env = new_env()
+    spaces = spaces_of(env)
+    actor = make_actor(settings, spaces, device)
+    loss = make_loss(settings, actor, spaces, device)
+    backward_reward = make_backward_reward(settings, spaces, run_dir / ARTIFACT)
+    buffer = make_buffer(settings, env, spaces, device, backward_reward)
+    flown: EnvBase | Callable[[], EnvBase] = env
+    if issubclass(collector_class(settings), AsyncCollector):
+        env.close()  # another process makes its own
+        flown = carried(new_env)
     return EpisodeTrainer(
         loss=loss,
         stepper=_make_stepper(settings, loss),
         backward_reward=backward_reward,
-        recorder=_make_recorder(settings, run_dir),
+        recorder=_make_recorder(settings, run_dir, spaces.state),
         replay=_make_replay(settings, buffer),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         progress=Progress(0, 1, enabled=False),
@@ -264,40 +270,31 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         until_success=settings.trainer.until_success,
         seed=settings.seed,
         checkpoint_interval=settings.trainer.checkpoint_interval,
-        logger=make_logger(settings.logger, run_dir),
+        logger=make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages),
         log_interval=settings.logger.interval,
-        collector=make_collector(settings, env, actor, device),  # last: it may have begun a process
+        collector=make_collector(settings, flown, actor, spaces, device),  # last: it may have begun a process
     )
 
 
-def _make_replay(settings: TrainConfig, buffer: ReplayBuffer) -> EpisodeReplay:
+def _make_replay(settings: TrainConfig, buffer: EpisodeBuffer) -> EpisodeReplay:
     return EpisodeReplay(
         buffer,
         settings.algo.batch_size,
         settings.trainer.updates_per_step,
-        admission=make_admission(settings.buffer, settings.seed),
-        updates_when_left_out=getattr(settings.buffer, "updates_when_left_out", 0),
+        admission=buffer.admission,
+        updates_when_left_out=buffer.updates_when_left_out,
     )
 
 
-def _make_recorder(settings: TrainConfig, run_dir: Path) -> StateRecorder | None:
+def _make_recorder(settings: TrainConfig, run_dir: Path, width: int) -> StateRecorder | None:
     if not settings.trainer.record_states:
         return None
-    return StateRecorder(run_dir / STATES_FOLDER, make_spaces(settings.env, settings.perception).state)
+    return StateRecorder(run_dir / STATES_FOLDER, width)
 
 
 def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticStepper:
-    algo = settings.algo
-    return ActorCriticStepper(
-        loss,
-        actor_lr=algo.actor_lr,
-        critic_lr=algo.critic_lr,
-        model_lr=algo.fork.model_lr if algo.fork is not None else 3e-4,
-        temperature_lr=getattr(algo, "temperature_lr", 3e-4),
-        policy_delay=algo.policy_delay,
-        tau=algo.tau,
-        execution=chosen_execution(settings.trainer.execution),
-    )
+    taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})
+    return ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution))
 
 
 def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
@@ -321,10 +318,8 @@ def _restore(trainer: EpisodeTrainer, path: Path) -> None:
 
 def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
     summary = {
-        "algo": settings.algo.name,
-        "learner": learner(OmegaConf.structured(settings)),
-        "env": settings.env.name,
-        "reward": settings.reward.name,
+        **{name: settings.choices.get(name, "") for name in ("algo", "env", "reward")},
+        "learner": learner(settings.choices),
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
         "steps": trainer.collected_frames,  # of whole episodes, which is what is learned from
@@ -360,6 +355,7 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
     """
     config = read_config(run_dir)
     before = fingerprint(config)
+    config.packages = overrides.packages  # whom the one trusts who runs this, whatever the file says
     for key in changed:
         OmegaConf.update(config, key, OmegaConf.select(overrides, key), merge=False)
     if fingerprint(config) != before:

@@ -3,52 +3,57 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torchrl.data import Bounded
+from torchrl.envs import CatFrames, Compose, EnvBase, Transform
 
-from uavrl.configs.walker import BipedalConfig
-from uavrl.envs import bipedal
-from uavrl.envs.navigation import ACTION_LIMIT
-
-FACES, GOAL_NUMBERS = 32, 3  # of the reduced scan; altitude and two angles
+from uavrl.errors import UavrlError
 
 
 @dataclass(frozen=True)
 class Spaces:
-    """Widths of observation and action.
+    """Widths of state and action.
 
     Attributes:
-        observation: numbers in one observation.
+        state: numbers in the policy's state.
         frames: observations in a state.
         actions: numbers in an action.
         limit: the largest action; the smallest is its negative.
     """
 
-    observation: int
+    state: int
     frames: int
     actions: int
     limit: float
-
-    @property
-    def state(self) -> int:
-        """Numbers in the policy's state."""
-        return self.frames * self.observation
 
     def action_spec(self, device: torch.device | str) -> Bounded:
         """The bounds of one action."""
         return Bounded(-self.limit, self.limit, (self.actions,), device=device)
 
 
-def make_spaces(env: Any, perception: Any) -> Spaces:
-    """The spaces of a configured environment.
+def spaces_of(env: EnvBase) -> Spaces:
+    """The spaces of an environment with its transforms.
+
+    Raises:
+        UavrlError: for actions without bounds, or with others than [-a, a].
 
     Examples:
-        >>> from uavrl.configs.valley import EnvConfig, PerceptionConfig
-        >>> make_spaces(EnvConfig(), PerceptionConfig())
-        Spaces(observation=35, frames=3, actions=4, limit=2.0)
+        >>> from uavrl.envs.bipedal import BipedalEnv
+        >>> spaces_of(BipedalEnv())
+        Spaces(state=24, frames=1, actions=4, limit=1.0)
     """
-    if isinstance(env, BipedalConfig):
-        return Spaces(bipedal.OBSERVATIONS, 1, bipedal.ACTIONS, bipedal.ACTION_LIMIT)
-    return Spaces(FACES + GOAL_NUMBERS, perception.frames, 4, ACTION_LIMIT)
+    spec = env.action_spec_unbatched
+    limit = float(spec.high.max()) if isinstance(spec, Bounded) else 0.0
+    if not isinstance(spec, Bounded) or not bool((spec.high == limit).all() and (spec.low == -limit).all()):
+        raise UavrlError(f"Expected actions in [-a, a], got {spec}: scale them by a transform.")
+    stacks = [t.N for t in flat(getattr(env, "transform", None)) if isinstance(t, CatFrames)]
+    width = int(env.observation_spec["observation"].shape[-1])
+    return Spaces(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit)
+
+
+def flat(transform: Transform | None) -> list[Transform]:
+    """The transforms of a composition, in their order."""
+    if isinstance(transform, Compose):
+        return [inner for outer in transform.transforms for inner in flat(outer)]
+    return [] if transform is None else [transform]

@@ -12,6 +12,7 @@ from torchrl.objectives import SoftUpdate
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from uavrl.losses import ActorCriticLoss, Enhancer, Fork, LifeGuard, SACLoss
+from uavrl.ranges import Count, Positive, Share
 from uavrl.training.adam import DirectAdam
 from uavrl.training.gradients import Execution, Gradients, LossGradients, LossMethod
 
@@ -62,7 +63,6 @@ class ActorCriticStepper(OptimizationStepper):
         loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; may be enhanced by FORK and LifeGuard.
         actor_lr: Adam's step for the actor.
         critic_lr: Adam's step for the critics.
-        model_lr: Adam's step for FORK's models.
         temperature_lr: Adam's step for SAC's temperature.
         policy_delay: critic steps for each step of actor and targets.
         tau: share of the online networks in each target update (Eq. 2.9).
@@ -75,12 +75,11 @@ class ActorCriticStepper(OptimizationStepper):
         self,
         loss: ActorCriticLoss,
         *,
-        actor_lr: float = 1e-4,
-        critic_lr: float = 1e-3,
-        model_lr: float = 3e-4,
-        temperature_lr: float = 3e-4,
-        policy_delay: int = 2,
-        tau: float = 0.005,
+        actor_lr: Positive = 1e-4,
+        critic_lr: Positive = 1e-3,
+        temperature_lr: Positive = 3e-4,
+        policy_delay: Count = 2,
+        tau: Share = 0.005,
         execution: Execution = "captured",
     ) -> None:
         super().__init__()
@@ -99,7 +98,7 @@ class ActorCriticStepper(OptimizationStepper):
         self.targets = FusedSoftUpdate(loss.unenhanced, tau=tau)
         enhancers = loss.enhancers if isinstance(loss, Enhancer) else []
         self.forks = [
-            (fork, descent(fork.model_loss, fork.model_params, model_lr))
+            (fork, descent(fork.model_loss, fork.model_params, fork.model_lr))
             for fork in enhancers
             if isinstance(fork, Fork)
         ]

@@ -31,7 +31,7 @@ def walk(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False)
     """Walks courses 0 to ``episodes - 1`` of the environment's seed, each once, to its end.
 
     Args:
-        env: the walker's environment, with TorchRL's ``RewardSum``.
+        env: of one vehicle; ``episode_reward`` is its own return where it emits one.
         policy: reads the environment's output, writes ``action``.
         episodes: number of courses.
         progress: show a progress line.
@@ -42,13 +42,14 @@ def walk(env: EnvBase, policy: Policy, episodes: int, *, progress: bool = False)
     walks: list[Walk] = []
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         for task in trange(episodes, disable=not progress, unit="ep"):
-            state, steps = env.reset(), 0
+            state, steps, paid = env.reset(), 0, 0.0
             if state["task"].item() != task:
                 raise ValueError("Expected an environment at its first course: call env.set_seed(seed) before.")
             while steps == 0 or not state["done"].item():
                 stepped, steps = env.step(policy(state)), steps + 1
                 state = stepped["next"]
-            walks.append(Walk(task, outcome(state), steps, state["episode_reward"].item()))
+                paid += state["reward"].item()
+            walks.append(Walk(task, outcome(state), steps, float(state.get("episode_reward", paid))))
     return walks
 
 

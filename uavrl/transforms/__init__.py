@@ -3,7 +3,7 @@
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
 from uavrl.transforms.rewards import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
-from uavrl.transforms.state import navigation_state
+from uavrl.transforms.state import NavigationState
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 from uavrl.transforms.walker import WalkerReward, walker_reward
 
@@ -11,6 +11,7 @@ __all__ = [
     "Mirror",
     "NavigationObservation",
     "NavigationReward",
+    "NavigationState",
     "TraditionalReward",
     "TruncatedIcosahedron",
     "WalkerReward",
@@ -18,7 +19,6 @@ __all__ = [
     "mirror_observation",
     "navigation_observation",
     "navigation_reward",
-    "navigation_state",
     "traditional_reward",
     "walker_reward",
 ]

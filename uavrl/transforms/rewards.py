@@ -11,6 +11,8 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
+from uavrl.ranges import NonNegative, Positive
+
 AltitudeTerm = Literal["absolute", "literal"]
 
 
@@ -121,6 +123,25 @@ class _RewardTransform(Transform):
     def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
         raise NotImplementedError
 
+    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        raise NotImplementedError
+
+    arrived_reward: float
+    collided_reward: float
+
+    def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        """The terms that the reward is the sum of, each ``[*B]``, by its name.
+
+        Args:
+            before: ``[*B]`` with the in-keys before the steps.
+            after: ``[*B]`` after them.
+        """
+        arrived, collided = (self._get(after, key) for key in self.in_keys[-2:])
+        terms = {**self._terms(before, after), "arrival": self.arrived_reward * arrived.float()}
+        terms = {name: term * ~collided for name, term in terms.items()}
+        terms["collision"] = self.collided_reward * collided.float() + 0.0  # no negative zeros
+        return {name: term.squeeze(-1) for name, term in terms.items()}
+
     def _get(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
         value = tensordict.get(key, None)
         if value is None:
@@ -157,6 +178,7 @@ class TraditionalReward(_RewardTransform):
     Args:
         arrived_reward: r_g.
         collided_reward: r_c.
+        time_cost: what each step costs, so that waiting is never free; the thesis has none.
         distance: key of the distance to the goal, m.
         arrived: key of the bool that tells an arrival.
         collided: key of the bool that tells a collision.
@@ -178,6 +200,7 @@ class TraditionalReward(_RewardTransform):
         self,
         arrived_reward: float = 50.0,
         collided_reward: float = -50.0,
+        time_cost: NonNegative = 0.0,
         *,
         distance: NestedKey = "distance",
         arrived: NestedKey = "arrived",
@@ -187,6 +210,7 @@ class TraditionalReward(_RewardTransform):
         super().__init__(distance, [arrived, collided], out_key)
         self.arrived_reward = arrived_reward
         self.collided_reward = collided_reward
+        self.time_cost = time_cost
 
     def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
         distance, arrived, collided = self.in_keys
@@ -197,7 +221,13 @@ class TraditionalReward(_RewardTransform):
             self._get(after, collided),
             arrived_reward=self.arrived_reward,
             collided_reward=self.collided_reward,
-        )
+        ) - self.time_cost * ~self._get(after, collided)
+
+    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        distance, arrived, _ = self.in_keys
+        progress = self._get(before, distance) - self._get(after, distance)
+        time = {"time": torch.full_like(progress, -self.time_cost)} if self.time_cost else {}
+        return {"progress": progress * ~self._get(after, arrived), **time}
 
 
 class NavigationReward(_RewardTransform):
@@ -231,8 +261,8 @@ class NavigationReward(_RewardTransform):
 
     def __init__(
         self,
-        weights: Sequence[float] = (8.0, 1.0, 0.5, 0.5),
-        flight_level: float = 3.5,
+        weights: tuple[float, float, float, float] = (8.0, 1.0, 0.5, 0.5),
+        flight_level: Positive = 3.5,
         collided_reward: float = -50.0,
         arrived_reward: float = 0.0,
         altitude_term: AltitudeTerm = "absolute",
@@ -268,3 +298,22 @@ class NavigationReward(_RewardTransform):
             arrived_reward=self.arrived_reward,
             altitude_term=self.altitude_term,
         )
+
+    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        distance, altitude, heading, elevation, arrived, _ = self.in_keys
+        never = torch.zeros_like(self._get(after, arrived))
+        return {
+            name: navigation_reward(
+                self._get(before, distance),
+                self._get(after, distance),
+                self._get(after, altitude),
+                self._get(after, heading),
+                self._get(after, elevation),
+                never,
+                never,
+                weights=[weight if i == place else 0.0 for i, weight in enumerate(self.weights)],
+                flight_level=self.flight_level,
+                altitude_term=self.altitude_term,
+            )
+            for place, name in enumerate(("progress", "altitude", "heading", "elevation"))
+        }

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from torchrl.envs import CatFrames, Compose, Transform
+from torchrl.envs import CatFrames, Compose
 
+from uavrl.ranges import Count, Positive
 from uavrl.transforms.functional import Statistic
 from uavrl.transforms.observation import Angles, NavigationObservation
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 
 
-def navigation_state(
-    reward: Transform | None = None,
-    *,
-    radius: float = 4.0,
-    statistic: Statistic = "face",
-    flight_level: float = 3.5,
-    angles: Angles = "folded",
-    frames: int = 3,
-    keep_cloud: bool = False,
-) -> Compose:
+class NavigationState(Compose):
     """Everything between what :class:`uavrl.envs.NavigationEnv` emits and what a policy reads.
 
     The scan becomes 32 faces, faces, altitude and goal angles an observation, and ``frames`` of these, oldest first,
     the state (Chansuparp (2022), §3.2).
 
     Args:
-        reward: the reward's transform, if any.
         radius: the ball's radius, m.
         statistic: as in :class:`TruncatedIcosahedron`.
         flight_level: the altitude at which an observation's altitude is 0, m.
@@ -38,13 +29,23 @@ def navigation_state(
         >>> from uavrl.envs import NavigationEnv
         >>> from uavrl.envs.lidar import LidarConfig
         >>> base = NavigationEnv(2, lidar=LidarConfig(max_range=4.0))  # the ball's radius: no need to look farther
-        >>> env = TransformedEnv(base, navigation_state())
+        >>> env = TransformedEnv(base, NavigationState())
         >>> env.reset()["observation"].shape
         torch.Size([2, 105])
     """
-    return Compose(
-        TruncatedIcosahedron(radius=radius, statistic=statistic, del_keys=not keep_cloud),
-        *([reward] if reward is not None else []),
-        NavigationObservation(radius, flight_level, angles),
-        CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
-    )
+
+    def __init__(
+        self,
+        radius: Positive = 4.0,
+        statistic: Statistic = "face",
+        flight_level: Positive = 3.5,
+        angles: Angles = "folded",
+        frames: Count = 3,
+        *,
+        keep_cloud: bool = False,
+    ) -> None:
+        super().__init__(
+            TruncatedIcosahedron(radius=radius, statistic=statistic, del_keys=not keep_cloud),
+            NavigationObservation(radius, flight_level, angles),
+            CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
+        )

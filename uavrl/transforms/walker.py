@@ -8,6 +8,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs.transforms import Transform
 
+from uavrl.ranges import Positive
 from uavrl.transforms.rewards import with_reward
 
 
@@ -58,7 +59,7 @@ class WalkerReward(Transform):
     def __init__(
         self,
         fall_reward: float = -5.0,
-        scale: float = 5.0,
+        scale: Positive = 5.0,
         *,
         reward: NestedKey = "reward",
         fell: NestedKey = "collided",

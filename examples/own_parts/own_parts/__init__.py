@@ -1,0 +1,5 @@
+"""Parts of somebody's own for uavrl: a reward, an enhancer and an environment, each chosen by a yaml file in ``conf``.
+
+PYTHONPATH=examples/own_parts uavrl-train --config-dir examples/own_parts/conf packages=[own_parts] \
+        env=corridor reward=hurry enhancer=calm trainer.episodes=200 algo.random_steps=500
+"""

@@ -1,0 +1,145 @@
+"""A configuration names classes of the right kind from packages that are trusted, and nothing else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from torch import nn
+from torchrl.envs import EnvBase, Transform
+from torchrl.record.loggers import Logger
+
+from tests.composing import changed, composed
+from uavrl.configs import conf_dir, to_dataclass
+from uavrl.configs.build import build, resolve
+from uavrl.configs.signature import signature
+from uavrl.errors import UavrlError
+from uavrl.losses import TD3Loss
+from uavrl.models import Actor
+from uavrl.transforms import TraditionalReward
+
+REFUSED = [
+    ("os.system", "os is no package that you have listed"),
+    ("subprocess.Popen", "subprocess is no package"),
+    ("builtins.eval", "builtins is no package"),
+    ("torchrl.envs.llm.transforms.MCPToolTransform", "torchrl is no package"),  # which starts what it is told
+    ("torchrl.modules.llm.TransformersWrapper", "torchrl is no package"),  # which loads what it is told
+    ("torchrl.envs.GymEnv", "torchrl is no package"),  # which imports what it is told
+    ("torch.nn.Linear", "torch is no package"),
+    ("uavrl_evil.Reward", "uavrl_evil is no package"),
+    ("uavrl.errors.signal.Signals", "there is no class"),
+    ("uavrl.files.shutil.rmtree", "there is no class"),
+    ("uavrl.files.replacing", "there is no class"),
+    ("uavrl.training.run.train", "there is no class"),
+    ("uavrl.transforms.rewards.TradtionalReward", "did you mean TraditionalReward?"),
+    ("uavrl..x", "there is no class"),
+    ("", "is no package"),
+]
+
+
+@pytest.mark.parametrize(("target", "said"), REFUSED, ids=lambda text: text)
+def test_what_is_not_trusted_is_refused_before_it_is_imported(target: str, said: str) -> None:
+    config = composed()
+    config.reward._target_ = target
+    with pytest.raises(UavrlError) as told:
+        to_dataclass(config)
+    assert said in str(told.value) and "reward._target_" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("target", "kind"),
+    [
+        ("uavrl.losses.td3.TD3Loss", Transform),
+        ("uavrl.envs.navigation.NavigationEnv", Transform),
+        ("uavrl.transforms.rewards.traditional_reward", Transform),
+        ("uavrl.transforms.rewards.TraditionalReward", EnvBase),
+        ("uavrl.files.shutil.rmtree", Transform),
+        ("uavrl.cli.train.Path", Logger),
+        ("uavrl.training.run.torch.nn.Linear", nn.Module),  # a class of the right kind, by a way through ours
+        ("uavrl.models.actor_critic.nn.Linear", nn.Module),
+    ],
+)
+def test_what_is_of_another_kind_or_from_elsewhere_is_refused(target: str, kind: type) -> None:
+    with pytest.raises(UavrlError):
+        resolve(target, kind)
+
+
+def test_a_class_that_ours_only_import_is_refused() -> None:
+    with pytest.raises(UavrlError, match="torch is no package that you have listed"):
+        resolve("uavrl.training.adam.Tensor", object)
+
+
+def test_a_package_that_the_user_lists_is_trusted() -> None:
+    assert resolve("torch.nn.Linear", nn.Module, ["torch"]) is nn.Linear
+
+
+def test_an_object_gets_what_is_written_and_what_it_names_of_what_is_offered() -> None:
+    reward = build({"_target_": "uavrl.transforms.TraditionalReward", "arrived_reward": 7}, Transform, seed=3)
+    assert isinstance(reward, TraditionalReward) and reward.arrived_reward == 7.0
+    network = {"_target_": "uavrl.models.Actor", "hidden": [8]}
+    actor = build(network, nn.Module, observations=6, actions=2, limit=1.0)
+    assert isinstance(actor, Actor) and actor.net[0].out_features == 8 and actor.limit == 1.0
+    assert build({"_target_": None}, Transform) is None
+
+
+def test_what_a_constructor_refuses_is_one_sentence() -> None:
+    with pytest.raises(UavrlError, match=r"uavrl.models.Actor cannot be made: .*observations"):
+        build({"_target_": "uavrl.models.Actor"}, nn.Module)
+
+
+# ---------------------------------------------------------------------- what constructors take
+
+
+def test_a_signature_is_that_of_the_class() -> None:
+    import inspect
+
+    own = set(inspect.signature(TD3Loss.__init__).parameters) - {"self", "kwargs"}
+    assert own <= set(signature("uavrl.losses.TD3Loss") or {})
+    assert signature("uavrl.losses.td3.Nothing") is None
+    assert signature("no_such_package.Nothing") is None
+
+
+def test_a_subclass_takes_what_its_base_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "own_rewards.py").write_text(
+        "from uavrl.ranges import Positive\n"
+        "from uavrl.transforms import TraditionalReward\n"
+        "raise SystemExit('imported')\n"
+        "class Paid(TraditionalReward):\n"
+        "    def __init__(self, *args, bonus: Positive = 1.0, **kwargs):\n"
+        "        super().__init__(*args, **kwargs)\n"
+        "class Same(Paid): pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("Paid", "Same"):
+        found = signature(f"own_rewards.{name}")
+        assert found is not None and {"bonus", "arrived_reward", "out_key"} <= set(found)
+    config = changed(["reward=traditional"])
+    config.reward._target_, config.packages = "own_rewards.Paid", ["own_rewards"]
+    assert to_dataclass(config).reward.arrived_reward == 50.0
+    config.reward.arrived_reward = "much"
+    with pytest.raises(UavrlError, match=r"reward\.arrived_reward must be a number"):
+        to_dataclass(config)
+
+
+def test_all_that_is_checked_is_checked_without_torch() -> None:
+    code = (
+        "import sys\nfrom uavrl.configs import compose, to_dataclass\n"
+        "for more in ([], ['algo=sac', 'backward_reward=abr', 'buffer=prioritized', 'logger=wandb']):\n"
+        "    to_dataclass(compose('fork=on', 'lifeguard=mlp', *more))\n"
+        "print([name for name in ('torch', 'torchrl', 'tensordict', 'pybullet') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_every_class_that_our_yaml_names_can_be_read() -> None:
+    named = {
+        line.split("_target_:")[1].strip()
+        for path in conf_dir().rglob("*.yaml")
+        for line in path.read_text().splitlines()
+        if "_target_:" in line
+    } - {"null"}
+    assert len(named) > 15
+    assert [target for target in named if signature(target) is None] == []

@@ -1,0 +1,99 @@
+"""From a part of a configuration to the object: the one place where a name in a file becomes a class."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from typing import Any, TypeVar
+
+from uavrl.configs.parts import TARGET, require_allowed
+from uavrl.configs.signature import signature
+from uavrl.configs.typed import below, typed
+from uavrl.errors import UavrlError
+
+T = TypeVar("T")
+
+
+def resolve(target: str, kind: type[T], packages: Iterable[str] = ()) -> type[T]:
+    """The class of a name, found to be allowed and of the right kind.
+
+    Args:
+        target: dotted name.
+        kind: what it must be a subclass of.
+        packages: packages that the user trusts, beside uavrl.
+
+    Raises:
+        UavrlError: for a name that is not allowed, that does not exist, or of something else than such a class.
+
+    Examples:
+        >>> from uavrl.envs.lidar import LidarConfig
+        >>> resolve("uavrl.envs.lidar.LidarConfig", LidarConfig)
+        <class 'uavrl.envs.lidar.LidarConfig'>
+    """
+    packages = tuple(packages)
+    require_allowed(target, packages)
+    module, _, name = target.rpartition(".")
+    try:
+        found = getattr(import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise UavrlError(f"{target} cannot be imported ({error}): check the name, and that it is installed.") from error
+    if not (isinstance(found, type) and issubclass(found, kind)):
+        raise UavrlError(f"{target} must be a {kind.__name__}, got {found!r}: name a class of that kind.")
+    require_allowed(f"{found.__module__}.{name}", packages)  # where it is defined, whatever else imports it
+    return found
+
+
+def build(
+    part: Mapping[str, Any], kind: type[T], *, packages: Iterable[str] = (), key: str = "", **offered: Any
+) -> T | None:
+    """Makes what a part names; None where it names nothing.
+
+    Args:
+        part: plain data with ``_target_`` and what the constructor takes; other keys are somebody else's.
+        kind: what the class must be a subclass of.
+        packages: packages that the user trusts, beside uavrl.
+        key: what the part is called, for messages.
+        **offered: what the run has to give; the constructor gets what it names.
+
+    Raises:
+        UavrlError: when the class is refused, or refuses what it is given.
+
+    Examples:
+        >>> from uavrl.envs.lidar import LidarConfig
+        >>> build({"_target_": "uavrl.envs.lidar.LidarConfig", "dropout": 0.1}, LidarConfig, max_range=4.0, seed=0)
+        LidarConfig(max_range=4.0, min_range=0.0, range_noise=0.0, dropout=0.1, motion_distortion=False)
+    """
+    if part[TARGET] is None:
+        return None
+    made = resolve(part[TARGET], kind, packages)
+    hints = signature(part[TARGET]) or {}
+    given = {**options(part, packages, **offered), **{name: value for name, value in offered.items() if name in hints}}
+    try:
+        return made(**given)
+    except UavrlError as error:
+        if not key:
+            raise
+        raise UavrlError(below(key, str(error), hints)) from error
+    except (ValueError, TypeError) as error:
+        raise UavrlError(f"{part[TARGET]} cannot be made: {error}") from error
+
+
+def options(part: Mapping[str, Any], packages: Iterable[str] = (), **offered: Any) -> dict[str, Any]:
+    """What the constructor of a part's class takes of the part's own keys, with parts of parts made."""
+    from torch import nn
+
+    hints = signature(part[TARGET]) or {}
+    found: dict[str, Any] = {}
+    for name, value in part.items():
+        if name in hints and isinstance(value, Mapping) and TARGET in value:
+            found[name] = build(value, nn.Module, packages=packages, **offered)
+        elif name in hints:
+            found[name] = typed(plain_data(value), hints[name], str(name))
+    return found
+
+
+def plain_data(value: Any) -> Any:
+    """A node of a configuration as plain data."""
+    from omegaconf import Container, OmegaConf
+
+    return OmegaConf.to_container(value, resolve=True) if isinstance(value, Container) else value

@@ -1,0 +1,154 @@
+"""The parts of a run: each names its class, and holds what its constructor takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, is_dataclass
+from typing import Annotated, Any, get_type_hints
+
+from uavrl.configs.checks import did_you_mean, require
+from uavrl.configs.signature import classes, signature
+from uavrl.configs.typed import require_known, typed
+from uavrl.errors import UavrlError
+from uavrl.ranges import Count, NonNegative, Range, Whole, Widths
+
+TARGET = "_target_"  # the key that names a class; null where the part is left out
+PARTS = (
+    "perception",
+    "reward",
+    "algo",
+    "fork",
+    "lifeguard",
+    "enhancer",
+    "buffer",
+    "backward_reward",
+    "env",
+    "collector",
+    "logger",
+)
+# What any configuration may name: not all of TorchRL, some of which starts commands.
+ALLOWED = ("uavrl", "torchrl.envs.transforms", "torchrl.record.loggers", "torchrl.modules.models")
+
+
+# What is a part is checked as one, and comes to no range.
+Network = Annotated[Any, Range(f"a part with a {TARGET}", lambda value: False)]
+
+
+@dataclass
+class Learning:
+    """What the loop itself reads of ``algo``."""
+
+    batch_size: Count
+    random_steps: Whole
+    exploration_noise: NonNegative
+    exploration_spread: Annotated[float, Range("at least 1", lambda value: value >= 1)]
+    hidden: Widths
+    layer_norm: bool
+    n_steps: Count
+    actor: Network
+    critic: Network
+
+
+@dataclass
+class Collecting:
+    """What the loop itself reads of ``collector``."""
+
+    steps_per_batch: Count
+    processes: Count
+
+
+@dataclass
+class Storing:
+    """What the loop itself reads of ``buffer``."""
+
+    mirror: bool
+
+
+@dataclass
+class Logging:
+    """What the loop itself reads of ``logger``."""
+
+    interval: Count
+
+
+_LOOP = {"algo": Learning, "buffer": Storing, "collector": Collecting, "logger": Logging}
+STEPPER = "uavrl.training.stepper.ActorCriticStepper"  # takes its part of algo
+
+
+def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """The parts of a run with every value as its class has it, found to be known, of its type and in its range.
+
+    A key of ``algo`` goes to the loss, to the optimisation step or to the loop, one of ``perception`` to the transform
+    or to the environment: whichever takes it.
+
+    Args:
+        parts: plain data by the parts' names.
+        packages: which packages the user trusts beside uavrl.
+
+    Raises:
+        UavrlError: in one sentence, naming the key.
+    """
+    taken: dict[str, dict[str, Any]] = {
+        name: get_type_hints(reader, include_extras=True) for name, reader in _LOOP.items()
+    }
+    taken.setdefault("algo", {}).update(signature(STEPPER) or {})
+    if isinstance(parts.get("env"), Mapping):
+        taken["perception"] = signature(str(parts["env"].get(TARGET))) or {}
+    return {name: _checked(part, name, tuple(packages), taken.get(name, {})) for name, part in parts.items()}
+
+
+def _checked(part: Any, key: str, packages: tuple[str, ...], beside: Mapping[str, Any]) -> dict[str, Any]:
+    require(isinstance(part, Mapping) and TARGET in part, key, f"a part with a {TARGET}", part)
+    options = {str(name): value for name, value in part.items() if name != TARGET}
+    if part[TARGET] is None:
+        require_known(options, beside, key)
+        return {TARGET: None, **options}
+    hints = _signature(str(part[TARGET]), f"{key}.{TARGET}", packages)
+    require_known(options, {**beside, **hints}, key)
+    for name, value in options.items():
+        below = f"{key}.{name}"
+        if isinstance(value, Mapping) and TARGET in value:
+            options[name] = _checked(value, below, packages, {})
+        else:
+            options[name] = plain(typed(value, hints.get(name, beside.get(name)), below))
+    return {TARGET: part[TARGET], **options}
+
+
+def _signature(target: str, key: str, packages: tuple[str, ...]) -> Mapping[str, Any]:
+    require_allowed(target, packages, key)
+    hints = signature(target)
+    if hints is None:
+        module, _, name = target.rpartition(".")
+        raise UavrlError(f"{key}: there is no class {target}{did_you_mean(name, classes(module), ': ', ': check it.')}")
+    return hints
+
+
+def require_allowed(target: str, packages: Iterable[str], key: str = TARGET) -> None:
+    """Refuses a class that is neither ours nor of a package that the user lists: what a file names is imported.
+
+    Examples:
+        >>> require_allowed("os.system", [])  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        uavrl.errors.UavrlError: _target_ names os.system, and os is no package that you have listed: ...
+    """
+    allowed = (*ALLOWED, *packages)
+    if not any(target.startswith(f"{package}.") for package in allowed):
+        top = target.partition(".")[0]
+        raise UavrlError(
+            f"{key} names {target}, and {top} is no package that you have listed: if you trust its code, add "
+            f"packages=[{top}] to the command."
+        )
+
+
+def plain(value: Any) -> Any:
+    """Dataclasses as mappings and tuples as lists, as yaml has them.
+
+    Examples:
+        >>> plain({"hidden": (400, 300)})
+        {'hidden': [400, 300]}
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, Mapping):
+        return {str(name): plain(child) for name, child in value.items()}
+    return [plain(child) for child in value] if isinstance(value, list | tuple) else value
