@@ -119,7 +119,7 @@ def _signature(target: str, key: str, packages: tuple[str, ...]) -> Mapping[str,
     hints = signature(target)
     if hints is None:
         module, _, name = target.rpartition(".")
-        raise UavrlError(f"{key}: there is no class {target}{did_you_mean(name, classes(module), ': ', ': check it.')}")
+        raise UavrlError(f"{key}: there is no class {target}{did_you_mean(name, classes(module), ': ', 'check it.')}")
     return hints
 
 

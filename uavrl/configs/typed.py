@@ -119,5 +119,5 @@ def require_known(given: Iterable[Any], known: Iterable[str], key: str) -> None:
     names = list(known)
     for name in map(str, given):
         if name not in names:
-            near = did_you_mean(f"{prefix}{name}", [f"{prefix}{n}" for n in names], ": ", ": leave it out.")
+            near = did_you_mean(f"{prefix}{name}", [f"{prefix}{n}" for n in names], ": ", "leave it out.")
             raise UavrlError(f"There is no key {prefix + name!r}{near}")
