@@ -438,7 +438,7 @@ def test_settings_out_of_range_are_refused(kwargs: dict[str, Any], message: str)
 
 def test_a_valley_without_room_for_a_task_is_refused() -> None:
     with pytest.raises(ValueError, match="lower obstacles"):
-        NavigationEnv(1, world=WorldConfig(min_clearance=9.0))
+        NavigationEnv(1, world=WorldConfig(min_clearance=9.0)).reset()
 
 
 def test_a_distorted_scan_ends_where_the_undistorted_one_is_taken() -> None:

@@ -161,7 +161,7 @@ def test_a_run_keeps_what_auto_chose(tmp_path: Path, monkeypatch: pytest.MonkeyP
     run_dir = create_run(small_config(tmp_path / "run", "trainer.products=auto"))
     assert OmegaConf.load(run_dir / "config.yaml").trainer.products == "onednn"
     with pytest.raises(UavrlError, match=r"^resume=.* and trainer\.products would change it: "):
-        resume_config(run_dir, OmegaConf.create({"trainer": {"products": "mkl"}}), ["trainer.products"])
+        resume_config(run_dir, OmegaConf.create({"packages": [], "trainer": {"products": "mkl"}}), ["trainer.products"])
 
 
 def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,7 +177,7 @@ def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatc
     del config.trainer.products
     (run_dir / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     train(config, run_dir)
-    more = OmegaConf.create({"trainer": {"episodes": 4}})
+    more = OmegaConf.create({"packages": [], "trainer": {"episodes": 4}})
     summary = train(resume_config(run_dir, more, ["trainer.episodes"]), run_dir, resume=True)
     assert summary["episodes"] >= 4
     assert asked == ["mkl", "mkl"]

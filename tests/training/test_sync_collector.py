@@ -126,7 +126,11 @@ def segments(episodes: list[Episode]) -> list[list[int]]:
 
 @pytest.mark.parametrize("walker", [False, True])
 def test_a_training_counts_every_flight_up_to_the_last_before_each_checkpoint(tmp_path: Path, walker: bool) -> None:
-    make, settings = (walker_config, ["trainer.episodes=9"]) if walker else (small_config, ["trainer.episodes=30"])
+    make, settings = (
+        (walker_config, ["trainer.episodes=9", "buffer=failure_biased"])
+        if walker
+        else (small_config, ["trainer.episodes=30"])
+    )
     config = make(tmp_path / "run", *settings, "trainer.updates_per_step=0.01")
     summary = train(config, create_run(config))
     episodes = read_episodes(tmp_path / "run/episodes.csv")

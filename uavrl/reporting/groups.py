@@ -18,6 +18,7 @@ HOW_IT_RUNS = (
     "logger",
     "device",
     "trainer.episodes",
+    "trainer.until_success",
     "trainer.progress",
     "trainer.record_states",
     "trainer.keep_checkpoints",
