@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 export OMP_NUM_THREADS ?= 1
+ifndef RUN
+RUN := runs/fast_$(shell date +%Y-%m-%d_%H-%M-%S)
+endif
 
 .PHONY: train demo test test-slow lint bench setup clean
 
@@ -15,8 +18,14 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $(READY)
 
+# Trains until the policy flies, then evaluates it and draws some flights. ARGS="env=dynamic" changes what is trained.
+# The thesis's run: .venv/bin/uavrl-train (5,000 episodes).
 train: $(READY)
-	$(BIN)/uavrl-train $(ARGS)
+	@echo "Training by preset=fast in $(RUN); the thesis's 5,000 episodes: $(BIN)/uavrl-train"
+	@$(BIN)/uavrl-train preset=fast run_dir=$(RUN) $(ARGS)
+	@$(BIN)/uavrl-evaluate run=$(RUN) episodes=100
+	@$(BIN)/uavrl-replay run=$(RUN) episodes=4 output=$(RUN)/replay.html
+	@$(BIN)/python -m uavrl.cli.reached $(RUN)
 
 demo: $(READY)
 	$(BIN)/uavrl-replay policy=static tasks=[0,1,2,3] output=demo.html

@@ -3,8 +3,9 @@
 Run `python benchmarks/update.py [--json FILE]`. All rows make the same update: state 105, action 4, networks 400-300,
 batch 100, float32, Adam for critics and actor, actor and targets every second step, on one thread and on a ready-made
 batch; Stable-Baselines3's row also draws its batch, as its `train` does. "matrix products" times the products of an
-update alone, which no implementation can do without. The library's rows and the products alone are multiplied by what
-`--products` says, the others by PyTorch's default. Rows are interleaved and repeated; medians count.
+update alone, which no implementation can do without. "torch.compile" compiles `value_loss` and `actor_loss` of a loss,
+with PyTorch's fused Adam and TorchRL's SoftUpdate. The library's rows, those and the products alone are multiplied by
+what `--products` says, the others by PyTorch's default. Rows are interleaved and repeated; medians count.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torch.nn import functional
 from torchrl.data import Bounded
-from torchrl.objectives import SoftUpdate
+from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives import TD3Loss as StockTD3Loss
 
 from uavrl.losses import TD3Loss
@@ -64,10 +65,7 @@ def modules() -> tuple[TensorDictModule, list[TensorDictModule]]:
 
 def ours(execution: Execution) -> Row:
     """The library's optimisation step."""
-    actor, critics = modules()
-    stepper = ActorCriticStepper(
-        TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (ACTION,))), execution=execution
-    )
+    stepper = ActorCriticStepper(our_loss(), execution=execution)
     data = batch()
     return lambda: stepper.step(None, data)
 
@@ -110,14 +108,28 @@ def handwritten() -> Row:
     return step
 
 
-def stock() -> Row:
-    """TorchRL's TD3Loss with two optimisers and its SoftUpdate."""
+def stock_loss() -> StockTD3Loss:
+    """TorchRL's TD3Loss with the thesis's squared error."""
     actor, critics = modules()
     loss = StockTD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (ACTION,)), loss_function="l2")
     loss.make_value_estimator(gamma=0.99)
+    return loss
+
+
+def our_loss() -> TD3Loss:
+    """The library's TD3Loss."""
+    actor, critics = modules()
+    return TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (ACTION,)))
+
+
+def with_stock_tools(loss: LossModule, *, compiled: bool) -> Row:
+    """A loss with PyTorch's fused Adam and TorchRL's SoftUpdate, its two methods as written or by `torch.compile`."""
     actor_optimizer = torch.optim.Adam([*loss.actor_network_params.values(True, True)], lr=1e-4, fused=True)
     critic_optimizer = torch.optim.Adam([*loss.qvalue_network_params.values(True, True)], lr=1e-3, fused=True)
     targets = SoftUpdate(loss, tau=0.005)
+    value_loss, actor_loss = loss.value_loss, loss.actor_loss
+    if compiled:
+        value_loss, actor_loss = torch.compile(value_loss), torch.compile(actor_loss)
     data = batch()
     count = 0
 
@@ -125,11 +137,11 @@ def stock() -> Row:
         nonlocal count
         count += 1
         critic_optimizer.zero_grad()
-        loss.value_loss(data)[0].backward()
+        value_loss(data)[0].backward()
         critic_optimizer.step()
         if count % 2 == 0:
             actor_optimizer.zero_grad()
-            loss.actor_loss(data)[0].backward()
+            actor_loss(data)[0].backward()
             actor_optimizer.step()
             targets.step()
 
@@ -238,11 +250,14 @@ def main() -> None:
     names: list[Execution] = ["eager", "captured"] if args.skip_compiled else ["eager", "captured", "compiled"]
     others: dict[str, Row] = {
         "hand-written, eager": handwritten(),
-        "TorchRL's TD3Loss": stock(),
+        "TorchRL's TD3Loss": with_stock_tools(stock_loss(), compiled=False),
         "Stable-Baselines3": stable_baselines(),
     }
     with multiplied_by(args.products) as products:
         rows = {f"uavrl, {name}": multiplied(products, ours(name)) for name in names}
+        if not args.skip_compiled:
+            rows["uavrl's TD3Loss, torch.compile"] = multiplied(products, with_stock_tools(our_loss(), compiled=True))
+            rows["TorchRL's, torch.compile"] = multiplied(products, with_stock_tools(stock_loss(), compiled=True))
         rows |= {name: multiplied("mkl", row) for name, row in others.items()}
         rows["matrix products alone"] = multiplied(products, matrix_products())
         milliseconds = measure(rows, args.repeats, args.steps)
@@ -254,9 +269,11 @@ def main() -> None:
         "vs_sb3": default / milliseconds["Stable-Baselines3"],
         "vs_matmul": default / milliseconds["matrix products alone"],
     }
+    if not args.skip_compiled:
+        ratios["vs_torch_compile"] = default / milliseconds["uavrl's TD3Loss, torch.compile"]
     print(f"one thread, products by {products}, median of {args.repeats} rounds of {args.steps} updates\n")
     for name, value in milliseconds.items():
-        print(f"{name:24}{value:8.3f} ms{value / default:8.2f} x {chosen}")
+        print(f"{name:32}{value:8.3f} ms{value / default:8.2f} x {chosen}")
     print("\n" + ", ".join(f"{name} {value:.2f}" for name, value in ratios.items()))
     if args.json:
         args.json.write_text(

@@ -36,6 +36,38 @@ def test_the_lidar_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     assert (numbers["num"], numbers["rays_per_scan"], numbers["threads"]) == (1, 28_928, 1)
 
 
+def test_minutes_are_counted_until_enough_of_the_last_flights_arrive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Flights end at 1, 2, 3, 4, 5 minutes; the share of the last two is 0, ½, 1, ½ from the second on."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import minutes
+
+    (tmp_path / "logs/run/scalars").mkdir(parents=True)
+    (tmp_path / "logs/run/scalars/minutes.csv").write_text("100,1.0\n500,5.0\n")
+    outcomes = ["collided", "timed_out", "arrived", "arrived", "collided"]
+    rows = [f"{100 * (k + 1)},{outcome}" for k, outcome in enumerate(outcomes)]
+    (tmp_path / "episodes.csv").write_text("\n".join(["total_steps,outcome", *rows]) + "\n")
+    curve = minutes.read(tmp_path)
+    assert curve.minutes.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert curve.success(2).tolist() == [0.0, 0.5, 1.0, 0.5]
+    assert curve.reaches(0.5, 2) == (3.0, 300)
+    assert curve.reaches(0.8, 2) == (4.0, 400)
+    assert curve.reaches(0.8, 3) is None
+    never = minutes.Curve(curve.minutes, curve.steps, np.zeros(5))
+    asked = SimpleNamespace(success=0.8, window=2)
+    result = minutes.told({minutes.DEFAULT: [curve, curve, never], minutes.FAST: [curve, never, never]}, asked)
+    assert result["rows"][minutes.DEFAULT] == {
+        "minutes": [4.0, 4.0, None],
+        "steps": [400, 400, None],
+        "median_minutes": 4.0,
+    }
+    assert result["rows"][minutes.FAST]["median_minutes"] is None
+    assert result["fast_vs_default"] is None
+    minutes.draw({minutes.DEFAULT: [curve, curve]}, 2, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 1000
+
+
 @pytest.mark.slow
 def test_the_environment_benchmark_writes_its_profile(tmp_path: Path) -> None:
     numbers = written_by("env.py", tmp_path, "--uavs", "2", "--repeats", "1", "--steps", "32")

@@ -45,7 +45,7 @@ from uavrl.transforms import (
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
 # tests/pretraining/test_config.py has the first, tests/test_experiments.py the others
-FILES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experiment")]
+FILES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "preset", "experiment")]
 CHOICES = [file for file in FILES if file[0] != "enhancer"]  # an enhancer is part of an algorithm
 WALKERS = {("perception", "none"), ("reward", "walker"), ("buffer", "failure_biased")}  # they go with the walker alone
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
@@ -227,6 +227,12 @@ def test_the_walker_brings_its_observation_its_reward_and_its_buffer() -> None:
         (["reward=walker"], "reward must be navigation or navigation_prize or traditional with env=static"),
         (["buffer=failure_biased"], "buffer must be uniform or prioritized with env=static"),
         (["perception=none"], "perception must be truncated_icosahedron with env=static"),
+        (["buffer.mirror=true", "perception.angles=raw"], r"buffer\.mirror must be false, but in the valley"),
+        (["buffer.mirror=true", "env=bipedal_hardcore"], r"buffer\.mirror must be false, but in the valley"),
+        (["algo=td3_fork", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
+        (["algo=td3_lg", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
+        (["collector.processes=2"], r"collector\.processes must be 1, or with collector=async more, got 2"),
+        (["trainer.until_success=80"], r"trainer\.until_success must be null or a share in \(0, 1\], got 80"),
     ],
 )
 def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -> None:
@@ -295,14 +301,24 @@ def test_the_dynamic_environment_differs_in_its_planes_only() -> None:
 
 
 def test_the_asynchronous_collector_flies_further_ahead() -> None:
-    assert asdict(settings("config", "collector=async").collector) == {"name": "async", "steps_per_batch": 64}
+    collector = asdict(settings("config", "collector=async").collector)
+    assert collector == {"name": "async", "steps_per_batch": 64, "processes": 1}
+
+
+def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn() -> None:
+    plain_run, fast = settings("config"), settings("config", "preset=fast", "algo.n_steps=5", "collector=sync")
+    assert (plain_run.algo.n_steps, plain_run.algo.layer_norm, plain_run.algo.exploration_spread) == (1, False, 1.0)
+    assert (plain_run.buffer.mirror, plain_run.trainer.until_success) == (False, None)
+    assert (fast.algo.n_steps, fast.algo.layer_norm, fast.buffer.mirror) == (5, True, True)
+    assert (fast.collector.name, fast.backward_reward.name, fast.reward.name) == ("sync", "abr", "navigation_prize")
+    assert settings("config", "preset=fast", "env=dynamic").env.world.planes == 3
 
 
 @pytest.mark.parametrize(("name", "schema"), [("config", TrainConfig), ("evaluate", EvaluateConfig)])
 def test_top_level_yaml_holds_every_field_and_default(name: str, schema: type) -> None:
     written = yaml.safe_load((conf_dir() / f"{name}.yaml").read_text())
     groups = [next(iter(item)) for item in written["defaults"] if isinstance(item, dict)]
-    groups = [group for group in groups if not group.startswith(("override", "scheme", "experiment"))]
+    groups = [group for group in groups if not group.startswith(("override", "scheme", "preset", "experiment"))]
     values = {key: value for key, value in written.items() if key not in ("defaults", "hydra")}
     assert set(values) | set(groups) == {field.name for field in fields(schema)}
     defaults = {field.name: field.default for field in fields(schema) if field.name in values}
@@ -321,7 +337,7 @@ def test_every_key_has_a_comment(path: Path) -> None:
         if re.match(r"\s*\w+:", line)
         and "#" not in line
         and not line.startswith("defaults:")
-        and not line.startswith(("name:", "world:", "trainer:"))
+        and not line.startswith(("name:", "world:", "trainer:", "buffer:"))
     ]
     assert not bare
 
@@ -345,8 +361,18 @@ CONSTRUCTORS = [
 COVERED = {  # keys of the dataclass that a constructor takes under the same name
     "navigation": {"weights", "flight_level", "collided_reward", "arrived_reward", "altitude_term"},
     "traditional": {"arrived_reward", "collided_reward"},
-    "td3": {"gamma", "policy_noise", "noise_clip", "actor_lr", "critic_lr", "policy_delay", "tau", "hidden"},
-    "sac": {"actor_lr", "critic_lr", "temperature_lr", "policy_delay", "tau", "hidden"},
+    "td3": {
+        "gamma",
+        "policy_noise",
+        "noise_clip",
+        "actor_lr",
+        "critic_lr",
+        "policy_delay",
+        "tau",
+        "hidden",
+        "layer_norm",
+    },
+    "sac": {"actor_lr", "critic_lr", "temperature_lr", "policy_delay", "tau", "hidden", "layer_norm"},
     "abr": {"multiplier", "threshold", "max_classes", "seed"},
     "abr_plus": {"multiplier"},
     "truncated_icosahedron": {"radius", "statistic", "angles", "frames", "blind", "blind_to"},

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tests.cli.test_bad_input import TINY, in_process
 from uavrl.cli import train as train_command
+from uavrl.cli.policies import PACKAGED
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -20,3 +21,13 @@ def test_forks_threshold_is_measured_on_a_run(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "system loss of predicting no change: 0." in done.stdout
     assert "20 updates: system loss" in done.stdout
+
+
+def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> None:
+    evaluation = PACKAGED / "static" / "evaluation.json"
+    script = [sys.executable, EXAMPLES / "altitudes.py", evaluation, "--output", tmp_path / "altitudes.png"]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    low, middle, high = (float(x) for x in done.stdout.split("%: ")[1].split(" m")[0].split(" / "))
+    assert 0 < low < middle < high < 5
+    assert (tmp_path / "altitudes.png").stat().st_size > 5_000

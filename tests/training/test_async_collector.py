@@ -93,6 +93,41 @@ def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
         flown.shutdown()
 
 
+class Seeded(Counter):
+    """Observes the seed that it was given, modulo a million."""
+
+    given = -1
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.given = -1 if seed is None else seed % 10**6
+
+    def disturbed(self) -> torch.Tensor:
+        return torch.tensor([float(self.given)])
+
+
+def test_two_processes_fly_tasks_of_their_own() -> None:
+    flown = AsyncCollector(
+        [Seeded, Seeded],
+        policy=policy(),
+        frames_per_batch=5,
+        total_frames=-1,
+        trajs_per_batch=1,
+        traj_format="cat",
+        device="cpu",
+    )
+    try:
+        flown.start_anew(11, 100)
+        seen = set()
+        for turn, batch in enumerate(flown):
+            assert batch["next", "done"].flatten().tolist() == [False] * 4 + [True]
+            seen |= set(batch["observation"].flatten().tolist())
+            if turn == 15:
+                break
+        assert 11.0 in seen and len(seen - {-1.0}) == 2
+    finally:
+        flown.shutdown()
+
+
 def test_a_process_that_dies_ends_the_run_with_a_sentence(capfd: pytest.CaptureFixture[str]) -> None:
     flown = collector(Breaking, policy())
     try:

@@ -58,12 +58,16 @@ class Flights(EnvBase):
         return TensorDict({key: value[:, None].clone() for key, value in signals.items()}, [UAVS])
 
 
-def flown(interval: int, flights: int) -> tuple[list[int], list[list[int]], int]:
-    """The lengths of the flights of a training, their numbers between checkpoints, and the steps flown."""
+def make_collector() -> SyncCollector:
     policy = TensorDictModule(lambda task: torch.zeros(*task.shape), ["task"], ["action"])
-    collector = SyncCollector(
+    return SyncCollector(
         Flights(), policy, frames_per_batch=UAVS * 5, total_frames=-1, trajs_per_batch=1, traj_format="cat"
     )
+
+
+def flown(interval: int, flights: int) -> tuple[list[int], list[list[int]], int]:
+    """The lengths of the flights of a training, their numbers between checkpoints, and the steps flown."""
+    collector = make_collector()
     collector.start_anew(1, flights)
     lengths: list[int] = []
     tasks: list[list[int]] = [[]]
@@ -101,6 +105,13 @@ def test_with_no_checkpoint_but_the_last_the_first_flights_begun_are_counted_and
     expected = [LONG if np.random.default_rng((1, task)).random() < LATE else SHORT for task in tasks]
     assert lengths == expected
     assert frames >= sum(lengths)
+
+
+def test_all_flights_count_until_told_otherwise() -> None:
+    collector = make_collector()
+    tasks = {flight["task"][0].item() for flight, _ in zip(collector, range(3 * UAVS), strict=False)}
+    collector.shutdown()
+    assert len(tasks) == 3 * UAVS
 
 
 def segments(episodes: list[Episode]) -> list[list[int]]:

@@ -102,6 +102,39 @@ def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
     assert run.updates == [math.floor(per_step * e.total_steps) for e in run.episodes]
 
 
+# ---------------------------------------------------------------------- when a run ends, and how long it took
+
+
+EASY = ["env.world.goal_radius=18", "env.world.obstacles=0", "env.max_steps=40", "algo.random_steps=10000"]
+
+
+def test_a_run_ends_by_itself_once_enough_of_the_last_flights_arrive(tmp_path: Path) -> None:
+    """Random flights, of which about half arrive: three of the last four end the run."""
+    rule = ["trainer.window=4", "trainer.until_success=0.75", "trainer.episodes=300"]
+    config = small_config(tmp_path / "run", *EASY, *rule)
+    summary = train(config, create_run(config))
+    arrived = [episode.outcome == "arrived" for episode in read_episodes(tmp_path / "run" / "episodes.csv")]
+    enough = [sum(arrived[end - 4 : end]) >= 3 for end in range(4, len(arrived) + 1)]
+    assert summary["episodes"] == len(arrived) < 300
+    assert enough == [False] * (len(enough) - 1) + [True]
+    again = train(config, tmp_path / "run", resume=True)
+    assert again["episodes"] == len(arrived), "a run that has ended is not flown on"
+
+
+def test_minutes_are_logged_and_go_on_after_a_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=6", "logger.interval=1")
+    clock = iter(range(0, 10**9, 60))
+    monkeypatch.setattr("uavrl.training.trainer.time.monotonic", lambda: float(next(clock)))
+    first = train(config, create_run(config))
+    config.trainer.episodes = 12
+    second = train(config, tmp_path / "run", resume=True)
+    (file,) = (tmp_path / "run" / "logs").rglob("minutes.csv")
+    minutes = [float(row.split(",")[1]) for row in file.read_text().splitlines()]
+    assert minutes == sorted(minutes) and len(minutes) >= 10
+    assert minutes[0] >= 1.0
+    assert 6 < first["minutes"] < minutes[-1] < second["minutes"]
+
+
 # ---------------------------------------------------------------------- what is stored
 
 

@@ -170,9 +170,9 @@ class FrameStorage(GatheringStorage):
         self.load_state_dict(tensordict.load(path, allow_pickle=False))
 
     @property
-    def frame_size(self) -> int:
-        """Bytes of one frame; 0 before the first."""
-        return 0 if self._ring is None else self._ring.element_size() * self._ring.shape[-1]
+    def frame_bytes(self) -> int:
+        """What the frames take that are kept."""
+        return 0 if self._ring is None else (self._end - self._oldest) * self._ring[0].nbytes
 
     def _empty(self) -> None:
         super()._empty()

@@ -44,6 +44,8 @@ def configure_logging() -> None:
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     os.environ.setdefault("RL_WARNINGS", "False")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr, force=True)
+    logging.captureWarnings(True)  # so that they keep out of a progress line as all that is logged does
+    logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)  # a CUDA compiler without a GPU is no news
     for name in logging.root.manager.loggerDict:
         if name.startswith("uavrl."):
             logging.getLogger(name).disabled = False  # Hydra silences those of an earlier run of the sweep

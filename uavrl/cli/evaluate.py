@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.cli.policies import (
+    UNTOLD,
     baseline,
     load_policy,
     name_of_output,
@@ -19,6 +20,7 @@ from uavrl.cli.policies import (
     with_overrides,
     writable,
 )
+from uavrl.cli.suite import evaluate_suite
 from uavrl.configs import EvaluateConfig, to_dataclass
 from uavrl.configs.walker import BipedalConfig
 from uavrl.errors import UavrlError
@@ -30,12 +32,15 @@ if TYPE_CHECKING:
 
 @command("evaluate")
 def main(config: DictConfig) -> None:
-    """Evaluates one policy."""
-    _evaluate(config, given_overrides())
-
-
-def _evaluate(config: DictConfig, overrides: list[str]) -> None:
+    """Evaluates one policy, in one world or in all of the suite."""
     settings: EvaluateConfig = to_dataclass(config)
+    if settings.suite is None:
+        _evaluate(settings, config, given_overrides())
+    else:
+        evaluate_suite(settings, given_overrides())
+
+
+def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]) -> None:
     folder = policy_folder(settings.run, settings.policy)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
@@ -120,7 +125,7 @@ def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
 
 def _telling(overrides: list[str]) -> list[str]:
     """Those overrides that tell which tasks were flown by what, beside how many."""
-    return told_apart(overrides, ("run", "episodes", "output", "device", "threads", "products", "progress"))
+    return told_apart(overrides, UNTOLD)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
 
+# Keys of an evaluation that do not tell which tasks were flown by what.
+UNTOLD = ("run", "episodes", "output", "device", "threads", "products", "progress")
+
 
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
     """The run's configuration with what the command line says about environment and sensor.
@@ -166,11 +169,11 @@ def baseline(name: str, flight_level: float) -> Any:
     """A policy that learns nothing, by its name.
 
     Raises:
-        UavrlError: for another name than ``straight``.
+        UavrlError: for an unknown name.
     """
-    from uavrl.training.baselines import StraightPolicy
+    from uavrl.training.baselines import BASELINES
 
-    if name != "straight":
-        names = ", ".join(["straight", *packaged_policies()])
+    if name not in BASELINES:
+        names = ", ".join([*BASELINES, *packaged_policies()])
         raise UavrlError(f"policy must be one of {names}, got {name!r}: to fly your own give run=RUN_FOLDER.")
-    return StraightPolicy(flight_level)
+    return BASELINES[name](flight_level)

@@ -78,7 +78,10 @@ class DDPGConfig:
     policy_delay: int = 1
     exploration_noise: float = 0.1
     random_steps: int = 10_000
+    exploration_spread: float = 1.0
     hidden: tuple[int, ...] = (400, 300)
+    layer_norm: bool = False
+    n_steps: int = 1
     fork: ForkConfig | None = None
     lifeguard: LifeGuardConfig | None = None
 
@@ -88,8 +91,15 @@ class DDPGConfig:
         require(0 < self.tau <= 1, "algo.tau", "in (0, 1]", self.tau)
         for key in ("actor_lr", "critic_lr"):
             require(getattr(self, key) > 0, f"algo.{key}", "above 0", getattr(self, key))
-        for key in ("batch_size", "policy_delay"):
+        for key in ("batch_size", "policy_delay", "exploration_spread", "n_steps"):
             require(getattr(self, key) >= 1, f"algo.{key}", "at least 1", getattr(self, key))
+        one_step = self.fork is None and self.lifeguard is None
+        require(
+            self.n_steps == 1 or one_step,
+            "algo.n_steps",
+            "1 with FORK or LifeGuard: they learn from single steps",
+            self.n_steps,
+        )
         require(self.exploration_noise >= 0, "algo.exploration_noise", "at least 0", self.exploration_noise)
         require(self.random_steps >= 0, "algo.random_steps", "at least 0", self.random_steps)
         require_widths(self.hidden, "algo.hidden")

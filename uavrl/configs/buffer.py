@@ -13,6 +13,7 @@ class UniformBufferConfig:
 
     name: str = "uniform"
     capacity: int = 1_000_000
+    mirror: bool = False
 
     def __post_init__(self) -> None:
         """Checks ranges."""

@@ -19,6 +19,7 @@ class EvaluateConfig:
     episodes: int = 500
     seed: int = 20_000
     valleys: tuple[int, ...] | None = None
+    suite: Any = None  # a name, or a list of names
     checkpoint: str | None = None
     output: str | None = None
     num_uavs: int = 8

@@ -44,9 +44,10 @@ def bytes_needed(settings: TrainConfig) -> dict[str, float]:
         widths += [("algo.fork.system_hidden", algo.fork.system_hidden, 1)]
         widths += [("algo.fork.reward_hidden", algo.fork.reward_hidden, 1)]
     hidden_values = 4 * sum(sum(hidden) for _, hidden, _ in widths)  # of one transition, with their gradients
-    transition = frame * 17 / 16 * NUMBER + 42
+    kept = frame * 17 / 16 if algo.n_steps == 1 else 2 * state * 9 / 8  # both states whole: they share no frames
+    transition = kept * NUMBER + 42
     parts = {
-        "env.num_uavs": uavs * VEHICLE * valley,
+        "env.num_uavs": uavs * settings.collector.processes * VEHICLE * valley,
         "buffer.capacity": buffer.capacity * (transition + 32 * isinstance(buffer, PrioritizedBufferConfig)),
         "collector.steps_per_batch": 3 * settings.collector.steps_per_batch * uavs * 2 * state * NUMBER,
         **{key: COPIES * NUMBER * nets * _weights([2 * state + actions, *w, 1]) for key, w, nets in widths},

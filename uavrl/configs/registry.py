@@ -184,6 +184,8 @@ def _check_environment(config: DictConfig) -> None:
         require(names[group] in fitting, group, f"{' or '.join(fitting)} {env}", names[group])
     buffer, backward = names["buffer"], names["backward_reward"]
     require(walker or buffer != "failure_biased", "buffer", f"uniform or prioritized {env}", buffer)
+    mirrors = not config.buffer.mirror or (not walker and config.perception.angles == "folded")
+    require(mirrors, "buffer.mirror", "false, but in the valley with perception.angles=folded", True)
     require(not walker or backward == "none", "backward_reward", f"none {env}: it pays flights", backward)
 
 

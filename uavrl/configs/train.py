@@ -25,10 +25,13 @@ class CollectorConfig:
 
     name: str = "sync"
     steps_per_batch: int = 16
+    processes: int = 1
 
     def __post_init__(self) -> None:
         """Checks ranges."""
         require_one_of(self.name, "collector.name", ("sync", "async"))
+        fitting = self.processes == 1 or (self.name == "async" and self.processes >= 1)
+        require(fitting, "collector.processes", "1, or with collector=async more", self.processes)
         require(self.steps_per_batch >= 1, "collector.steps_per_batch", "at least 1", self.steps_per_batch)
 
 
@@ -37,6 +40,7 @@ class TrainerConfig:
     """conf/trainer."""
 
     episodes: int = 5000
+    until_success: float | None = None
     updates_per_step: float = 1.0
     window: int = 500
     checkpoint_interval: int = 20_000
@@ -53,6 +57,8 @@ class TrainerConfig:
         require_products(self.products, "trainer.products")
         for key in ("episodes", "window", "checkpoint_interval", "keep_checkpoints", "threads"):
             require(getattr(self, key) >= 1, f"trainer.{key}", "at least 1", getattr(self, key))
+        rate = self.until_success
+        require(rate is None or 0 < rate <= 1, "trainer.until_success", "null or a share in (0, 1]", rate)
         require(self.updates_per_step > 0, "trainer.updates_per_step", "above 0", self.updates_per_step)
 
 

@@ -12,8 +12,14 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 
-def mlp(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
+def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, layer_norm: bool = False) -> nn.Sequential:
     """A fully connected network with ReLU between its layers and none after the last.
+
+    Args:
+        inputs: width of the input.
+        hidden: widths of the hidden layers.
+        outputs: width of the output.
+        layer_norm: whether each hidden layer is normalised before its ReLU (Ba et al. 2016, arXiv:1607.06450).
 
     Examples:
         >>> mlp(3, [8], 2)(torch.zeros(5, 3)).shape
@@ -24,7 +30,7 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
     for i, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
         layers.append(nn.Linear(fan_in, fan_out))
         if i < len(sizes) - 2:
-            layers.append(nn.ReLU())
+            layers += [nn.LayerNorm(fan_out), nn.ReLU()] if layer_norm else [nn.ReLU()]
     return nn.Sequential(*layers)
 
 
@@ -91,15 +97,19 @@ class Critic(nn.Module):
         observations: width of the state.
         actions: width of the action.
         hidden: widths of the hidden layers.
+        layer_norm: whether each hidden layer is normalised (for critics in replay: Hiraoka et al. 2022,
+            arXiv:2110.02034).
 
     Examples:
         >>> Critic(105, 4)(torch.zeros(7, 105), torch.zeros(7, 4)).shape
         torch.Size([7, 1])
     """
 
-    def __init__(self, observations: int, actions: int, hidden: Sequence[int] = (400, 300)) -> None:
+    def __init__(
+        self, observations: int, actions: int, hidden: Sequence[int] = (400, 300), *, layer_norm: bool = False
+    ) -> None:
         super().__init__()
-        self.net = mlp(observations + actions, hidden, 1)
+        self.net = mlp(observations + actions, hidden, 1, layer_norm=layer_norm)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """``[*B, observations]`` and ``[*B, actions]`` to ``[*B, 1]``."""

@@ -61,9 +61,9 @@ class AsyncCollector(MultiAsyncCollector):
             super().reset(*args, **kwargs)
 
     def start_anew(self, seed: int, flights: int) -> None:
-        """Starts new episodes from a seed, unless some fly: these go on. All count."""
+        """Starts new episodes from a seed, another one in each process, unless some fly: these go on. All count."""
         if not self.running:
-            self.set_seed(seed, static_seed=True)
+            self.set_seed(seed)
             self.reset()
 
     def wind_down(self) -> bool:

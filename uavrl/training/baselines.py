@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from uavrl.envs.navigation import ACTION_LIMIT
+from uavrl.transforms.functional import truncated_icosahedron_faces
 
 
 class StraightPolicy:
@@ -36,3 +41,96 @@ class StraightPolicy:
         climb = (self.flight_level - tensordict["altitude"]).clamp(-ACTION_LIMIT, ACTION_LIMIT)
         turn = (3 * heading).clamp(-ACTION_LIMIT, ACTION_LIMIT)
         return tensordict.set("action", torch.cat([forward, torch.zeros_like(forward), climb, turn], -1))
+
+
+def directions(azimuths: int, elevations: tuple[float, ...]) -> Tensor:
+    """Unit vectors ``[azimuths * len(elevations), 3]`` all around, x forward, y left, z up; ``elevations`` in rad.
+
+    Examples:
+        >>> directions(4, (0.0, math.pi / 2)).shape
+        torch.Size([8, 3])
+        >>> torch.allclose(directions(4, (0.0,))[1], torch.tensor([0.0, 1.0, 0.0]), atol=1e-6)
+        True
+    """
+    azimuth, elevation = torch.meshgrid(
+        torch.arange(azimuths) * (math.tau / azimuths), torch.tensor(elevations), indexing="ij"
+    )
+    across = elevation.cos()
+    return torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1).flatten(0, 1)
+
+
+class VectorFieldHistogram:
+    """Flies where the reduced scan is emptiest on the way to the goal: sees what a policy sees, and learns nothing.
+
+    Each of some directions around the UAV costs what stands near it, how far it leads away from the goal and from the
+    flight level, and how far the UAV would have to turn. The cheapest is flown, the slower the more stands there. It
+    has no memory, so it cannot leave a dead end on purpose.
+
+    Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the 32 faces instead of
+    a grid of cells.
+
+    Args:
+        flight_level: altitude to hold where nothing is in the way, m.
+        radius: circumradius of the reduction in m.
+        obstacle: cost of a direction whose face is full.
+        goal: cost of a direction that leads away from the goal.
+        level: cost of a metre off the flight level after a second, in a direction.
+        turn: cost of a direction behind the UAV.
+        width: how near a face must be to a direction to count: the power of the cosine between them.
+        nearness: power of a face's distance over ``radius``; the greater, the less far things count.
+        caution: share of the speed that is left out where the way is full, in [0, 1].
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> faces = torch.zeros(1, 32)
+        >>> state = TensorDict(
+        ...     {"faces": faces, "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}, [1]
+        ... )
+        >>> VectorFieldHistogram()(state)["action"].tolist()
+        [[2.0, 0.0, 0.0, 0.0]]
+    """
+
+    def __init__(
+        self,
+        flight_level: float = 3.5,
+        radius: float = 4.0,
+        *,
+        obstacle: float = 3.0,
+        goal: float = 1.0,
+        level: float = 0.3,
+        turn: float = 0.2,
+        width: float = 6.0,
+        nearness: float = 2.0,
+        caution: float = 0.7,
+    ) -> None:
+        self.flight_level, self.radius = flight_level, radius
+        self.obstacle, self.goal, self.level, self.turn = obstacle, goal, level, turn
+        self.nearness, self.caution = nearness, caution
+        self.directions = directions(24, (-0.5, 0.0, 0.5))
+        cosines = self.directions @ truncated_icosahedron_faces(radius).normals.float().T
+        self._seen_in = cosines.clamp_min(0) ** width  # [D, 32]: how much of each face counts in a direction
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``."""
+        heading = torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
+        x, y, z = self.directions.T
+        in_the_way = (tensordict["faces"] / self.radius) ** self.nearness @ self._seen_in.T  # [N, D]
+        off_level = (tensordict["altitude"] + ACTION_LIMIT * z - self.flight_level).abs()
+        cost = (
+            self.obstacle * in_the_way
+            + self.goal * (1 - x * heading.cos() - y * heading.sin())
+            + self.level * off_level
+            + self.turn * (1 - x)
+        )
+        best = cost.argmin(-1)
+        way = self.directions[best]
+        speed = ACTION_LIMIT * (1 - self.caution * in_the_way.gather(-1, best[:, None]).clamp(0, 1))
+        turn = (3 * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-ACTION_LIMIT, ACTION_LIMIT)
+        return tensordict.set("action", torch.cat([speed * way, turn], -1))
+
+
+BASELINES: dict[str, Callable[[float], StraightPolicy | VectorFieldHistogram]] = {
+    "straight": StraightPolicy,
+    "vfh": VectorFieldHistogram,
+}
+"""By the name that chooses them on the command line; each is called with the flight level in m."""

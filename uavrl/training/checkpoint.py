@@ -29,6 +29,7 @@ FREE_KEYS = (
     "resume",
     "logger",
     "trainer.episodes",
+    "trainer.until_success",
     "trainer.progress",
     "trainer.record_states",
     "trainer.keep_checkpoints",

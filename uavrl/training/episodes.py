@@ -174,6 +174,7 @@ class EpisodeLog:
 
     def __init__(self, path: Path, window: int = 500) -> None:
         self.path = path
+        self.window = window
         self.count = 0
         self._recent: deque[Episode] = deque(maxlen=window)
         if not path.exists():

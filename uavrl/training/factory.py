@@ -13,7 +13,8 @@ from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuff
 from torchrl.envs import Compose, EnvBase, RewardSum, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
-from uavrl.buffers import BackwardReward, FailureBias, FrameStorage
+from uavrl.buffers import BackwardReward, FailureBias, FrameStorage, MultiStep
+from uavrl.configs.algo import DDPGConfig
 from uavrl.configs.buffer import (
     ABRConfig,
     ABRPlusConfig,
@@ -33,7 +34,7 @@ from uavrl.models.trajectory_classifier import ABOUT, WEIGHTS, packaged_artifact
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.spaces import make_spaces
 from uavrl.training.sync_collector import SyncCollector
-from uavrl.transforms import NavigationReward, TraditionalReward, WalkerReward, navigation_state
+from uavrl.transforms import Mirror, NavigationReward, TraditionalReward, WalkerReward, navigation_state
 from uavrl.transforms.functional import Statistic
 from uavrl.transforms.observation import Angles
 
@@ -169,21 +170,32 @@ def make_buffer(
     backward_reward: BackwardReward | None = None,
     *,
     frames: int = 1,
+    multi_step: MultiStep | None = None,
 ) -> TensorDictReplayBuffer:
-    """The replay buffer, uniform or prioritised (Eq. 2.17–2.18), of states that ``frames`` stacked frames make."""
+    """The replay buffer, uniform or prioritised (Eq. 2.17–2.18), of states that ``frames`` stacked frames make.
+
+    The next state of an n-step transition shares no frames with its state: both are kept whole.
+    """
     sampler = (
         PrioritizedSampler(config.capacity, config.alpha, config.beta)
         if isinstance(config, PrioritizedBufferConfig)
         else RandomSampler()
     )
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
-    transforms = [transform for transform in (backward_reward, move) if transform is not None]
+    mirror = Mirror() if config.mirror else None
+    chain = (multi_step, backward_reward, mirror, move)  # writes pass from the right, samples from the left
+    transforms = [transform for transform in chain if transform is not None]
     return TensorDictReplayBuffer(
-        storage=FrameStorage(config.capacity, frames, device="cpu"),
+        storage=FrameStorage(config.capacity, frames if multi_step is None else 1, device="cpu"),
         sampler=sampler,
         priority_key="td_error",
         transform=Compose(*transforms) if transforms else None,
     )
+
+
+def make_multi_step(config: DDPGConfig) -> MultiStep | None:
+    """What turns episodes into n-step transitions, or None where single steps are learned from."""
+    return MultiStep(config.n_steps, config.gamma) if config.n_steps > 1 else None
 
 
 def make_admission(config: UniformBufferConfig, seed: int) -> FailureBias | None:
@@ -191,6 +203,27 @@ def make_admission(config: UniformBufferConfig, seed: int) -> FailureBias | None
     if not isinstance(config, FailureBiasedBufferConfig):
         return None
     return FailureBias(config.success_return, config.probability, config.falls_per_success, seed)
+
+
+def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
+    """What each vehicle's exploration noise is multiplied by: from 1/√ratio to √ratio, evenly in the logarithm.
+
+    As the actors of Ape-X explore (Horgan et al. 2018, arXiv:1803.00933): some try what others would not.
+
+    Args:
+        vehicles: N.
+        ratio: the largest over the smallest.
+
+    Returns:
+        ``[N, 1]`` as lists, or 1.0 where all are alike.
+
+    Examples:
+        >>> spread(3, 4.0), spread(3, 1.0)
+        ([[0.5], [1.0], [2.0]], 1.0)
+    """
+    if vehicles == 1 or ratio == 1.0:
+        return 1.0
+    return [[ratio ** (i / (vehicles - 1) - 0.5)] for i in range(vehicles)]
 
 
 def make_collector(
@@ -206,16 +239,18 @@ def make_collector(
     """
     spaces = make_spaces(config.env, config.perception)
     sigma = config.algo.exploration_noise * spaces.limit
+    vehicles = getattr(config.env, "num_uavs", 1)
     noise = AdditiveGaussianModule(
         spec=spaces.action_spec(device),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,
+        std=spread(vehicles, config.algo.exploration_spread),
         device=device,
     )
     kwargs: dict[str, Any] = {
         "policy": TensorDictSequential(actor, noise),
-        "frames_per_batch": getattr(config.env, "num_uavs", 1) * config.collector.steps_per_batch,
+        "frames_per_batch": vehicles * config.collector.steps_per_batch,
         "total_frames": -1,
         "init_random_frames": config.algo.random_steps,
         "trajs_per_batch": 1,
@@ -226,5 +261,5 @@ def make_collector(
         "auto_register_policy_transforms": False,
     }
     if config.collector.name == "async":
-        return AsyncCollector([env], num_threads=config.trainer.threads, **kwargs)
+        return AsyncCollector([env] * config.collector.processes, num_threads=config.trainer.threads, **kwargs)
     return SyncCollector(env, **kwargs)

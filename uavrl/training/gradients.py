@@ -70,6 +70,9 @@ class LossGradients:
     same order, hence the same numbers. ``compiled`` hands the recorded operations to TorchInductor, which
     fuses them (it rounds differently in the last digits, needs a C++ compiler, and is ``captured`` where that fails).
 
+    ``torch.compile`` of the loss methods, with PyTorch's Adam and TorchRL's ``SoftUpdate``, takes an update about 1.4
+    times as long (``benchmarks/update.py``), which is the reason for this class.
+
     A recording holds as long as the loss takes the same branches: ``mode`` names them, and each mode, set of
     entries, batch size, type and device is recorded once. Entries outside ``in_keys`` are not seen. Parameters and
     buffers must be changed in place.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torchrl.modules import ProbabilisticActor, TanhNormal
@@ -33,7 +31,7 @@ def make_actor(algo: DDPGConfig, spaces: Spaces, device: torch.device | str = "c
 def make_loss(algo: DDPGConfig, actor: TensorDictModuleBase, spaces: Spaces, device: torch.device) -> ActorCriticLoss:
     """The loss module of the algorithm with critics of its own, FORK around it and LifeGuard around both."""
     spec = spaces.action_spec(device)
-    critics = [_critic(spaces, algo.hidden, device) for _ in range(1 if type(algo) is DDPGConfig else 2)]
+    critics = [_critic(spaces, algo, device) for _ in range(1 if type(algo) is DDPGConfig else 2)]
     loss: ActorCriticLoss
     if isinstance(algo, TD3Config):
         loss = TD3Loss(
@@ -56,8 +54,8 @@ def make_loss(algo: DDPGConfig, actor: TensorDictModuleBase, spaces: Spaces, dev
     return loss.to(device)
 
 
-def _critic(spaces: Spaces, hidden: Sequence[int], device: torch.device) -> TensorDictModule:
-    net = Critic(spaces.state, spaces.actions, hidden).to(device)
+def _critic(spaces: Spaces, algo: DDPGConfig, device: torch.device) -> TensorDictModule:
+    net = Critic(spaces.state, spaces.actions, algo.hidden, layer_norm=algo.layer_norm).to(device)
     return TensorDictModule(net, in_keys=["observation", "action"], out_keys=["state_action_value"])
 
 

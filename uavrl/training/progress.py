@@ -4,24 +4,62 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping
 
 from tqdm import tqdm
+
+SPAN = 60.0  # s that the speed is measured over
+SHORTEST = 3.0  # s from which on a speed says something
+
+
+def seconds_left(flights: int, steps_a_flight: float, max_steps: int, steps_a_second: float) -> float:
+    """How long ``flights`` more will take.
+
+    Flights that collide soon are short, and lengthen as a policy learns: the rest is taken to last half of
+    ``max_steps`` on average, or as long as the last ones where that is longer.
+
+    Examples:
+        >>> seconds_left(100, 40.0, 300, 150.0)
+        100.0
+    """
+    return flights * max(steps_a_flight, max_steps / 2) / steps_a_second
 
 
 class Progress:
     """Episodes, steps, outcome rates over the window, steps per second and time left.
 
     Args:
-        episodes: how many there will be.
+        episodes: how many there will be at most.
         window: how many the rates cover.
         enabled: whether anything is shown.
         done: episodes flown before (by the run that is resumed).
         steps: steps flown before.
+        random_steps: steps before anything is learned: they are quicker, and say nothing about the time left.
+        max_steps: the longest flight.
+        until_success: the success rate over the window that ends the run before, or None.
     """
 
-    def __init__(self, episodes: int, window: int, *, enabled: bool = True, done: int = 0, steps: int = 0) -> None:
+    def __init__(
+        self,
+        episodes: int,
+        window: int,
+        *,
+        enabled: bool = True,
+        done: int = 0,
+        steps: int = 0,
+        random_steps: int = 0,
+        max_steps: int = 300,
+        until_success: float | None = None,
+    ) -> None:
         self._window = window
+        self._random_steps = random_steps
+        self._max_steps = max_steps
+        self._goal = "" if until_success is None else f" of {until_success:.0%}"
+        self._at_most = "" if until_success is None else "at most "
+        self._times: deque[tuple[float, int]] = deque()
+        self._compiled = False
+        self._before = (done, steps)
         self._bar = tqdm(
             total=episodes,
             initial=done,
@@ -29,21 +67,47 @@ class Progress:
             unit="ep",
             dynamic_ncols=True,
             mininterval=0.5 if sys.stderr.isatty() else 30.0,
-            bar_format="{n_fmt}/{total_fmt} episodes |{bar:12}| {postfix} | {elapsed} gone, {remaining} left",
+            bar_format="{n_fmt}/{total_fmt} episodes |{bar:12}| {elapsed} gone{postfix}",
         )
-        self._start = time.monotonic()
-        self._first_step = steps
 
     def update(self, episodes: int, steps: int, rates: Mapping[str, float], mean_return: float) -> None:
         """Shows the state after ``episodes`` episodes and ``steps`` steps."""
-        speed = (steps - self._first_step) / max(time.monotonic() - self._start, 1e-9)
-        window = min(self._window, max(episodes, 1))
         self._bar.set_postfix_str(
-            f"{steps:,} steps, {speed:.0f}/s | last {window}: success {rates['arrived']:.1%}, "
+            f"{self._left(episodes, steps)} | {steps:,} steps{self._speed_text()} | "
+            f"last {min(self._window, max(episodes, 1))}: success {rates['arrived']:.1%}{self._goal}, "
             f"collision {rates['collided']:.1%}, time-out {rates['timed_out']:.1%}, return {mean_return:.1f}",
             refresh=False,
         )
         self._bar.update(episodes - self._bar.n)
+
+    def _left(self, episodes: int, steps: int) -> str:
+        if steps <= self._random_steps:
+            return f"flying at random until step {self._random_steps:,}"
+        if self._compiled:  # the first updates are compiled meanwhile
+            self._take(steps)
+        self._compiled = True
+        speed = self._speed()
+        if speed is None:
+            return "time left not known yet"
+        done, before = self._before
+        a_flight = (steps - before) / max(episodes - done, 1)
+        left = seconds_left(self._bar.total - episodes, a_flight, self._max_steps, speed)
+        return f"{self._at_most}{tqdm.format_interval(left)} left"
+
+    def _take(self, steps: int) -> None:
+        now = time.monotonic()
+        self._times.append((now, steps))
+        while now - self._times[0][0] > SPAN and len(self._times) > 2:
+            self._times.popleft()
+
+    def _speed(self) -> float | None:
+        """Steps per second of late, or None."""
+        if not self._times or (seconds := self._times[-1][0] - self._times[0][0]) < SHORTEST:
+            return None
+        return max(self._times[-1][1] - self._times[0][1], 1) / seconds
+
+    def _speed_text(self) -> str:
+        return "" if (speed := self._speed()) is None else f", {speed:.0f}/s"
 
     def close(self) -> None:
         """Leaves the line as it is."""

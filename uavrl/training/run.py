@@ -20,6 +20,7 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from torchrl.data import ReplayBuffer
+from tqdm.contrib.logging import logging_redirect_tqdm
 
 import uavrl
 from uavrl.configs import learner, to_dataclass
@@ -47,6 +48,7 @@ from uavrl.training.factory import (
     make_collector,
     make_device,
     make_env,
+    make_multi_step,
 )
 from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss
@@ -126,7 +128,7 @@ def locked(run_dir: Path) -> Iterator[None]:
 
 
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
-    """Trains until the configured number of episodes is flown.
+    """Trains until the configured number of episodes is flown, or until the policy is good enough.
 
     Args:
         config: the composed configuration of the run (for a resumed run: the one in its folder).
@@ -185,9 +187,13 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
             enabled=settings.trainer.progress,
             done=trainer.episode_log.count,
             steps=trainer.collected_frames,
+            random_steps=settings.algo.random_steps,
+            max_steps=settings.env.max_steps,
+            until_success=settings.trainer.until_success,
         )
-        if trainer.episode_log.count < settings.trainer.episodes:
-            trainer.train()
+        if not trainer.finished:
+            with logging_redirect_tqdm():  # what is logged meanwhile stands above the line, not in it
+                trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
         stop.ending()
@@ -240,7 +246,9 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
     actor = make_actor(settings.algo, spaces, device)
     loss = make_loss(settings.algo, actor, spaces, device)
     backward_reward = make_backward_reward(settings.backward_reward, settings.perception, run_dir / ARTIFACT)
-    buffer = make_buffer(settings.buffer, device, backward_reward, frames=spaces.frames)
+    buffer = make_buffer(
+        settings.buffer, device, backward_reward, frames=spaces.frames, multi_step=make_multi_step(settings.algo)
+    )
     return EpisodeTrainer(
         loss=loss,
         stepper=_make_stepper(settings, loss),
@@ -253,6 +261,7 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
         policy=actor,
         episodes=settings.trainer.episodes,
+        until_success=settings.trainer.until_success,
         seed=settings.seed,
         checkpoint_interval=settings.trainer.checkpoint_interval,
         logger=make_logger(settings.logger, run_dir),
@@ -295,6 +304,7 @@ def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_
     """Makes trainer and run folder what they were after the barrier of a checkpoint."""
     flown = read_episodes(run_dir / EPISODES)
     _restore(trainer, checkpoint)
+    trainer.seconds_before = Checkpoint.manifest(checkpoint)["metadata"].get("seconds", 0.0)
     cut_back(trainer.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
     _write(config, run_dir)
     log.info("Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames)
@@ -320,6 +330,7 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
         "steps": trainer.collected_frames,  # of whole episodes, which is what is learned from
         "steps_flown": trainer.steps_flown,  # with those dropped while others ended
         "updates": trainer.optimization_stepper.updates,
+        "minutes": trainer.seconds / 60,
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),
         "mean_return": trainer.episode_log.mean_return(),

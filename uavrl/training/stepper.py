@@ -86,7 +86,8 @@ class ActorCriticStepper(OptimizationStepper):
         super().__init__()
         self.loss = loss
         self.policy_delay = policy_delay
-        in_keys = [*loss.in_keys, loss.unenhanced.tensor_keys.priority_weight]
+        keys = (loss.unenhanced.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
+        in_keys = [*loss.in_keys, *keys]
 
         def descent(method: LossMethod, parameters: Iterable[Any], lr: float, mode: Callable = tuple) -> Descent:
             leaves = [p for p in parameters if isinstance(p, Tensor) and p.requires_grad]  # no buffers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,13 +14,15 @@ class SyncCollector(Collector):
     """TorchRL's collector in this process, which counts flights by when they begin and never by how they end.
 
     Whoever stops counting at some moment and drops what is open drops long flights more often than short ones. Here all
-    flights up to the last that counts are yielded, and none that begins later. The environment numbers them: it emits
-    ``task``, 0, 1, 2 … in the order in which they begin after ``set_seed``, and knows ``tasks_begun``.
+    flights up to the last that counts are yielded, and none that begins later; until told otherwise all count. The
+    environment numbers them: it emits ``task``, 0, 1, 2 … in the order in which they begin after ``set_seed``, and
+    knows ``tasks_begun``.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self._counted, self._ended = 0, 0
+        self._counted: float = math.inf
+        self._ended = 0
 
     def start_anew(self, seed: int, flights: int) -> None:
         """Builds the environment anew from a seed and drops what is open; the first ``flights`` from here on count."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any, cast
 
 import numpy as np
@@ -143,7 +144,7 @@ class EpisodeReplay(TrainerHookBase):
 
 
 class EpisodeTrainer(Trainer):
-    """Trains until ``episodes`` are flown; every checkpoint is a barrier.
+    """Trains until ``episodes`` are flown, or enough of the last ones arrive; every checkpoint is a barrier.
 
     When a checkpoint is due, the open flights end and are learned from; what begins meanwhile is dropped whatever its
     end. Then no flight is open that counts, and the environment is built anew from a seed that depends on the run's
@@ -163,6 +164,7 @@ class EpisodeTrainer(Trainer):
         metadata: goes into each checkpoint's manifest.
         policy: the actor, kept as a component of its own for evaluation.
         episodes: when to stop.
+        until_success: the share of the last ``episode_log.window`` flights that ends the training before; None: never.
         seed: the run's seed.
         checkpoint_interval: steps of whole episodes after which a checkpoint is due.
         logger: TorchRL logger.
@@ -184,6 +186,7 @@ class EpisodeTrainer(Trainer):
         metadata: dict[str, Any],
         policy: torch.nn.Module,
         episodes: int,
+        until_success: float | None = None,
         seed: int,
         checkpoint_interval: int,
         logger: Logger | None,
@@ -200,6 +203,9 @@ class EpisodeTrainer(Trainer):
         self.steps_flown = 0
         self.stop = Stop()
         self.episodes = episodes
+        self.until_success = until_success
+        self.seconds_before = 0.0  # that earlier processes of this run have trained
+        self._began = time.monotonic()
         super().__init__(
             collector=collector,
             total_frames=2**62,
@@ -222,13 +228,25 @@ class EpisodeTrainer(Trainer):
                 archive_compression="stored",
             ),
             checkpoint_rotation=rotation,
-            checkpoint_metadata=lambda _: {**metadata, "episodes": episode_log.count},
+            checkpoint_metadata=lambda _: {**metadata, "episodes": episode_log.count, "seconds": self.seconds},
         )
         replay.register(self)
         self._silence = Silence(WAITED_FOR)
         self.register_op("batch_process", lambda batch: stepper.observe(batch, replay.draw))
         self.register_op("pre_steps_log", self._record)
         self.register_op("post_optim_complete_log", self._check_losses)
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time that the run has trained for, in all its processes; what a resume drops left out."""
+        return self.seconds_before + time.monotonic() - self._began
+
+    @property
+    def finished(self) -> bool:
+        """Whether enough episodes are flown, or enough of the last ones arrived."""
+        log = self.episode_log
+        trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
+        return log.count >= self.episodes or (trained and log.count >= log.window)
 
     def train(self) -> None:
         """Trains, and says what is waited for where no episode ends for long."""
@@ -244,8 +262,7 @@ class EpisodeTrainer(Trainer):
     def _checkpoint_size(self) -> float:
         """About how many bytes a checkpoint takes: the networks, Adam's moments of them, and the transitions."""
         networks = sum(getattr(value, "nbytes", 0) for value in self.loss_module.state_dict().values())
-        transitions = len(self._buffer) and len(self._buffer) * (self._buffer.storage.frame_size * 1.1 + 80)
-        return 3 * networks + transitions
+        return 3 * networks + self._buffer.storage.frame_bytes + 80 * len(self._buffer)
 
     def _record(self, batch: TensorDictBase) -> dict[str, float]:
         """Writes the episodes of a batch, shows progress and ends the training when enough are flown."""
@@ -259,9 +276,10 @@ class EpisodeTrainer(Trainer):
                 self.recorder.add(trajectory["observation"], episode.outcome)
         rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
         self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
-        if self.episode_log.count >= self.episodes:
-            self.request_stop(f"{self.episodes} episodes are flown")
+        if self.finished:
+            self.request_stop(f"{self.episode_log.count} episodes are flown")
         return {
+            "minutes": self.seconds / 60,
             **{f"rate_{k}": v for k, v in rates.items()},
             "return": mean_return,
             "episodes": self.episode_log.count,

@@ -1,0 +1,213 @@
+"""Wall-clock minutes until a policy flies: `preset=fast` beside the default and Stable-Baselines3's TD3.
+
+Run `python benchmarks/minutes.py [--seeds 5] [--json FILE] [--figure FILE]`. Each row trains in the static valley, on a
+quiet machine with two cores, one run after the other, until `--success` of the last `--window` training flights arrive
+or `--episodes` are flown. "default" is `uavrl-train` with PyTorch's own products (`collector=sync`, one update a step,
+multiplied by MKL). Stable-Baselines3 trains on `uavrl/Valley-v0` with the default's reward, networks and noise.
+Minutes are those of training, compiling included, building the valley left out.
+
+What is finished below `--folder` is not run again, so the command can be stopped and started; a run of ours that was
+stopped is resumed, one of Stable-Baselines3 begins anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import machine
+
+DEFAULT, FAST, SB3 = "default", "preset=fast", "Stable-Baselines3's TD3"
+OURS = {DEFAULT: ["collector=sync", "trainer.products=mkl"], FAST: ["preset=fast"]}
+ROWS = (*OURS, SB3)
+PRIZE = 200.0  # what reward=navigation_prize, the default, adds to an arrival
+
+
+class Curve(NamedTuple):
+    """The flights of one run: when each ended, and whether it arrived."""
+
+    minutes: np.ndarray
+    steps: np.ndarray
+    arrived: np.ndarray
+
+    def success(self, window: int) -> np.ndarray:
+        """The share of arrivals among the last ``window`` flights, from the ``window``-th flight on."""
+        return np.convolve(self.arrived, np.full(window, 1 / window), "valid")
+
+    def reaches(self, success: float, window: int) -> tuple[float, int] | None:
+        """The minutes and steps after which that share is reached first."""
+        if len(self.arrived) < window:
+            return None
+        enough = np.flatnonzero(self.success(window) >= success - 1e-9)
+        if not len(enough):
+            return None
+        flight = int(enough[0]) + window - 1
+        return float(self.minutes[flight]), int(self.steps[flight])
+
+
+def place(folder: Path, row: str, seed: int) -> Path:
+    """The folder of one run."""
+    return folder / f"{''.join(c if c.isalnum() else '_' for c in row)}_seed{seed}"
+
+
+def read(run: Path) -> Curve:
+    """The flights of a run; of ours the minutes are those that it logged."""
+    with (run / "episodes.csv").open() as file:
+        flights = list(csv.DictReader(file))
+    steps = np.array([int(flight["total_steps"]) for flight in flights])
+    arrived = np.array([flight["outcome"] == "arrived" for flight in flights], dtype=float)
+    if flights and "minutes" in flights[0]:
+        return Curve(np.array([float(flight["minutes"]) for flight in flights]), steps, arrived)
+    (logged,) = (run / "logs").rglob("minutes.csv")
+    at, minutes = np.loadtxt(logged, delimiter=",", ndmin=2).T
+    return Curve(np.interp(steps, at, minutes), steps, arrived)
+
+
+def train(row: str, seed: int, run: Path, args: argparse.Namespace) -> None:
+    """Makes one run, or goes on with it, in a process of its own."""
+    if (run / "summary.json").exists():
+        return
+    if row == SB3:
+        command = [__file__, "--folder", str(args.folder), "--stable-baselines", str(seed)]
+        rule = [f"--{key}={getattr(args, key)}" for key in ("success", "window", "episodes")]
+    elif any((run / "checkpoints").glob("checkpoint*")):
+        command, rule = ["-m", "uavrl.cli.train", f"resume={run}"], []
+    else:
+        command = ["-m", "uavrl.cli.train", *OURS[row], f"run_dir={run}", f"seed={seed}"]
+        rule = [f"trainer.until_success={args.success}", f"trainer.window={args.window}"]
+        rule += [f"trainer.episodes={args.episodes}", "logger=csv"]
+    environment = os.environ | {f"{key}_NUM_THREADS": "1" for key in ("OMP", "MKL", "OPENBLAS")}
+    subprocess.run([sys.executable, *command, *rule], check=True, env=environment)
+
+
+def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
+    """Trains Stable-Baselines3's TD3 and writes its flights as they end."""
+    import gymnasium
+    import torch
+    from stable_baselines3 import TD3
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.noise import NormalActionNoise
+
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)  # as uavrl-train does
+    run.mkdir(parents=True, exist_ok=True)
+    arrived: list[bool] = []
+
+    with (run / "episodes.csv").open("w") as file:
+        file.write("minutes,total_steps,outcome\n")
+
+        class Watch(BaseCallback):
+            def _on_step(self) -> bool:
+                if not self.locals["dones"][0]:
+                    return True
+                info = self.locals["infos"][0]
+                arrived.append(info["is_success"])
+                outcome = "arrived" if info["is_success"] else "collided" if info["collided"] else "timed_out"
+                file.write(f"{(time.monotonic() - began) / 60},{self.num_timesteps},{outcome}\n")
+                file.flush()
+                flown = len(arrived) >= args.window and np.mean(arrived[-args.window :]) >= args.success
+                return len(arrived) < args.episodes and not flown
+
+        class Prize(gymnasium.Wrapper):
+            def step(self, action: Any) -> Any:
+                state, reward, terminated, truncated, info = self.env.step(action)
+                return state, float(reward) + PRIZE * info["is_success"], terminated, truncated, info
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a buffer larger than the memory: its pages are touched one by one
+            model = TD3(
+                "MlpPolicy",
+                Prize(gymnasium.make("uavrl:uavrl/Valley-v0")),
+                learning_rate=1e-3,  # its default; ours are 1e-3 and, for the actor, 1e-4: it knows one rate
+                buffer_size=1_000_000,
+                learning_starts=10_000,
+                batch_size=100,
+                train_freq=1,
+                gradient_steps=1,
+                action_noise=NormalActionNoise(np.zeros(4), np.full(4, 0.1)),  # of actions in [-1, 1]
+                policy_kwargs={"net_arch": [400, 300]},
+                device="cpu",
+                seed=seed,
+            )
+        began = time.monotonic()
+        model.learn(10**9, callback=Watch())
+    (run / "summary.json").write_text(json.dumps({"episodes": len(arrived)}) + "\n")
+
+
+def told(runs: dict[str, list[Curve]], args: argparse.Namespace) -> dict[str, Any]:
+    """Minutes and steps of each run, and the medians, where a run that never came so far counts as infinitely long."""
+    result: dict[str, Any] = {"success": args.success, "window": args.window, "rows": {}, "machine": machine()}
+    for row, curves in runs.items():
+        reached = [curve.reaches(args.success, args.window) for curve in curves]
+        minutes = [float("inf") if at is None else at[0] for at in reached]
+        result["rows"][row] = {
+            "minutes": [None if at is None else at[0] for at in reached],
+            "steps": [None if at is None else at[1] for at in reached],
+            "median_minutes": None if median(minutes) == float("inf") else median(minutes),
+        }
+    fast, default = (result["rows"].get(row, {}).get("median_minutes") for row in (FAST, DEFAULT))
+    result["fast_vs_default"] = fast / default if fast and default else None
+    return result
+
+
+def draw(runs: dict[str, list[Curve]], window: int, path: Path) -> None:
+    """Success over minutes, one line for each run."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
+    for colour, (row, curves) in enumerate(runs.items()):
+        for seed, curve in enumerate(curve for curve in curves if len(curve.arrived) >= window):
+            line = {"color": f"C{colour}", "label": row if seed == 0 else None, "linewidth": 1.2}
+            axes.plot(curve.minutes[window - 1 :], 100 * curve.success(window), **line)
+    axes.set(xlabel="minutes", ylabel=f"success of the last {window} flights [%]", ylim=(0, 100), xlim=(0, None))
+    axes.legend()
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """Trains what is missing, prints the table, and writes the files that were asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--folder", type=Path, default=Path("runs/minutes"), help="where the runs go")
+    parser.add_argument("--seeds", type=int, default=5, help="runs of each row")
+    parser.add_argument("--success", type=float, default=0.8, help="share of arrivals that ends a run")
+    parser.add_argument("--window", type=int, default=200, help="training flights that the share covers")
+    parser.add_argument("--episodes", type=int, default=5000, help="most flights of a run")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="which to run")
+    parser.add_argument("--json", type=Path, help="also write the numbers to this file")
+    parser.add_argument("--figure", type=Path, help="also draw success over minutes")
+    parser.add_argument("--stable-baselines", type=int, metavar="SEED", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.stable_baselines is not None:
+        stable_baselines(args.stable_baselines, place(args.folder, SB3, args.stable_baselines), args)
+        return
+    for seed in range(args.seeds):
+        for row in args.rows:
+            train(row, seed, place(args.folder, row, seed), args)
+    runs = {row: [read(place(args.folder, row, seed)) for seed in range(args.seeds)] for row in args.rows}
+    result = told(runs, args)
+    print(f"minutes until {args.success:.0%} of the last {args.window} training flights arrive, {args.seeds} seeds\n")
+    for row, found in result["rows"].items():
+        each = ", ".join("never" if value is None else f"{value:.1f}" for value in found["minutes"])
+        middle = found["median_minutes"]
+        print(f"{row:26} median {'never' if middle is None else f'{middle:.1f}'}  ({each})")
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=2) + "\n")
+    if args.figure:
+        draw(runs, args.window, args.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""The suite flies its scenarios once each, and tells them in one table."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_bad_input import in_process
+from tests.composing import composed
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli.suite import scenarios
+from uavrl.configs import to_dataclass
+from uavrl.errors import UavrlError
+
+LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
+
+
+@pytest.mark.parametrize("name", scenarios("all"))
+def test_every_scenario_is_an_evaluation(name: str) -> None:
+    settings = to_dataclass(composed("evaluate", "policy=straight", *scenarios([name])[name]))
+    world, lidar = settings.env.world, settings.perception.lidar
+    seen = (world.obstacles, world.planes, len(settings.valleys or (0,)), settings.env.aerodynamics.wind, lidar.dropout)
+    expected = {
+        "static": (45, 0, 1, (0.0, 0.0, 0.0), 0.0),
+        "dynamic": (45, 3, 1, (0.0, 0.0, 0.0), 0.0),
+        "held_out": (45, 0, 10, (0.0, 0.0, 0.0), 0.0),
+        "dense": (90, 0, 1, (0.0, 0.0, 0.0), 0.0),
+        "denser": (135, 0, 1, (0.0, 0.0, 0.0), 0.0),
+        "busy": (45, 6, 1, (0.0, 0.0, 0.0), 0.0),
+        "windy": (45, 0, 1, (3.0, 0.0, 0.0), 0.0),
+        "sensor": (45, 0, 1, (0.0, 0.0, 0.0), 0.1),
+    }[name]
+    assert (*seen[:3], tuple(seen[3]), seen[4]) == expected
+
+
+def test_unknown_scenarios_are_refused_with_the_nearest() -> None:
+    with pytest.raises(UavrlError, match="got 'dens': did you mean dense"):
+        scenarios(["static", "dens"])
+
+
+@pytest.mark.slow
+def test_what_is_flown_is_kept_and_what_is_damaged_or_of_other_tasks_is_flown_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "it's a = suite"
+    quoted = str(folder).replace("'", "\\'")
+    command = [*LITTLE, f"output='{quoted}'"]
+    assert in_process(evaluate_command.main, *command) == 0
+    assert "dense " in capsys.readouterr().out
+    table = json.loads((folder / "suite.json").read_text())
+    assert list(table) == ["static", "dense"]
+    assert table["dense"]["overrides"] == ["policy=straight", "seed=7", "env=static", "env.world.obstacles=90"]
+    (folder / "dense.json").write_text("{")
+    old = 1_000_000_000
+    os.utime(folder / "static.json", (old, old))
+    assert in_process(evaluate_command.main, *command) == 0
+    assert (folder / "static.json").stat().st_mtime == old
+    assert json.loads((folder / "dense.json").read_text())["episodes"] == 2
+
+
+@pytest.mark.parametrize("more", ["env=dynamic", "valleys=[3]", "env.world.obstacles=5"])
+def test_the_suite_chooses_the_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str) -> None:
+    assert in_process(evaluate_command.main, *LITTLE, more, f"output={tmp_path}") == 1
+    assert f"'{more}' contradicts it" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,62 @@
+"""What the line says of the time left."""
+
+from __future__ import annotations
+
+import pytest
+
+from uavrl.training import progress
+from uavrl.training.progress import Progress, seconds_left
+
+RATES = {"arrived": 0.25, "collided": 0.5, "timed_out": 0.25}
+
+
+class Clock:
+    """A clock that is turned by hand."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 0.0
+        monkeypatch.setattr(progress.time, "monotonic", lambda: self.now)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+def shown(line: Progress, episodes: int, steps: int) -> str:
+    line.update(episodes, steps, RATES, 12.0)
+    return str(line._bar)
+
+
+@pytest.mark.parametrize(("a_flight", "expected"), [(40.0, 100.0), (150.0, 100.0), (210.0, 140.0)])
+def test_flights_are_expected_to_lengthen_to_half_of_the_longest(a_flight: float, expected: float) -> None:
+    assert seconds_left(100, a_flight, 300, 150.0) == expected
+
+
+def test_random_flights_and_the_compilation_say_nothing_of_the_time_left(clock: Clock) -> None:
+    line = Progress(1000, 200, random_steps=500, max_steps=300)
+    clock.now = 2.0  # quick: nothing is learned
+    assert "flying at random until step 500 | 400 steps | last 10: success 25.0%" in shown(line, 10, 400)
+    clock.now = 60.0  # compiled
+    assert "time left not known yet" in shown(line, 20, 600)
+    clock.now = 61.0
+    assert "time left not known yet" in shown(line, 22, 800)
+    clock.now = 71.0  # 1,000 steps in 10 s, of 150 a flight: 900 flights take 1,350 s
+    assert "22:30 left | 1,800 steps, 100/s" in shown(line, 100, 1800)
+
+
+def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
+    line = Progress(1000, 200)
+    for second in range(0, 200):
+        clock.now = float(second)
+        text = shown(line, second + 1, 1 + (100 * second if second < 100 else 10_000 + 50 * (second - 100)))
+    assert ", 50/s |" in text
+
+
+def test_a_run_that_may_end_before_says_so(clock: Clock) -> None:
+    line = Progress(1000, 200, until_success=0.85)
+    for second, steps in ((0, 1), (5, 500), (15, 1500)):
+        clock.now = float(second)
+        text = shown(line, second + 1, steps)
+    assert ", at most 24:36 left | 1,500 steps, 100/s" in text
+    assert "success 25.0% of 85%" in text

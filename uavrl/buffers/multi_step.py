@@ -1,0 +1,95 @@
+"""n-step returns of whole episodes."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs.transforms import Transform
+
+__all__ = ["MultiStep", "multi_step_returns"]
+
+
+def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int) -> tuple[Tensor, Tensor]:
+    """The discounted sum of the next n rewards, and over how many steps it goes.
+
+    ``R_t = Σ_{i<k} γ^i r_{t+i}`` with ``k = min(n, steps to the episode's end)`` (Sutton (1988); Barth-Maron et al.
+    (2018), Eq. 3: the target is ``R_t + γ^k Q(s_{t+k}, μ(s_{t+k}))``).
+
+    Args:
+        reward: ``[T]``, of whole episodes, end to end.
+        done: ``[T]``, true at the last step of each.
+        gamma: discount γ.
+        n_steps: n.
+
+    Returns:
+        ``R [T]`` and ``k [T]``.
+
+    Raises:
+        ValueError: when the last step ends no episode.
+
+    Examples:
+        >>> done = torch.tensor([False, False, True, True])
+        >>> returns, steps = multi_step_returns(torch.tensor([1.0, 2.0, 4.0, 8.0]), done, gamma=0.5, n_steps=2)
+        >>> returns.tolist(), steps.tolist()
+        ([2.0, 4.0, 4.0, 8.0], [2, 2, 1, 1])
+    """
+    if not len(done) or not done[-1]:
+        raise ValueError(f"Expected whole episodes, got {len(done)} steps the last of which ends none.")
+    at = torch.arange(len(done), device=done.device)
+    ends = done.nonzero().flatten()
+    steps = (ends[torch.searchsorted(ends, at)] - at + 1).clamp(max=n_steps)
+    returns = torch.zeros_like(reward)
+    for i in range(n_steps):
+        returns += gamma**i * torch.where(i < steps, reward.roll(-i), 0.0)
+    return returns, steps
+
+
+class MultiStep(Transform):
+    """Turns whole episodes into n-step transitions while a replay buffer stores them.
+
+    The reward becomes the n-step return, and all else under ``"next"``, the flags included, is what it was n steps on,
+    or at the episode's end. ``steps_to_next_obs [T, 1]`` goes beside it: TorchRL's value estimators discount by it.
+
+    What differs from :class:`torchrl.envs.transforms.MultiStepTransform`: the last steps of an episode are written with
+    it, not at the next write, and ``terminated`` moves with the state, so that nothing bootstraps from an end.
+
+    Args:
+        n_steps: n.
+        gamma: discount γ, that of the loss.
+
+    Raises:
+        ValueError: for settings out of range; at a write, for half episodes.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import LazyTensorStorage, ReplayBuffer
+        >>> buffer = ReplayBuffer(storage=LazyTensorStorage(10), transform=MultiStep(2, gamma=0.5))
+        >>> last = torch.tensor([[False], [False], [True]])
+        >>> after = {"observation": torch.tensor([[1.0], [2.0], [3.0]]), "reward": torch.ones(3, 1), "done": last}
+        >>> _ = buffer.extend(TensorDict({"observation": torch.tensor([[0.0], [1.0], [2.0]]), "next": after}, [3]))
+        >>> buffer[:]["next", "reward"].flatten().tolist(), buffer[:]["next", "observation"].flatten().tolist()
+        ([1.5, 1.5, 1.0], [2.0, 3.0, 3.0])
+        >>> buffer[:]["steps_to_next_obs"].flatten().tolist()
+        [2, 2, 1]
+    """
+
+    def __init__(self, n_steps: int, gamma: float) -> None:
+        if n_steps < 1 or not 0.0 <= gamma <= 1.0:
+            raise ValueError(f"Expected n_steps of at least 1 and gamma in [0, 1], got {n_steps} and {gamma}.")
+        super().__init__()
+        self.n_steps = n_steps
+        self.gamma = gamma
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Sampled data as it is."""
+        return tensordict
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Whole episodes ``[T]``, end to end; ``inv`` has made a shallow copy before."""
+        after = tensordict.get("next")
+        reward, done = after.get("reward"), after.get("done")
+        returns, steps = multi_step_returns(reward.flatten(), done.flatten(), self.gamma, self.n_steps)
+        reached = after[torch.arange(len(steps), device=steps.device) + steps - 1]
+        tensordict.set("next", reached.set("reward", returns.reshape(reward.shape)))
+        return tensordict.set("steps_to_next_obs", steps.unsqueeze(-1))

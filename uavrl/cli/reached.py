@@ -1,0 +1,50 @@
+"""``python -m uavrl.cli.reached RUN_FOLDER``: three lines about a run that was trained, evaluated and replayed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from uavrl.errors import UavrlError
+
+
+def reached(summary: dict[str, Any], evaluation: dict[str, Any], folder: str, page: str) -> str:
+    """What was reached, where it is, and how to look at it.
+
+    Args:
+        summary: what ``summary.json`` holds.
+        evaluation: what ``uavrl-evaluate`` wrote.
+        folder: the run's.
+        page: the flights that ``uavrl-replay`` drew.
+
+    Examples:
+        >>> success = {"rate": 0.86, "low": 0.779, "high": 0.915}
+        >>> told = reached({"episodes": 600, "steps": 81234, "minutes": 7.25}, {"success": success}, "run", "x.html")
+        >>> print(told.splitlines()[0])
+        Reached: 86 % of fixed tasks without noise (78-92 %), after 600 flights, 81,234 steps and 7.2 minutes.
+    """
+    success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
+    return (
+        f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
+        f"{summary['episodes']} flights, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
+        f"Where:   {folder} (uavrl-evaluate run={folder} flies it again, uavrl-export keeps the policy on its own)\n"
+        f"Look:    open {page} in a browser"
+    )
+
+
+def main() -> None:
+    """Reads the files of the run folder that was named."""
+    folder = Path(sys.argv[1])
+    page = folder / "replay.html"
+    try:
+        (written,) = folder.glob("evaluation*.json")
+        summary, evaluation = (json.loads(path.read_text()) for path in (folder / "summary.json", written))
+    except (OSError, ValueError) as error:
+        raise UavrlError(f"Expected a run that has ended and was evaluated once in {folder}: {error}.") from error
+    print(reached(summary, evaluation, str(folder), str(page)))
+
+
+if __name__ == "__main__":
+    main()
