@@ -36,6 +36,7 @@ __all__ = ["refused"]  # a fixture
 MISTAKES = {
     "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",
     "+algo.gama=0.9": "There is no key 'algo.gama'",
+    "algo.actor._target_=uavrl.models.actor_critic.Critic": "algo.actor must be a network that takes an observation",
     "episodes=60": "did you mean trainer.episodes?",
     "backward_reward.max_classes=5": "backward_reward.max_classes belongs to another choice of backward_reward",
     "env=bipedal_hardcore env.world.ceiling=5": "env.world.ceiling belongs to another choice of env than the one made",

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import torch
-from omegaconf import DictConfig
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 
@@ -18,7 +17,7 @@ from uavrl.training.spaces import Spaces
 
 def make_actor(settings: TrainConfig, spaces: Spaces, device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """The policy: reads ``observation``, writes ``action``; the loss says what its network gives."""
-    network = _network(settings.algo.actor, settings, spaces).to(device)
+    network = _network("actor", settings, spaces).to(device)
     return _loss_class(settings).policy_of(network, spaces.action_spec(device))
 
 
@@ -29,7 +28,7 @@ def make_loss(
     loss_class, packages = _loss_class(settings), settings.packages
     critics = [
         TensorDictModule(
-            _network(settings.algo.critic, settings, spaces).to(device),
+            _network("critic", settings, spaces).to(device),
             in_keys=["observation", "action"],
             out_keys=["state_action_value"],
         )
@@ -48,10 +47,25 @@ def _loss_class(settings: TrainConfig) -> type[ActorCriticLoss]:
     return resolve(name, ActorCriticLoss, settings.packages)  # type: ignore[type-abstract]
 
 
-def _network(part: DictConfig, settings: TrainConfig, spaces: Spaces) -> nn.Module:
+def _network(role: Literal["actor", "critic"], settings: TrainConfig, spaces: Spaces) -> nn.Module:
+    """The network of a part of ``algo``, tried once: what takes other inputs would fail in the middle of a flight."""
+    part = getattr(settings.algo, role)
     network = build(part, nn.Module, packages=settings.packages, limit=spaces.limit, **_widths(spaces))
     if network is None:
-        raise UavrlError("algo.actor and algo.critic must name a network, got null: choose another algorithm.")
+        raise UavrlError(f"algo.{role} must name a network, got null: choose another algorithm.")
+    inputs = [torch.zeros(2, spaces.state)] + [torch.zeros(2, spaces.actions)] * (role == "critic")
+    training = network.training
+    try:
+        with torch.no_grad(), torch.random.fork_rng(devices=[]):
+            network.eval()(*inputs)
+    except Exception as error:
+        takes = {"actor": "an observation", "critic": "an observation and an action"}[role]
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UavrlError(
+            f"algo.{role} must be a network that takes {takes}, and {part._target_} does not ({reason}): name another."
+        ) from error
+    finally:
+        network.train(training)
     return network
 
 
