@@ -123,6 +123,22 @@ def test_a_subclass_takes_what_its_base_takes(tmp_path: Path, monkeypatch: pytes
         to_dataclass(config)
 
 
+def test_an_environment_that_is_not_trusted_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "stranger_settings.py").write_text(
+        "from dataclasses import dataclass\nraise SystemExit('imported')\n@dataclass\nclass Settings:\n    x: int = 0\n"
+    )
+    (tmp_path / "stranger.py").write_text(
+        "from stranger_settings import Settings\nclass Env:\n    def __init__(self, settings: Settings): pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    config = changed([])
+    config.env._target_ = "stranger.Env"
+    with pytest.raises(UavrlError, match=r"env\._target_ names stranger\.Env, and stranger is no package"):
+        to_dataclass(config)
+
+
 def test_all_that_is_checked_is_checked_without_torch() -> None:
     code = (
         "import sys\nfrom uavrl.configs import compose, to_dataclass\n"

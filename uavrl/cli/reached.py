@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.errors import UavrlError
 
 
@@ -35,15 +36,26 @@ def reached(summary: dict[str, Any], evaluation: dict[str, Any], folder: str, pa
 
 
 def main() -> None:
-    """Reads the files of the run folder that was named."""
-    folder = Path(sys.argv[1])
-    page = folder / "replay.html"
+    """Reads the files of the run folder that was named, of several evaluations the newest."""
+    configure_logging()
+    with one_sentence():
+        print(read(Path(sys.argv[1])))
+
+
+def read(folder: Path) -> str:
+    """The three lines about a run folder.
+
+    Raises:
+        UavrlError: where the run has not ended or was not evaluated.
+    """
+    evaluations = sorted(folder.glob("evaluation*.json"), key=lambda path: path.stat().st_mtime)
+    if not evaluations:
+        raise UavrlError(f"{folder} holds no evaluation: run uavrl-evaluate run={folder} first.")
     try:
-        (written,) = folder.glob("evaluation*.json")
-        summary, evaluation = (json.loads(path.read_text()) for path in (folder / "summary.json", written))
-    except (OSError, ValueError) as error:
-        raise UavrlError(f"Expected a run that has ended and was evaluated once in {folder}: {error}.") from error
-    print(reached(summary, evaluation, str(folder), str(page)))
+        summary, evaluation = (json.loads(path.read_text()) for path in (folder / "summary.json", evaluations[-1]))
+        return reached(summary, evaluation, str(folder), str(folder / "replay.html"))
+    except (OSError, ValueError, KeyError) as error:
+        raise UavrlError(f"Expected a run that has ended and was evaluated in {folder}: {error}.") from error
 
 
 if __name__ == "__main__":

@@ -92,9 +92,11 @@ def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str
         name: get_type_hints(reader, include_extras=True) for name, reader in _LOOP.items()
     }
     taken.setdefault("algo", {}).update(signature(STEPPER) or {})
-    if isinstance(parts.get("env"), Mapping):
-        taken["perception"] = signature(str(parts["env"].get(TARGET))) or {}
-    return {name: _checked(part, name, tuple(packages), taken.get(name, {})) for name, part in parts.items()}
+    packages = tuple(packages)
+    env = parts.get("env")
+    if isinstance(env, Mapping) and env.get(TARGET) is not None:
+        taken["perception"] = dict(_signature(str(env[TARGET]), f"env.{TARGET}", packages))
+    return {name: _checked(part, name, packages, taken.get(name, {})) for name, part in parts.items()}
 
 
 def _checked(part: Any, key: str, packages: tuple[str, ...], beside: Mapping[str, Any]) -> dict[str, Any]:
