@@ -89,20 +89,22 @@ def page_data(replay: Replay) -> dict[str, Any]:
     }
 
 
-def visible_triangles(scenery: Scenery) -> np.ndarray:
-    """Returns which triangles of the obstacles, ``bool [F]``, rise above the ground: their foundations do not."""
-    if not len(scenery.vertices):
-        return np.zeros(0, dtype=bool)
+def above_ground(scenery: Scenery) -> dict[str, np.ndarray]:
+    """Returns ``vertices``, ``triangles`` and ``kinds`` of what can be seen of the obstacles from inside the valley.
+
+    Triangles under the ground or beyond the valley's edge are left out; corners that stick through it are put on it.
+    """
     size = (float(scenery.size[0]), float(scenery.size[1]))
     inside = (np.abs(scenery.vertices[:, :2]) < scenery.size / 2).all(1)
-    above = scenery.vertices[:, 2] > HeightField(scenery.heights, size).at(scenery.vertices[:, :2])
-    return (inside & above)[scenery.triangles].any(1)
+    xy = np.clip(scenery.vertices[:, :2], -scenery.size / 2, scenery.size / 2)
+    ground = HeightField(scenery.heights, size).at(xy)
+    shown = (inside & (scenery.vertices[:, 2] > ground))[scenery.triangles].any(1)
+    vertices = np.column_stack([xy, np.maximum(scenery.vertices[:, 2], ground)])
+    return {"vertices": vertices, "triangles": scenery.triangles[shown], "kinds": scenery.kinds[shown]}
 
 
 def _scenery(scenery: Scenery) -> dict[str, Any]:
-    values = {field.name: getattr(scenery, field.name) for field in fields(scenery)}
-    shown = visible_triangles(scenery)
-    values |= {"triangles": scenery.triangles[shown], "kinds": scenery.kinds[shown]}
+    values = {field.name: getattr(scenery, field.name) for field in fields(scenery)} | above_ground(scenery)
     data = {name: pack(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}
     return {**data, "kind_colours": [KINDS.get(kind, OTHER_KIND) for kind in scenery.kind_names]}
 

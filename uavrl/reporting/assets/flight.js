@@ -10,6 +10,7 @@ const { body: BODY, plane: PLANE, goal: GOAL } = data.colours;
 const OUTCOMES = Object.fromEntries([["arrived", "arrived"], ["collided", "collided"], ["timed_out", "timed out"]]
   .map(([key, name]) => [key, [name, data.colours[key]]]));
 const $ = (id) => document.getElementById(id);
+const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
 // ------------------------------------------------------------------ numbers
 
@@ -115,7 +116,7 @@ function goalShape([x, y, z], [radius, height]) {
 const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, VEHICLE, MARK, POINTS,
   EDGES, FACES] = Array(16).keys();
 const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["32 faces", [FACES, EDGES], "#fdc066"],
-  ["obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], "#9aa5b1"]];
+  ["obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
 
 function traces(flight) {
@@ -134,12 +135,12 @@ function traces(flight) {
   all[GOAL_WALL] = wall;
   all[GOAL_RINGS] = rings;
   all[GOAL_NAME] = { type: "scatter3d", mode: "text", ...still, x: [flight.goal[0]], y: [flight.goal[1]],
-    z: [flight.goal[2] + place.goal[1] / 2 + 0.6], text: ["<b>goal</b>"], textfont: { color: "#7a5a00", size: 14 } };
+    z: [flight.goal[2] + place.goal[1] / 2 + 0.6], text: ["<b>goal</b>"], textfont: { color: theme("goal-name"), size: 14 } };
   all[OTHERS] = line({ ...others, opacity: 0.75, line: { width: 3, color: others.colour } });
   all[WAY] = line({ ...way, opacity: share ? 0.9 : 0.7, line: { width: 3, color: colour, dash: "dot" } });
   all[START] = { type: "scatter3d", mode: "markers+text", ...still, x: [way.x[0]], y: [way.y[0]], z: [way.z[0]],
-    text: ["start"], textposition: "bottom center", textfont: { color: "#39424c", size: 12 },
-    marker: { size: 5, color: "#fff", line: { color: "#39424c", width: 2 } } };
+    text: ["start"], textposition: "bottom center", textfont: { color: theme("ink"), size: 12 },
+    marker: { size: 5, color: theme("paper"), line: { color: theme("ink"), width: 2 } } };
   all[FLOWN] = line({ x: [], y: [], z: [], line: { width: 8, color: colour } });
   all[DROP] = line({ x: [], y: [], z: [], line: { width: 2, color: BODY } });
   all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...manyPlanes(place, flight.planeCount), color: PLANE, flatshading: true,
@@ -231,13 +232,18 @@ function hand(graph, news) {
 const ASPECT = 1 / 18; // of the scene's units to a metre
 const boxOf = ({ size }) => [[-size[0] / 2 - 1, size[0] / 2 + 1], [-size[1] / 2 - 1, size[1] / 2 + 1], [-2, 9]];
 const VIEWS = {
-  overview: () => ({ eye: [0, -34, 36.5], center: [0, -0.6, 0] }),
-  top: () => ({ eye: [0, -0.5, 52], center: [0, 0, 0] }),
+  overview: () => ({ eye: [0, -32 * away(), 30 * away()], center: [0, -0.8, 0] }),
+  top: () => ({ eye: [0, -0.5, 46 * away()], center: [0, 0, 0] }),
   follow: (p, h) => ({ eye: [p[0] - 9 * h[0] - 4 * h[1], p[1] - 9 * h[1] + 4 * h[0], p[2] + 8], center: p }),
-  chase: (p, h) => ({ eye: [p[0] - 4.2 * h[0], p[1] - 4.2 * h[1], p[2] + 1.7],
-    center: [p[0] + 2 * h[0], p[1] + 2 * h[1], p[2] + 0.2] }),
+  chase: (p, h) => ({ eye: [p[0] - 5.4 * h[0], p[1] - 5.4 * h[1], p[2] + 2.3], // outside of the faces
+    center: [p[0] + 2 * h[0], p[1] + 2 * h[1], p[2]] }),
 };
-let view = "overview", offset = null;
+let view = "chase", offset = null;
+
+function away() { // a narrow stage is looked at from farther away, so that the valley fits
+  const { width, height } = $("scene").getBoundingClientRect();
+  return Math.max(1, 1.45 * height / Math.max(width, 1));
+}
 
 function inScene(point, box) { // metres to the camera's units, whose origin is the middle of the box
   const [x, y, z] = point.map((v, i) => (v - (box[i][0] + box[i][1]) / 2) * ASPECT);
@@ -302,15 +308,9 @@ function choose(index) {
   const place = sceneries[flight.world_seed], box = boxOf(place), [name, colour] = OUTCOMES[flight.outcome];
   $("outcome").textContent = name;
   $("outcome").style.background = colour;
-  const facts = { task: flight.task, valley: flight.world_seed, steps: `${flight.steps} (${number(flight.steps / 10, 1)} s)`,
-    "path efficiency": number(flight.path_efficiency), "minimum clearance": `${number(flight.clearance)} m`,
-    ...went(flight.whereabouts) };
-  $("facts").replaceChildren(...Object.entries(facts).map(([term, value]) => {
-    const item = element("div");
-    element("dt", {}, item, term);
-    element("dd", {}, item, value);
-    return item;
-  }));
+  list($("facts"), { task: flight.task, valley: flight.world_seed, time: `${number(flight.steps / 10, 1)} s`,
+    "path efficiency": number(flight.path_efficiency), "least clearance": `${number(flight.clearance)} m` });
+  list($("whereabouts"), went(flight.whereabouts));
   $("flight").value = index;
   $("slider").max = flight.moments - 1;
   drawCharts();
@@ -323,10 +323,19 @@ function choose(index) {
     .then(() => show(0));
 }
 
+function list(parent, facts) {
+  parent.replaceChildren(...Object.entries(facts).map(([term, value]) => {
+    const item = element("div");
+    element("dt", {}, item, term);
+    element("dd", {}, item, value);
+    return item;
+  }));
+}
+
 function went({ altitude, height_quarters: quarters, wall_distance: wall }) { // 5, 50 and 95 % of the steps
   const spread = ({ p5, p50, p95 }) => `${[p5, p50, p95].map((value) => number(value, 1)).join(" / ")} m`;
-  return { "altitude (5 / 50 / 95 %)": spread(altitude), "nearest wall (5 / 50 / 95 %)": spread(wall),
-    "quarters of the height": `${quarters.map((share) => Math.round(100 * share)).join(" / ")} %` };
+  return { "altitude": spread(altitude), "to the nearest wall": spread(wall),
+    "time in each quarter of the height": `${quarters.map((share) => Math.round(100 * share)).join(" / ")} %` };
 }
 
 function drawCharts() {
@@ -338,14 +347,18 @@ function drawCharts() {
   const terms = flight.reward_names.filter((name) => !EVENTS.includes(name));
   const speed = Array.from({ length: flight.moments }, (_, i) => Math.hypot(...row(flight.velocities, i)));
   const altitude = Array.from({ length: flight.moments }, (_, i) => flight.positions[3 * i + 2]);
+  const [goalRadius] = sceneries[flight.world_seed].goal;
+  const distance = Array.from({ length: flight.moments }, (_, i) => { // the goal reaches from the ground to the ceiling
+    const [x, y] = row(flight.positions, i);
+    return Math.max(Math.hypot(x - flight.goal[0], y - flight.goal[1]) - goalRadius, 0);
+  });
   const one = (title, unit, values, colour, more = {}) => ({ title, unit, series: [{ name: title, colour, values }], ...more });
   const specs = [
     { title: "Reward", unit: happened ? `at the end: ${happened}` : "per step", low: 0,
       series: terms.map((name) => ({ name, colour: TERM_COLOURS[name] ?? "#64707d", values: take(name) })) },
-    one("Distance to goal", "m", flight.distances, "#0072B2", { low: 0 }),
-    one("Clearance", "m", flight.clearances, "#009E73", { low: 0 }),
-    one("Collision risk", flight.risks.length ? "LifeGuard" : "", flight.risks, "#D55E00",
-      flight.risks.length ? { low: 0, high: 1 } : { none: "no LifeGuard recorded" }),
+    one("Distance to goal", "m", distance, "#0072B2", { low: 0 }),
+    one("Clearance", "m to the nearest obstacle", flight.clearances, "#009E73", { low: 0 }),
+    ...(flight.risks.length ? [one("Collision risk", "of LifeGuard", flight.risks, "#D55E00", { low: 0, high: 1 })] : []),
     one("Altitude", "m", altitude, "#CC79A7", { low: 3, high: 4 }),
     one("Speed", "m/s", speed, "#E69F00", { low: 0 }),
   ];
@@ -357,13 +370,19 @@ function drawCharts() {
 
 // ------------------------------------------------------------------ controls
 
+function othersColours() { // equal stripes of the colours that the flights have
+  const colours = [...new Set(flights.map((item) => OUTCOMES[item.outcome][1]))];
+  const stripes = colours.map((colour, i) => `${colour} ${100 * i / colours.length}% ${100 * (i + 1) / colours.length}%`);
+  return `linear-gradient(90deg,${stripes})`;
+}
+
 function start() {
   const { source } = data;
-  $("source").textContent = source.run ?? `policy ${source.policy}`;
-  const parts = [source.env && `${source.env} valley`, source.seed !== undefined && `tasks of seed ${source.seed}`,
+  $("source").textContent = "A quadrotor finds its way by LiDAR";
+  const parts = [`flown by ${source.run ?? source.policy}`, source.env && `${source.env} valley`, source.seed !== undefined && `tasks of seed ${source.seed}`,
     source.training_steps && `after ${source.training_steps.toLocaleString("en")} steps of training`];
   $("setting").textContent = parts.filter(Boolean).join(" · ");
-  document.title = `${$("source").textContent} – uavrl replay`;
+  document.title = `${source.run ?? source.policy} – uavrl replay`;
   flights.forEach((item, i) => element("option", { value: i }, $("flight"),
     `task ${item.task}: ${OUTCOMES[item.outcome][0]}, ${item.steps} steps`));
   $("flight").hidden = flights.length < 2;
@@ -380,7 +399,7 @@ function start() {
     if (name === "planes" && flights.every((item) => !item.planeCount)) continue;
     if (name === "other flights" && flights.length < 2) continue;
     const button = element("button", { class: "on" }, $("layers"));
-    if (colour) element("i", { style: `background:${colour}` }, button);
+    if (colour) element("i", { style: `background:${colour === OTHERS ? othersColours() : colour}` }, button);
     button.append(name);
     button.addEventListener("click", () => {
       const visible = !button.classList.toggle("on") ? false : true;
@@ -394,14 +413,14 @@ function start() {
     item.append(text);
   };
   legend(BODY, "UAV (its nose pink)");
-  for (const [name, colour] of Object.values(OUTCOMES)) legend(colour, `path: ${name}`);
+  const happened = new Set(flights.map((item) => item.outcome));
+  for (const [key, [name, colour]] of Object.entries(OUTCOMES)) if (happened.has(key)) legend(colour, `path: ${name}`);
   const { ball: radius, statistic } = Object.values(sceneries)[0];
   element("div", { class: "scale", style: `background:linear-gradient(90deg,${NEAR.map(([at, c]) => `${c} ${100 * at}%`)})` },
     $("legend"));
   const ends = element("div", { class: "ends" }, $("legend"));
-  element("span", {}, ends, statistic === "face" ? "far: 0 m" : `far: ${radius} m`);
-  element("span", {}, ends, statistic === "face" ? `near: ${radius} m` : "near: 0 m");
-  element("div", { class: "ends" }, $("legend"), statistic === "face" ? `a face tells ${radius} m − distance` : "faces tell distances");
+  element("span", {}, ends, `${radius} m away`);
+  element("span", {}, ends, "0 m");
   $("slider").addEventListener("input", (event) => { play(false); show(Number(event.target.value)); });
   $("play").addEventListener("click", () => play(!playing));
   document.addEventListener("keydown", (event) => {
@@ -413,8 +432,10 @@ function start() {
   });
   // A button that the mouse has pressed gives the keys back; one that the keyboard has pressed (detail 0) keeps them.
   document.addEventListener("click", (event) => { if (event.detail) event.target.closest("button")?.blur(); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => choose(flights.indexOf(flight)));
   window.addEventListener("resize", () => { for (const chart of charts) { chart.draw(); chart.move(moment); } });
   choose(0).then(() => {
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
     $("scene").on("plotly_relayout", (event) => {
       const now = event["scene.camera"];
       if (now && view === "follow") offset = minus(now.eye, now.center);

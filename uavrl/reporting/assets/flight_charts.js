@@ -25,22 +25,19 @@ function limits(series, low, high) {
   return [Math.floor(least / step + 1e-6) * step, Math.ceil(most / step - 1e-6) * step];
 }
 
-// spec: {title, unit, series: [{name, colour, values}], low, high, note, none}; moments: of the whole flight.
+// spec: {title, unit, series: [{name, colour, values}], low, high, note}; moments: of the whole flight.
 // Values may be one fewer than the moments: those of steps stand at the moment that ends them.
 function makeChart(parent, spec, moments, seek) {
   const box = element("div", { class: spec.series?.length > 1 ? "chart tall" : "chart" }, parent);
   const head = element("h2", {}, box);
   head.append(spec.title);
   element("span", {}, head, spec.unit ?? "");
-  if (spec.none) {
-    element("div", { class: "none" }, box, spec.none);
-    return { draw() {}, move() {} };
-  }
   const single = spec.series.length === 1;
   const names = single ? null : element("div", { class: "names" }, box);
   const outputs = spec.series.map(({ name, colour }) => {
-    if (single) return element("output", { style: `color:${colour}` }, head);
-    return element("span", { style: `color:${colour}`, "data-name": name }, names);
+    const style = `color:color-mix(in srgb, ${colour} 60%, var(--ink))`; // to be read on any ground
+    if (single) return element("output", { style }, head);
+    return element("span", { style, "data-name": name }, names);
   });
   if (spec.note) element("span", { style: "margin-left:auto" }, head, spec.note);
   const svg = element("svg:svg", {}, box);
@@ -55,7 +52,7 @@ function makeChart(parent, spec, moments, seek) {
     svg.replaceChildren();
     const ticks = low < 0 && high > 0 ? [low, 0, high] : [low, high];
     for (const tick of ticks) {
-      element("svg:line", { x1: PAD.left, x2: width - PAD.right, y1: up(tick), y2: up(tick), stroke: "#e6eaee" }, svg);
+      element("svg:line", { x1: PAD.left, x2: width - PAD.right, y1: up(tick), y2: up(tick), class: "rule" }, svg);
       const label = String(+tick.toPrecision(3)).replace("-", "−");
       const y = Math.min(Math.max(up(tick) + 3.5, 9), height - 1);
       element("svg:text", { x: PAD.left - 5, y, "text-anchor": "end" }, svg, label);
@@ -66,7 +63,7 @@ function makeChart(parent, spec, moments, seek) {
       element("svg:polyline", { points: path, fill: "none", stroke: colour, "stroke-width": 1.6,
         "stroke-linejoin": "round" }, svg);
     }
-    cursor = element("svg:line", { y1: 0, y2: height, stroke: "#1f2933", "stroke-width": 1 }, svg);
+    cursor = element("svg:line", { y1: 0, y2: height, class: "cursor" }, svg);
   }
 
   function move(moment) {
