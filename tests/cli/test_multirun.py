@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -50,7 +53,7 @@ def test_a_sweep_started_again_trains_what_is_missing_alone(swept: Path, capsys:
     capsys.readouterr()
     assert sweep(swept, "seed=0,1,2") == 0
     printed = capsys.readouterr().out
-    assert printed.count("Finished before: ") == 2
+    assert printed.count("Finished: ") == 2
     assert printed.count("Run folder: ") == 1
     runs = runs_in(swept)
     assert sorted(runs) == [0, 1, 2]
@@ -105,7 +108,7 @@ def test_a_run_whose_checkpoints_were_removed_keeps_what_it_has(
     shutil.rmtree(run / "checkpoints")
     before = content(run)
     assert sweep(tmp_path, "seed=0") == 0
-    assert "Finished before: " in capsys.readouterr().out
+    assert "Finished: " in capsys.readouterr().out
     assert sweep(tmp_path, "seed=0", "trainer.episodes=6") == 1
     assert f"{run} holds 4 episodes and no checkpoint to go on from" in capsys.readouterr().err
     assert content(run) == before
@@ -140,6 +143,68 @@ def test_the_other_runs_fly_when_one_fails(
     assert "Traceback" not in told
     (run,) = runs_in(tmp_path).values()
     assert json.loads((run / "summary.json").read_text())["episodes"] == 4
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from uavrl.training.claim import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_run_that_another_process_flies_is_left_alone_and_flown_when_that_one_dies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert sweep(tmp_path, "seed=0,1", "trainer.episodes=2") == 0
+    first = runs_in(tmp_path)[0]
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(first)], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline() == b"held\n"
+        looked: list[float] = []
+
+        def look_again(seconds: float) -> None:
+            assert json.loads((runs_in(tmp_path)[1] / "summary.json").read_text())["episodes"] == 4, "the rest is flown"
+            assert json.loads((first / "summary.json").read_text())["episodes"] < 4
+            looked.append(seconds)
+            other.kill()
+            other.wait()
+
+        monkeypatch.setattr(train_command.time, "sleep", look_again)
+        capfd.readouterr()
+        assert sweep(tmp_path, "seed=0,1") == 0
+    told = capfd.readouterr()
+    assert len(looked) == 1 and f"Another process (process {other.pid} on " in told.err
+    assert json.loads((first / "summary.json").read_text())["episodes"] == 4
+    assert told.out.splitlines()[-3:] == [
+        "The sweep's 2 runs:",
+        *(f"  {runs_in(tmp_path)[seed]}: 4 episodes" for seed in (0, 1)),
+    ]
+
+
+@pytest.mark.slow
+def test_four_processes_share_a_sweep_and_two_of_them_are_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "uavrl.cli.train", "-m", *TINY, "trainer.episodes=12"]
+    command += [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}", "seed=range(12)"]
+    started = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) for _ in range(4)]
+    for victim, enough in zip(started, (2, 5), strict=False):  # killed once so many runs have ended
+        while len(list(tmp_path.glob("run*/summary.json"))) < enough:
+            assert victim.poll() is None
+            time.sleep(0.2)
+        victim.kill()
+    told = [process.communicate(timeout=1800)[0] for process in started]
+    assert [process.returncode for process in started] == [-9, -9, 0, 0], told
+    runs = runs_in(tmp_path)
+    assert sorted(runs) == list(range(12))
+    for run in runs.values():
+        assert json.loads((run / "summary.json").read_text())["episodes"] == 12
+        lines = (run / "episodes.csv").read_text().splitlines()[1:]
+        assert [int(line.split(",")[0]) for line in lines] == list(range(1, 13)), "each episode once"
+    for text in told[2:]:
+        assert "The sweep's 12 runs:" in text and text.count(": 12 episodes") == 12
+    begun = [line for text in told for line in text.splitlines() if line.startswith("Run folder: ")]
+    assert 12 <= len(set(begun)) == len(runs) <= len(begun) <= 14, "flown anew only where a killed process had it"
 
 
 def test_resume_in_a_sweep_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import errno
 import json
+import logging
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -17,14 +20,47 @@ from uavrl.cli.command import command
 from uavrl.cli.errors import one_sentence, sentence
 from uavrl.configs import complete, to_dataclass
 from uavrl.configs.memory import require_memory
-from uavrl.errors import Stopped, UavrlError
+from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.files import removed_on_failure
 
+log = logging.getLogger(__name__)
 FIRST_CHECKPOINT = "checkpoints/checkpoint*"  # from here on a run folder holds something
+LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
+
+
+@dataclass
+class _Swept:
+    """What this process has met of a sweep."""
+
+    ended: list[Path] = field(default_factory=list)
+    elsewhere: list[Path] = field(default_factory=list)  # flown by other processes
+
+
+_swept = _Swept()
+
+
+def main() -> None:
+    """Trains one run, or a sweep: several processes may share one, and each stays until all of its runs have ended."""
+    told = False
+    while True:
+        _swept.ended.clear()
+        _swept.elsewhere.clear()
+        _command()
+        if not _swept.elsewhere:
+            break
+        if not told:
+            log.info("Waiting for other processes to end %s of the sweep's runs, or to die.", len(_swept.elsewhere))
+        told = True
+        with one_sentence():
+            time.sleep(LOOK_AGAIN)
+    if _swept.ended:
+        from uavrl.training.sweep import standing
+
+        print(standing(_swept.ended))
 
 
 @command("config")
-def main(config: DictConfig) -> None:
+def _command(config: DictConfig) -> None:
     """Trains one run; in a sweep a run that fails does not keep the others from flying."""
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         with one_sentence():
@@ -86,7 +122,7 @@ def _check(config: DictConfig) -> None:
 
 
 def _train_in_sweep(config: DictConfig) -> None:
-    """Trains a combination unless an earlier sweep has: then it goes on with it, or skips it where it is finished."""
+    """Trains a combination, goes on with it, or leaves it alone where it is finished or another process flies it."""
     _check(config)
     if config.resume is not None:
         raise UavrlError(
@@ -94,21 +130,31 @@ def _train_in_sweep(config: DictConfig) -> None:
             "command is started again."
         )
     from uavrl.training.checkpoint import FREE_KEYS
+    from uavrl.training.claim import locked
     from uavrl.training.run import create_run, resume_config
-    from uavrl.training.sweep import take_place
+    from uavrl.training.sweep import is_begun, is_finished, place_of
 
-    place = take_place(config)
+    run_dir = place_of(config)
     config = complete(config)
-    if place == "finished":
-        print(f"Finished before: {config.run_dir}")
+    if is_finished(run_dir, config.trainer.episodes):
+        print(f"Finished: {run_dir}")
+        _swept.ended.append(run_dir)
         return
-    run_dir = Path(config.run_dir)
-    with full_disk_told(run_dir):
-        if place == "begun":
-            _fly(resume_config(run_dir, config, list(FREE_KEYS)), run_dir, resume=True)
-            return
-        with removed_on_failure(run_dir, FIRST_CHECKPOINT):
-            _fly(config, create_run(config), resume=False)
+    try:
+        with full_disk_told(run_dir), removed_on_failure(run_dir, FIRST_CHECKPOINT):
+            run_dir.mkdir(parents=True, exist_ok=True)
+            with locked(run_dir):
+                if is_finished(run_dir, config.trainer.episodes):  # meanwhile, by another process
+                    print(f"Finished: {run_dir}")
+                elif is_begun(run_dir):
+                    _fly(resume_config(run_dir, config, list(FREE_KEYS)), run_dir, resume=True)
+                else:
+                    _fly(config, create_run(config), resume=False)
+    except FolderTaken as taken:
+        log.info("%s", taken)
+        _swept.elsewhere.append(run_dir)
+    else:
+        _swept.ended.append(run_dir)
 
 
 def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:

@@ -8,15 +8,13 @@ import platform
 import random
 import shutil
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from torchrl.envs import EnvBase
@@ -44,6 +42,7 @@ from uavrl.training.checkpoint import (
     restore,
     rotation,
 )
+from uavrl.training.claim import locked
 from uavrl.training.episodes import EpisodeLog, read_episodes
 from uavrl.training.factory import (
     collector_class,
@@ -110,24 +109,6 @@ def _refuse_a_run(run_dir: Path) -> None:
 def _write(config: DictConfig, run_dir: Path) -> None:
     with replacing(run_dir / CONFIG) as partial_config:
         partial_config.write_text(OmegaConf.to_yaml(config, resolve=True))
-
-
-@contextmanager
-def locked(run_dir: Path) -> Iterator[None]:
-    """Keeps a second process out of a run folder.
-
-    Raises:
-        UavrlError: when another process trains in it.
-    """
-    lock = FileLock(run_dir / ".lock", blocking=False)
-    try:
-        lock.acquire()
-    except Timeout:
-        raise FolderTaken(f"Another process trains in {run_dir}: wait until it ends, or stop it.") from None
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 from pathlib import Path
-from typing import Literal
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -15,39 +14,51 @@ from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, fingerprint
 from uavrl.training.episodes import read_episodes
 from uavrl.training.gradients import chosen_execution
 from uavrl.training.resuming import EPISODES, SUMMARY
-from uavrl.training.run import free, locked
+from uavrl.training.run import free
 
 NAME_DIGITS = 6
 FOLLOWING = -1  # stands in a name for the random steps that follow from the episodes
 
 
-def take_place(config: DictConfig) -> Literal["new", "begun", "finished"]:
-    """Ends ``config.run_dir`` in the configuration's fingerprint, and says how far a run has come there.
+def place_of(config: DictConfig) -> Path:
+    """Ends ``config.run_dir`` in the configuration's fingerprint, and returns it.
 
     What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint, nor are random steps
     that follow from the episodes: a sweep that is started again for more episodes goes on with its runs, whose random
-    steps stay what they were. A folder that never came to its first checkpoint is freed.
-
-    Raises:
-        UavrlError: when another process trains there, or when what was flown there has lost its checkpoints.
+    steps stay what they were.
     """
     config.trainer.execution = chosen_execution(config.trainer.execution)
     run_dir = _place(config)
     OmegaConf.update(config, "run_dir", str(run_dir))
-    if not (run_dir / CONFIG).exists():
-        return "new"
-    if _episodes(run_dir) >= config.trainer.episodes:
-        return "finished"
+    return run_dir
+
+
+def is_finished(run_dir: Path, episodes: int) -> bool:
+    """Whether a run has flown its episodes."""
+    return _episodes(run_dir) >= episodes
+
+
+def is_begun(run_dir: Path) -> bool:
+    """Whether a run can be gone on with; a folder that never came to its first checkpoint is freed. Hold its lock.
+
+    Raises:
+        UavrlError: when what was flown there has lost its checkpoints.
+    """
     if any((run_dir / CHECKPOINTS).glob("checkpoint*")):
-        return "begun"
-    with locked(run_dir):
-        if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
-            raise UavrlError(
-                f"{run_dir} holds {flown} episodes and no checkpoint to go on from: bring its checkpoints back, or "
-                f"move the folder away to train anew."
-            )
-        free(run_dir)
-    return "new"
+        return True
+    if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
+        raise UavrlError(
+            f"{run_dir} holds {flown} episodes and no checkpoint to go on from: bring its checkpoints back, or "
+            f"move the folder away to train anew."
+        )
+    free(run_dir)
+    return False
+
+
+def standing(run_dirs: list[Path]) -> str:
+    """What stands of a sweep, a line for each run."""
+    lines = [f"  {run_dir}: {_episodes(run_dir):,} episodes" for run_dir in run_dirs]
+    return "\n".join([f"The sweep's {len(run_dirs)} runs:", *lines])
 
 
 def _place(config: DictConfig) -> Path:

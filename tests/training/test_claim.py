@@ -1,0 +1,53 @@
+"""One process at a time trains in a run folder, on whichever machine it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from uavrl.errors import FolderTaken
+from uavrl.training import claim
+from uavrl.training.claim import GONE, HOLDER, LOCK, locked
+
+
+def elsewhere(folder: Path, age: float) -> None:
+    """What a process on another machine leaves, ``age`` seconds after its last sign of life."""
+    path = folder / HOLDER
+    path.write_text(json.dumps({"host": "another-machine", "pid": 7}))
+    now = time.time()
+    os.utime(path, (now - age, now - age))
+
+
+def test_a_process_that_lives_on_another_machine_is_waited_for(tmp_path: Path) -> None:
+    elsewhere(tmp_path, age=GONE / 2)
+    with pytest.raises(FolderTaken, match=r"process 7 on another-machine\) trains in .*: wait"), locked(tmp_path):
+        pass
+    assert json.loads((tmp_path / HOLDER).read_text())["pid"] == 7, "its sign is left"
+
+
+def test_the_folder_of_a_machine_that_died_is_taken_over(tmp_path: Path) -> None:
+    elsewhere(tmp_path, age=2 * GONE)
+    with locked(tmp_path):
+        assert json.loads((tmp_path / HOLDER).read_text())["pid"] == os.getpid()
+    assert not (tmp_path / HOLDER).exists()
+
+
+def test_a_damaged_sign_of_a_killed_process_here_is_no_hindrance(tmp_path: Path) -> None:
+    for damaged in ("", "[]", json.dumps({"host": os.uname().nodename, "pid": 1})):
+        (tmp_path / HOLDER).write_text(damaged)
+        with locked(tmp_path):
+            assert (tmp_path / LOCK).exists()
+
+
+def test_whoever_holds_a_folder_shows_signs_of_life(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(claim, "BEAT", 0.01)
+    with locked(tmp_path):
+        os.utime(tmp_path / HOLDER, (0, 0))
+        until = time.monotonic() + 60
+        while (tmp_path / HOLDER).stat().st_mtime < 1 and time.monotonic() < until:
+            time.sleep(0.01)
+        assert (tmp_path / HOLDER).stat().st_mtime > 1
