@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 from tensordict import NonTensorData, NonTensorStack
 
 from tests.cli.test_bad_input import SMALL_EVALUATION, TINY, content, in_process, newest
@@ -358,6 +359,25 @@ def test_a_configuration_runs_nothing_and_tells_nothing(
         sentence = refused(main, *arguments)
         assert said in sentence and "the secret" not in sentence
     assert content(tmp_path) == before
+
+
+def test_a_source_in_the_folder_is_not_read(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    """Types of arguments are worked out, and one can be any program."""
+    (policy / "theirs.py").write_text(
+        "class X:\n    def __init__(self, x: [c for c in ().__class__.__base__.__subclasses__() if c.__name__ == "
+        "'_wrap_close'][0].__init__.__globals__['system']('touch ran')): ...\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    original = OmegaConf.load(policy / "config.yaml")
+    for target in (f"uavrl.{policy}/theirs.X", "uavrl./proc/self/cwd/given/theirs.X"):
+        changed = original.copy()
+        changed.reward._target_ = target
+        OmegaConf.save(changed, policy / "config.yaml")
+        for main, arguments in commands(policy, tmp_path)[:2]:
+            assert "which is no name of a class" in refused(main, *arguments)
+    assert not (tmp_path / "ran").exists()
 
 
 # ---------------------------------------------------------------------- an artifact, and recorded flights

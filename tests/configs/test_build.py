@@ -26,6 +26,8 @@ REFUSED = [
     ("builtins.eval", "builtins is no package"),
     ("torchrl.envs.llm.transforms.MCPToolTransform", "torchrl is no package"),  # which starts what it is told
     ("torchrl.modules.llm.TransformersWrapper", "torchrl is no package"),  # which loads what it is told
+    ("torchrl.envs.transforms.R3MTransform", "torchrl is no package"),  # which unpickles what it is told
+    ("torchrl.record.loggers.ray.RayLogger", "torchrl is no package"),
     ("torchrl.envs.GymEnv", "torchrl is no package"),  # which imports what it is told
     ("torch.nn.Linear", "torch is no package"),
     ("uavrl_evil.Reward", "uavrl_evil is no package"),
@@ -35,6 +37,8 @@ REFUSED = [
     ("uavrl.training.run.train", "there is no class"),
     ("uavrl.transforms.rewards.TradtionalReward", "did you mean TraditionalReward?"),
     ("uavrl..x", "there is no class"),
+    ("uavrl./proc/self/cwd/theirs.X", "which is no name of a class"),
+    ("uavrl.models.actor critic.X", "which is no name of a class"),
     ("", "is no package"),
 ]
 

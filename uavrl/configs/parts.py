@@ -26,8 +26,13 @@ PARTS = (
     "collector",
     "logger",
 )
-# What any configuration may name: not all of TorchRL, some of which starts commands.
-ALLOWED = ("uavrl", "torchrl.envs.transforms", "torchrl.record.loggers", "torchrl.modules.models")
+# What any configuration may name: not all of TorchRL, some of which starts commands or unpickles what it is told.
+ALLOWED = (
+    "uavrl",
+    "torchrl.record.loggers.csv",
+    "torchrl.record.loggers.tensorboard",
+    "torchrl.modules.models.models",
+)
 
 
 # What is a part is checked as one, and comes to no range.
@@ -128,14 +133,18 @@ def _signature(target: str, key: str, packages: tuple[str, ...]) -> Mapping[str,
 def require_allowed(target: str, packages: Iterable[str], key: str = TARGET) -> None:
     """Refuses a class that is neither ours nor of a package that the user lists: what a file names is imported.
 
+    A name is of identifiers alone: ``uavrl./their/folder.X`` would have a file outside of uavrl read, and run.
+
     Examples:
         >>> require_allowed("os.system", [])  # doctest: +ELLIPSIS
         Traceback (most recent call last):
         uavrl.errors.UavrlError: _target_ names os.system, and os is no package that you have listed: ...
     """
     allowed = (*ALLOWED, *packages)
+    top, *below = target.split(".")
+    if below and not target.replace(".", "").isidentifier():
+        raise UavrlError(f"{key} names {target}, which is no name of a class: write PACKAGE.MODULE.CLASS.")
     if not any(target.startswith(f"{package}.") for package in allowed):
-        top = target.partition(".")[0]
         raise UavrlError(
             f"{key} names {target}, and {top} is no package that you have listed: if you trust its code, add "
             f"packages=[{top}] to the command."
