@@ -153,6 +153,7 @@ def test_a_run_updates_as_often_as_it_steps_and_can_be_resumed(tmp_path: Path) -
 
 STOPPED = """
 import sys
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tests.training.test_resume import small_config
 from uavrl.training import run
@@ -163,6 +164,9 @@ def stop(*about, **more):
 if __name__ == "__main__":
     if sys.argv[2] == "flying":
         run.Progress.update = stop
+    elif sys.argv[2] == "starting":
+        start = BaseProcess.start
+        BaseProcess.start = lambda process: (start(process), stop())
     else:
         run.EpisodeTrainer = stop
     config = small_config(Path(sys.argv[1]), "collector=async")
@@ -173,7 +177,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("when", ["flying", "built"])
+@pytest.mark.parametrize("when", ["flying", "starting", "built"])
 def test_python_ends_after_a_training_that_was_stopped(when: str, tmp_path: Path) -> None:
     (tmp_path / "stopped.py").write_text(STOPPED)
     command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run", when]

@@ -6,7 +6,7 @@ import signal
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
+from multiprocessing import active_children, resource_tracker
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 from typing import Any
@@ -29,8 +29,14 @@ class AsyncCollector(MultiAsyncCollector):
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        with _interrupts_held_back():
-            super().__init__(*args, **kwargs)
+        others = active_children()
+        try:
+            with _interrupts_held_back():
+                super().__init__(*args, **kwargs)
+        except BaseException:  # Ctrl-C too: another thread of the library's may hear it, and it is ours then
+            _kill([process for process in active_children() if process not in others])
+            self._end_schemes()
+            raise
         Finalize(self, _kill, (self.procs,), exitpriority=0)
         if not all(parameter.is_shared() for parameter in self.policy.parameters()):
             self.shutdown()
@@ -73,7 +79,10 @@ class AsyncCollector(MultiAsyncCollector):
     def shutdown(self, *args: Any, **kwargs: Any) -> None:
         """Ends the worker, and what TorchRL would end when it is collected: too late where Python itself is ending."""
         super().shutdown(*args, **kwargs)
-        for scheme in (self._weight_sync_schemes or {}).values():
+        self._end_schemes()
+
+    def _end_schemes(self) -> None:
+        for scheme in (getattr(self, "_weight_sync_schemes", None) or {}).values():
             scheme.shutdown()
 
     def state_dict(self) -> OrderedDict[str, Any]:
