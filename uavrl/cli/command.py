@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.cli.help import show
 from uavrl.configs import conf_dir, register_resolvers
 from uavrl.configs.checks import did_you_mean
 from uavrl.configs.choices import check_choices, choices_with, known_keys
@@ -41,6 +42,8 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
 
         @wraps(function)
         def main() -> None:
+            if show(name):
+                return
             configure_logging()
             with one_sentence(), mistakes:
                 by_hydra()
@@ -96,9 +99,9 @@ def explained(error: Exception, name: str) -> str:
         if key in known:
             having = f"{group}={' or '.join(choices_with(key))}"
             return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."
-        return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help lists all keys.")
+        return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys.")
     if isinstance(error, AssertionError):
-        return "An override changes something below a key that has nothing below it: --help lists all keys."
+        return "An override changes something below a key that has nothing below it: --help=all lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
 

@@ -36,7 +36,7 @@ def _export(args: argparse.Namespace) -> None:
     config, actor, about = load_actor(args.run, args.checkpoint, "cpu", args.packages)
     export_policy(actor, config, {**about, "run": args.run.resolve().name}, args.output)
     print(f"Written to {args.output}")
-    print(f"Evaluate with: uavrl-evaluate run={args.output}")
+    print(f"See how well it flies: uavrl-evaluate run={args.output}")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import logging
 import time
 from collections.abc import Iterator
@@ -162,8 +161,9 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
 
     print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}")
     summary = train(config, run_dir, resume=resume)
-    print(json.dumps({k: summary[k] for k in ("episodes", "steps", "rates")}))
-    print(f"Evaluate with: uavrl-evaluate run={run_dir}")
+    rates = ", ".join(f"{100 * rate:.0f} % {name.replace('_', ' ')}" for name, rate in summary["rates"].items())
+    print(f"{summary['episodes']:,} episodes, {summary['steps']:,} steps; of the last ones {rates}.")
+    print(f"See how well it flies: uavrl-evaluate run={run_dir}; watch it: uavrl-replay run={run_dir}")
 
 
 if __name__ == "__main__":

@@ -62,6 +62,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         """Checks what a range cannot say."""
         require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
+        require(self.resume is None or bool(self.resume.strip()), "resume", "the folder of a run", self.resume)
         single = all(part.get("_target_") is None for part in (self.fork, self.lifeguard, self.enhancer))
         steps = self.algo.get("n_steps", 1)
         require(steps == 1 or single, "algo.n_steps", "1 with FORK or LifeGuard: they learn from single steps", steps)

@@ -1,0 +1,50 @@
+"""``--help`` fits a screen, explains the keys that are used most, and lists all on demand."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.cli.test_bad_input import in_process
+from uavrl.cli import evaluate, main, replay, train
+from uavrl.cli.help import ABOUT, MOST_USED, help_text
+from uavrl.configs.choices import known_keys
+
+
+@pytest.mark.parametrize("name", ABOUT)
+def test_help_fits_a_screen(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    lines = help_text(name).splitlines()
+    assert len(lines) <= 50 and max(map(len, lines)) <= 100
+    assert all(any(line.startswith(f"  {key} ") for line in lines) for key in MOST_USED[name])
+
+
+@pytest.mark.parametrize("name", ["config", "evaluate"])
+def test_every_key_is_explained_in_full_help(name: str) -> None:
+    told = {line.split()[0] for line in help_text(name, every_key=True).splitlines() if line.startswith("  ")}
+    parts = {key.rpartition(".")[0] for key in known_keys(name)}  # what holds other keys needs no comment of its own
+    rows = ("scheme", "learner", "experiment", "preset", "enhancer", "defaults", "hydra")
+    expected = {key for key in known_keys(name) if key not in parts and key.partition(".")[0] not in rows}
+    groups = {key.partition(".")[0] for key in known_keys(name) if "." in key}
+    assert sorted(expected - groups - told) == []
+
+
+def test_what_is_asked_for_is_shown_and_nothing_else_is_done(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (train, evaluate, replay):
+        assert in_process(command.main, "--help", "env=nonsense") == 0
+        assert "Keys that are used most" in capsys.readouterr().out
+
+
+def test_one_name_for_all_commands() -> None:
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "uavrl.cli.main", *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert set(main.COMMANDS) == {"train", "evaluate", "replay", "report", "export", "pretrain"}
+    assert run("train", "--help").stdout.startswith("uavrl-train: Trains one policy")
+    assert run("--version").stdout.split()[0] == "uavrl"
+    mistyped = run("trian")
+    assert mistyped.returncode == 1 and mistyped.stderr == "uavrl: There is no command 'trian': did you mean train?\n"
+    assert "did you mean trainer.episodes?" in run("train", "trainer.epsodes=3").stderr

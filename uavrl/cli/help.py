@@ -1,0 +1,166 @@
+"""What ``--help`` says, made of the comments in the yaml files."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from uavrl.configs import conf_dir
+
+ABOUT = {
+    "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),
+    "evaluate": ("uavrl-evaluate", "Flies fixed tasks without noise and tells how often they are solved."),
+    "replay": ("uavrl-replay", "Flies a few tasks and writes a page that plays them back."),
+    "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
+}
+EXAMPLES = {
+    "config": ["preset=fast", "env=dynamic algo=sac seed=1", "-m seed=0,1,2 algo.gamma=0.98,0.99", "resume=RUN_FOLDER"],
+    "evaluate": ["policy=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
+    "replay": ["policy=static tasks=[0,1,2,3]", "run=RUN_FOLDER task=7 video=flight.mp4"],
+    "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
+}
+MOST_USED = {
+    "config": [
+        "run_dir",
+        "resume",
+        "seed",
+        "device",
+        "trainer.episodes",
+        "trainer.until_success",
+        "trainer.progress",
+        "env.num_uavs",
+        "env.world.obstacles",
+        "algo.random_steps",
+        "algo.hidden",
+        "buffer.capacity",
+        "packages",
+    ],
+    "evaluate": ["run", "policy", "episodes", "suite", "valleys", "output", "seed", "checkpoint", "num_uavs"],
+    "replay": ["run", "policy", "task", "tasks", "output", "video", "checkpoint"],
+    "pretrain": ["run", "output", "seed"],
+}
+LONGEST = 24  # characters of a name beside its meaning
+_KEY = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>.*?)(?:\s+#\s*(?P<meaning>.*))?$")
+
+
+class Key(NamedTuple):
+    """A key of a yaml file.
+
+    Args:
+        name: dotted.
+        value: as written.
+        meaning: its comment.
+    """
+
+    name: str
+    value: str
+    meaning: str
+
+
+def wanted(arguments: list[str]) -> str | None:
+    """Which help the command line asks for: ``short``, ``all``, or none.
+
+    Examples:
+        >>> wanted(["env=dynamic", "--help"]), wanted(["--help=all"]), wanted(["seed=1"])
+        ('short', 'all', None)
+    """
+    asked = {"--help": "short", "-h": "short", "--help=all": "all"}
+    return next((asked[argument] for argument in arguments if argument in asked), None)
+
+
+def help_text(name: str, *, every_key: bool = False) -> str:
+    """What the command whose configuration is ``conf/NAME.yaml`` takes, for a screen or in full.
+
+    Examples:
+        >>> print(help_text("pretrain").splitlines()[0])
+        uavrl-pretrain: Learns the trajectory classifier of ABR⁺ from a run's states.
+    """
+    command, about = ABOUT[name]
+    main = conf_dir() / f"{name}.yaml"
+    groups = {
+        group: [path.stem for path in sorted((conf_dir() / group).glob("*.yaml"))]
+        for group, _ in _defaults(main)
+        if (conf_dir() / group).is_dir()
+    }
+    lines = [f"{command}: {about}", "", "Usage: " + f"{command} KEY=VALUE …", ""]
+    lines += [f"  {command} {example}" for example in EXAMPLES[name]]
+    chosen = dict(_defaults(main))
+    choices = {
+        group: ", ".join(f"[{choice}]" if choice == chosen[group] else choice for choice in found)
+        for group, found in groups.items()
+        if len(found) > 1 or chosen[group] == "null"
+    }
+    if choices:
+        lines += ["", "What can be chosen, [the default] in brackets", *_table(choices)]
+    known = {key.name: key for key in [*keys(main), *_keys_of_groups(groups, chosen)]}
+    if every_key:
+        shown = {key.name: f"{key.meaning} ({key.value})" if key.value else key.meaning for key in known.values()}
+        lines += ["", "All keys, with their default in brackets", *_table({k: v for k, v in shown.items() if v})]
+    else:
+        lines += ["", "Keys that are used most", *_table({name: known[name].meaning for name in MOST_USED[name]})]
+        lines += ["", f"All keys: {command} --help=all    What a command line comes to: {command} … --cfg job"]
+    return "\n".join(lines)
+
+
+def keys(path: Path, prefix: str = "") -> list[Key]:
+    """The keys of a yaml file that have a comment, in its order.
+
+    Examples:
+        >>> keys(conf_dir() / "trainer" / "default.yaml", "trainer.")[0].name
+        'trainer.episodes'
+    """
+    found, above = [], list[tuple[int, str]]()
+    for line in path.read_text(encoding="utf-8").splitlines():
+        match = _KEY.match(line)
+        if match is None:
+            continue
+        indent = len(match["indent"])
+        above = [(depth, key) for depth, key in above if depth < indent]
+        name = prefix + ".".join([*(key for _, key in above), match["key"]])
+        if match["meaning"] and not name.startswith(("defaults", "hydra")):
+            found.append(Key(name, match["value"].strip(), match["meaning"]))
+        above.append((indent, match["key"]))
+    return found
+
+
+def _keys_of_groups(groups: dict[str, list[str]], chosen: dict[str, str]) -> Iterator[Key]:
+    """The keys of all choices of all groups, those of the defaults first; rows of choices have none."""
+    for group, found in groups.items():
+        for choice in sorted(found, key=lambda choice: choice != chosen[group]):
+            path = conf_dir() / group / f"{choice}.yaml"
+            if "@package _global_" not in path.read_text(encoding="utf-8"):
+                yield from keys(path, f"{group}.")
+
+
+def _defaults(path: Path) -> list[tuple[str, str]]:
+    """Groups and their choices in the defaults of a yaml file."""
+    text = path.read_text(encoding="utf-8").partition("defaults:")[2]
+    found = re.findall(r"^  - (?!override)(\w+): (\S+)", text, flags=re.MULTILINE)
+    return [(group, choice.strip("\"'")) for group, choice in found]
+
+
+def _table(rows: dict[str, str]) -> list[str]:
+    """Two columns; a long name has a line of its own."""
+    width = min(max(map(len, rows)), LONGEST) + 2
+    room = max(shutil.get_terminal_size().columns, 80)
+    lines = []
+    for name, text in rows.items():
+        told = textwrap.wrap(text, room - width - 3)
+        if len(name) > LONGEST:
+            lines.append(f"  {name}")
+            name = ""
+        lines += [f"  {name if not n else '':{width}}{part}" for n, part in enumerate(told)]
+    return lines
+
+
+def show(name: str) -> bool:
+    """Prints the help that the command line asks for; False where it asks for none."""
+    which = wanted(sys.argv[1:])
+    if which is not None:
+        print(help_text(name, every_key=which == "all"))
+    return which is not None
