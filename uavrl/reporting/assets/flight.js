@@ -238,7 +238,28 @@ const VIEWS = {
   chase: (p, h) => ({ eye: [p[0] - 5.4 * h[0], p[1] - 5.4 * h[1], p[2] + 2.3], // outside of the faces
     center: [p[0] + 2 * h[0], p[1] + 2 * h[1], p[2]] }),
 };
-let view = "chase", offset = null;
+let view = "chase", offset = null, reach = 1;
+
+// The share of the way from one point to another that no obstacle blocks (Möller and Trumbore 1997, all triangles).
+function clearShare({ vertices: v, triangles: t }, from, to) {
+  const d = to.map((x, i) => x - from[i]);
+  let share = 1;
+  for (let n = 0; n < t.length; n += 3) {
+    const a = 3 * t[n], b = 3 * t[n + 1], c = 3 * t[n + 2];
+    const e = [v[b] - v[a], v[b + 1] - v[a + 1], v[b + 2] - v[a + 2]], f = [v[c] - v[a], v[c + 1] - v[a + 1], v[c + 2] - v[a + 2]];
+    const p = [d[1] * f[2] - d[2] * f[1], d[2] * f[0] - d[0] * f[2], d[0] * f[1] - d[1] * f[0]];
+    const volume = e[0] * p[0] + e[1] * p[1] + e[2] * p[2];
+    if (Math.abs(volume) < 1e-9) continue;
+    const s = [from[0] - v[a], from[1] - v[a + 1], from[2] - v[a + 2]];
+    const u = (s[0] * p[0] + s[1] * p[1] + s[2] * p[2]) / volume;
+    if (u < 0 || u > 1) continue;
+    const q = [s[1] * e[2] - s[2] * e[1], s[2] * e[0] - s[0] * e[2], s[0] * e[1] - s[1] * e[0]];
+    const w = (d[0] * q[0] + d[1] * q[1] + d[2] * q[2]) / volume;
+    const at = (f[0] * q[0] + f[1] * q[1] + f[2] * q[2]) / volume;
+    if (w >= 0 && u + w <= 1 && at > 0.02 && at < share) share = at;
+  }
+  return share;
+}
 
 function away() { // a narrow stage is looked at from farther away, so that the valley fits
   const { width, height } = $("scene").getBoundingClientRect();
@@ -265,7 +286,12 @@ function headings(flight) { // seen from above, smoothed so that the camera does
 
 function camera(flight, moment, fresh) {
   const box = boxOf(sceneries[flight.world_seed]), p = Array.from(row(flight.positions, moment));
-  const { eye, center } = VIEWS[view](p, flight.headings[moment]);
+  let { eye, center } = VIEWS[view](p, flight.headings[moment]);
+  if (view === "chase" && !hidden.has("obstacles")) { // in front of what would hide the UAV, and slowly back again
+    const free = Math.max(0.9 * clearShare(sceneries[flight.world_seed], p, eye), 0.3);
+    reach = fresh ? free : Math.min(free, reach + 0.04);
+    eye = eye.map((x, i) => p[i] + reach * (x - p[i]));
+  }
   const aim = inScene(center, box), place = inScene(eye, box), up = { x: 0, y: 0, z: 1 };
   if (view !== "follow") return { eye: place, center: aim, up };
   if (fresh || !offset) offset = minus(place, aim); // until the viewer turns the scene
