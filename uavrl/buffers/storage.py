@@ -12,6 +12,8 @@ from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import LazyTensorStorage
 
+from uavrl.upstream import rows
+
 FIRST = "first_frame"  # where the number of an observation's first frame lies
 
 
@@ -34,8 +36,7 @@ class GatheringStorage(LazyTensorStorage):
         holds_rows = self.initialized and isinstance(self._storage, TensorDictBase) and self.ndim == 1
         if not (asks_rows and holds_rows and 0 <= int(index.min()) <= int(index.max()) < len(self)):
             return super().get(index)
-        rows = index.to(self.device)
-        return self._storage._fast_apply(lambda stored: stored.index_select(0, rows), batch_size=[len(index)])
+        return rows(self._storage, index.to(self.device))
 
 
 class FrameStorage(GatheringStorage):

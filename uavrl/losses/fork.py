@@ -11,7 +11,6 @@ from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import unravel_key
 from torch import Tensor, nn
-from torchrl.objectives.utils import _cache_values
 
 from uavrl.losses.actor_critic import ActorCriticLoss, Enhancer
 from uavrl.losses.functional import (
@@ -23,6 +22,7 @@ from uavrl.losses.functional import (
 )
 from uavrl.losses.ring import Ring
 from uavrl.ranges import Count, Discount, NonNegative, Positive
+from uavrl.upstream import cache_values
 
 Variant = Literal["fork", "bipedal"]
 
@@ -207,12 +207,12 @@ class Fork(Enhancer):
         return _call(self.reward_network, self._cached_detached_reward_params, step).reshape(acted.batch_size)
 
     @property
-    @_cache_values
+    @cache_values
     def _cached_detached_system_params(self) -> TensorDictBase:
         return self.system_network_params.detach()
 
     @property
-    @_cache_values
+    @cache_values
     def _cached_detached_reward_params(self) -> TensorDictBase:
         return self.reward_network_params.detach()
 

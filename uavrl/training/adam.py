@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from uavrl.errors import UavrlError
+from uavrl.upstream import fused_adam
 
 
 class DirectAdam(torch.optim.Adam):
@@ -53,7 +54,7 @@ class DirectAdam(torch.optim.Adam):
         parameters, averages, squares, steps = self._gathered
         steps[0] += 1
         group = self.param_groups[0]
-        torch._fused_adam_(
+        fused_adam(
             parameters,
             [_laid_out(gradient, like) for gradient, like in zip(gradients, parameters, strict=True)],
             averages,

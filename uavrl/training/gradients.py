@@ -16,6 +16,7 @@ from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from uavrl.errors import UavrlError
+from uavrl.upstream import compile_graph
 
 log = logging.getLogger(__name__)
 Execution = Literal["eager", "captured", "compiled"]
@@ -172,12 +173,10 @@ def _lift_constants(graph: GraphModule) -> list[Tensor]:
 
 
 def _compile(graph: GraphModule, inputs: list[Any]) -> Callable[..., Any]:
-    import torch._inductor
-
     try:
         with torch.no_grad():
             split = make_fx(graph, SPLIT, tracing_mode="fake")(*inputs) if inputs[0].device.type == "cpu" else graph
-            return torch._inductor.compile(split, inputs, options={"fallback_random": True})
+            return compile_graph(split, inputs, fallback_random=True)
     except Exception as error:  # a run is worth more than a fifth of its speed
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         log.warning("The update could not be compiled (%s): it is captured instead, which is slower.", reason)

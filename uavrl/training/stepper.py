@@ -15,6 +15,7 @@ from uavrl.losses import ActorCriticLoss, Enhancer, Fork, LifeGuard, SACLoss
 from uavrl.ranges import Count, Positive, Share
 from uavrl.training.adam import DirectAdam
 from uavrl.training.gradients import Execution, Gradients, LossGradients, LossMethod
+from uavrl.upstream import lerp
 
 
 class FusedSoftUpdate(SoftUpdate):
@@ -28,7 +29,7 @@ class FusedSoftUpdate(SoftUpdate):
                 for key, source in self._sources.items(True, True)
             ]
         sources, targets = zip(*self._pairs, strict=True)
-        torch._foreach_lerp_(list(targets), list(sources), 1 - self.eps)
+        lerp(list(targets), list(sources), 1 - self.eps)
 
     _pairs: list[tuple[Tensor, Tensor]] | None = None
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import tensordict
 from torchrl.checkpoint import StateDictCheckpointAdapter
-from torchrl.checkpoint._checkpoint import _decode_state_dict_value
+
+from uavrl.upstream import decode_state_dict
 
 
 class StateDictWithoutPickles(StateDictCheckpointAdapter):
@@ -31,4 +32,4 @@ class StateDictWithoutPickles(StateDictCheckpointAdapter):
         """Restores ``component`` from ``path``."""
         tensors = tensordict.load(path / self.state_directory, allow_pickle=False)
         schema = json.loads((path / self.schema_filename).read_text())
-        component.load_state_dict(_decode_state_dict_value(schema, tensors, map_location), *args, **kwargs)
+        component.load_state_dict(decode_state_dict(schema, tensors, map_location), *args, **kwargs)

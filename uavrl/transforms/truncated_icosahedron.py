@@ -11,9 +11,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs.transforms import Transform
-from torchrl.envs.transforms.utils import _set_missing_tolerance
 
 from uavrl.transforms.functional import NUM_FACES, Statistic, truncated_icosahedron
+from uavrl.upstream import missing_tolerance
 
 __all__ = ["TruncatedIcosahedron"]
 
@@ -74,7 +74,7 @@ class TruncatedIcosahedron(Transform):
         return self._dropped(super().forward(tensordict))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        with _set_missing_tolerance(self, True):
+        with missing_tolerance(self, True):
             return self._call(tensordict_reset)
 
     def _dropped(self, tensordict: TensorDictBase) -> TensorDictBase:
