@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from uavrl.reporting.runs import LeftOut, Run, flatten
+from uavrl.configs.registry import NONE
+from uavrl.reporting.runs import LeftOut, Run
 
 # Where a run's files go and how fast it computes, not what it learns: two seeds of a group may differ here.
 HOW_IT_RUNS = (
@@ -29,26 +30,44 @@ HOW_IT_RUNS = (
 # What makes two success rates comparable at all; how many vehicles fly at a time does not.
 TASK, NOT_TASK = ("env", "perception"), ("env.num_uavs",)
 _SHOWN = 3  # differences that a sentence or a label names
+# What a choice is called in a label; of one that is not here, somebody's own perhaps, the name of its yaml.
+_NAMES = {
+    "fork": {"on": "FORK", "walker": "FORK"},
+    "lifeguard": {"linear": "LG", "mlp": "LG (MLP)"},
+    "backward_reward": {"abr": "ABR", "abr_plus": "ABR⁺"},
+    "reward": {"traditional": "TR", "navigation": "Eq. 3.6", "navigation_prize": "prize"},
+}
 
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that differ in their seed alone.
-
-    Attributes:
-        label: short, and no other group of the report has it.
-        runs: one for each seed, by seed.
-        notes: what a reader should know before comparing it.
-    """
+    """Runs that differ in their seed alone, by seed; no other group of the report has the label."""
 
     label: str
     runs: list[Run]
-    notes: list[str] = field(default_factory=list)
 
     @property
     def seeds(self) -> list[int]:
         """Of its runs."""
         return [run.seed for run in self.runs]
+
+
+def label(choices: Mapping[str, str]) -> str:
+    """What a group is called: what learns, its backward reward, and what pays.
+
+    Examples:
+        >>> label({"algo": "td3", "fork": "on", "lifeguard": "mlp", "reward": "traditional"})
+        'TD3-FORK-LG (MLP), TR'
+        >>> label({"algo": "td3", "lifeguard": "none", "backward_reward": "abr_plus", "reward": "navigation_prize"})
+        'TD3 + ABR⁺, prize'
+    """
+
+    def named(group: str) -> list[str]:
+        choice = choices.get(group, NONE)
+        return [] if choice == NONE else [_NAMES.get(group, {}).get(choice, choice)]
+
+    learns = "-".join([choices["algo"].upper(), *named("fork"), *named("lifeguard"), *named("enhancer")])
+    return ", ".join([" + ".join([learns, *named("backward_reward")]), *named("reward")])
 
 
 def below(key: str, names: Iterable[str]) -> bool:
@@ -92,95 +111,48 @@ def same_task(runs: Sequence[Run]) -> tuple[list[Run], list[LeftOut]]:
     """
 
     def task(run: Run) -> str:
-        kept = {k: v for k, v in run.settings.items() if below(k, TASK) and not below(k, NOT_TASK)}
-        return repr(sorted(kept.items()))
+        return repr(sorted((k, v) for k, v in run.settings.items() if below(k, TASK) and not below(k, NOT_TASK)))
 
-    if not runs:
-        return [], []
-    common, count = Counter(map(task, runs)).most_common(1)[0]
+    tasks = Counter(map(task, runs))
+    common = max(tasks, key=tasks.__getitem__, default="")
     kept = [run for run in runs if task(run) == common]
     left_out = []
     for run in runs:
         if task(run) != common:
-            without = (*HOW_IT_RUNS, *NOT_TASK)
-            pairs = differences([run.settings, kept[0].settings], without).items()
-            told = [f"{key} is {shown(a)}, not {shown(b)}" for key, (a, b) in pairs if below(key, TASK)]
-            others = "the run" if count == 1 else f"the {count} runs"
-            more = f" and {len(told) - _SHOWN} more settings differ" if len(told) > _SHOWN else ""
-            left_out.append(
-                LeftOut(
-                    str(run.folder),
-                    f"It flies another task than {others} reported ({'; '.join(told[:_SHOWN])}{more}): "
-                    f"give it a report of its own.",
-                )
-            )
+            pairs = differences([run.settings, kept[0].settings], NOT_TASK).items()
+            told = [f"{key} is {shown(a)}, not {shown(b)}" for key, (a, b) in pairs if below(key, TASK)][:_SHOWN]
+            reason = f"It flies another task than most ({'; '.join(told)}): give it a report of its own."
+            left_out.append(LeftOut(run.name, reason))
     return kept, left_out
 
 
 def group_runs(runs: Sequence[Run]) -> tuple[list[Group], list[LeftOut]]:
     """Puts seeds together; a seed that is there twice counts once, by its longest run."""
     members: dict[str, list[Run]] = {}
-    for run in runs:
+    for run in sorted(runs, key=lambda run: -len(run.episodes)):
         learned = {k: v for k, v in run.settings.items() if not below(k, ("seed", *HOW_IT_RUNS))}
         members.setdefault(repr(sorted(learned.items())), []).append(run)
-    left_out: list[LeftOut] = []
-    distinct = [_one_per_seed(group, left_out) for group in members.values()]
-    labels = _labels(distinct)
-    return [Group(label, group, _notes(group)) for label, group in zip(labels, distinct, strict=True)], left_out
-
-
-def _one_per_seed(runs: list[Run], left_out: list[LeftOut]) -> list[Run]:
-    kept: dict[int, Run] = {}
-    for run in sorted(runs, key=lambda run: -len(run.episodes)):
-        first = kept.setdefault(run.seed, run)
-        if first is not run:
-            same = first.episodes[: len(run.episodes)] == run.episodes
-            what = "a copy of" if same else "another run of the same configuration and seed as"
-            left_out.append(LeftOut(str(run.folder), f"It is {what} {first.folder}, and a seed counts once."))
-    return [kept[seed] for seed in sorted(kept)]
-
-
-def _notes(runs: list[Run]) -> list[str]:
-    notes = []
-    for key, values in how_they_ran(runs).items():
-        if below(key, ("logger", "trainer.progress")):
-            continue
-        told = ", ".join(f"{shown(value)} (seed {run.seed})" for value, run in zip(values, runs, strict=True))
-        notes.append(f"Its runs differ in {key}: {told.replace(shown(None), 'not recorded')}.")
-    return notes
-
-
-def how_they_ran(runs: Sequence[Run]) -> dict[str, list[Any]]:
-    """The settings of :data:`HOW_IT_RUNS`, as the runs recorded them, of which there are different values.
-
-    A run that is older than a setting did not record it, which is no difference.
-    """
-    recorded = [{k: v for k, v in flatten(run.config).items() if below(k, HOW_IT_RUNS)} for run in runs]
-    found = differences(recorded, ("run_dir", "resume"))
-    return {key: values for key, values in found.items() if len({repr(v) for v in values if v is not None}) > 1}
-
-
-def _short(key: str) -> str:
-    """A key without its group."""
-    group, _, rest = key.partition(".")
-    return rest or group
+    groups, left_out = [], []
+    for group in members.values():
+        kept: dict[int, Run] = {}
+        for run in group:
+            first = kept.setdefault(run.seed, run)
+            if first is not run:
+                left_out.append(
+                    LeftOut(run.name, f"It has configuration and seed of {first.name}: a seed counts once.")
+                )
+        groups.append([kept[seed] for seed in sorted(kept)])
+    return [Group(name, group) for name, group in zip(_labels(groups), groups, strict=True)], left_out
 
 
 def _labels(groups: Sequence[list[Run]]) -> list[str]:
-    """The learner, with the reward where that differs, and with more settings where it does not suffice."""
-    settings = [runs[0].settings for runs in groups]
-    rewards = {flat.get("reward") for flat in settings}
-    labels = [runs[0].learner for runs in groups]
-    if len(rewards) > 1:
-        labels = [f"{label} · {flat.get('reward')}" for label, flat in zip(labels, settings, strict=True)]
-    result = list(labels)
-    for label in {label for label in labels if labels.count(label) > 1}:
-        alike = [i for i, other in enumerate(labels) if other == label]
-        differing = differences([settings[i] for i in alike], ("seed", *HOW_IT_RUNS))
+    """The label of each group, with the settings that tell it from the others where they have the same."""
+    plain = [label(runs[0].choices) for runs in groups]
+    result = list(plain)
+    for name in {name for name in plain if plain.count(name) > 1}:
+        alike = [i for i, other in enumerate(plain) if other == name]
+        differing = differences([groups[i][0].settings for i in alike], ("seed", *HOW_IT_RUNS))
         for place, i in enumerate(alike):
-            parts = [f"{_short(key)}={shown(values[place])}" for key, values in differing.items()]
-            result[i] = " · ".join([label, *parts[:_SHOWN]])
-    for i, label in enumerate(result):
-        if label in result[:i]:
-            result[i] = f"{label} · {i + 1}"
-    return result
+            parts = [f"{key.partition('.')[2] or key}={shown(row[place])}" for key, row in differing.items()]
+            result[i] = " · ".join([name, *parts[:_SHOWN]])
+    return [name if name not in result[:i] else f"{name} · {i + 1}" for i, name in enumerate(result)]

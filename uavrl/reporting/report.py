@@ -7,21 +7,20 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from math import isfinite
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
 import uavrl
 from uavrl.errors import UavrlError
-from uavrl.reporting.comparison import compare_groups
-from uavrl.reporting.groups import HOW_IT_RUNS, Group, differences, group_runs, how_they_ran, same_task, shown
+from uavrl.reporting.groups import HOW_IT_RUNS, Group, differences, group_runs, same_task, shown
 from uavrl.reporting.learning_curves import curves, steps_to
-from uavrl.reporting.runs import LeftOut, Run, read_runs
-from uavrl.reporting.thesis import class_sizes, counterpart, thesis
+from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
+from uavrl.reporting.thesis import beside_the_thesis
 from uavrl.training.episodes import RATES, Episode, wilson
 
-FORMAT = 1  # of the JSON file
+FORMAT = 2  # of the JSON file
 _TITLES = {"bipedal_hardcore": "Training runs of the hard-core bipedal walker"}
 
 
@@ -36,11 +35,10 @@ class Report:
         window: number of episodes that a rolling rate covers.
         threshold: the success rate that ``steps_to_threshold`` is about.
         env: name of the environment that all runs fly.
-        groups: one for each configuration, over its seeds.
-        runs: one for each run folder.
-        curves: by group, quantity and axis (:class:`uavrl.reporting.learning_curves.Curve`).
-        evaluations: one for each file that ``uavrl-evaluate`` wrote.
-        comparisons: interquartile means and tests (:func:`uavrl.reporting.comparison.compare_groups`).
+        groups: one for each configuration, over its seeds; the best first.
+        runs: one for each run folder, in the order of the groups.
+        curves: by group, quantity and axis (:func:`uavrl.reporting.learning_curves.curves`).
+        evaluations: what was flown without noise: the groups that flew it, the best first, and each file.
         thesis: its numbers beside those of the groups.
         settings: what differs between the groups, by key, in the order of the groups.
         left_out: folders that are not reported, and why.
@@ -56,7 +54,6 @@ class Report:
     runs: list[dict[str, Any]]
     curves: dict[str, dict[str, dict[str, Any]]]
     evaluations: list[dict[str, Any]]
-    comparisons: list[dict[str, Any]]
     thesis: dict[str, Any]
     settings: dict[str, list[str]]
     left_out: list[LeftOut]
@@ -70,9 +67,8 @@ class Report:
         return json.dumps(self.facts(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
     def warnings(self) -> list[str]:
-        """One sentence for each folder that is left out and each note on a run or a group."""
+        """One sentence for each folder that is left out and each note on a run."""
         notes = [f"{run['name']}: {note}" for run in self.runs for note in run["notes"]]
-        notes += [f"{group['label']}: {note}" for group in self.groups for note in group["notes"]]
         return [f"{left.folder} is left out. {left.reason}" for left in self.left_out] + notes
 
 
@@ -111,8 +107,10 @@ def make_report(
     if not groups:
         reasons = "; ".join(f"{left.folder}: {left.reason}" for left in left_out)
         raise UavrlError(f"There is nothing to report. {reasons or 'Give one run folder or more.'}")
+    facts = {group.label: _group_facts(group, window, threshold) for group in groups}
+    groups = sorted(groups, key=lambda group: -facts[group.label]["mean_success"])
+    rows = [facts[group.label] for group in groups]
     env = str(groups[0].runs[0].choices.get("env"))
-    rows = [_group_facts(group, window, threshold) for group in groups]
     return Report(
         title=title or _TITLES.get(env, f"Training runs in the {env} valley"),
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -122,28 +120,12 @@ def make_report(
         env=env,
         groups=rows,
         runs=[_run_facts(run, group.label, window, threshold) for group in groups for run in group.runs],
-        curves={
-            group.label: {
-                name: {axis: asdict(curve) for axis, curve in by_axis.items()}
-                for name, by_axis in curves([run.episodes for run in group.runs], window).items()
-            }
-            for group in groups
-        },
-        evaluations=[
-            {**evaluation, "run": run.name, "group": group.label, "run_seed": run.seed, "run_steps": _steps(run)}
-            for group in groups
-            for run in group.runs
-            for evaluation in run.evaluations
-        ],
-        comparisons=compare_groups(groups, window),
-        thesis=_beside_the_thesis(groups, rows, window),
+        curves={group.label: curves([run.episodes for run in group.runs], window) for group in groups},
+        evaluations=_evaluations(groups),
+        thesis=beside_the_thesis(groups, rows, window),
         settings=_settings(groups),
-        left_out=left_out,
+        left_out=[LeftOut(PurePath(left.folder).name, left.reason) for left in left_out],
     )
-
-
-def _steps(run: Run) -> int:
-    return run.episodes[-1].total_steps
 
 
 def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any]:
@@ -155,45 +137,45 @@ def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any
 
 def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str, Any]:
     notes = list(run.notes)
-    if not run.finished:
+    if len(run.episodes) < run.planned:
         notes.append(f"Unfinished: {len(run.episodes):,} of {run.planned:,} episodes.")
     if len(run.episodes) < window:
         notes.append(f"It has flown fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")
     return {
         "name": run.name,
-        "folder": str(run.folder),
         "group": group,
         "seed": run.seed,
         "episodes": len(run.episodes),
-        "planned": run.planned,
-        "finished": run.finished,
-        "steps": _steps(run),
+        "steps": run.steps,
         "last": last_rates([run.episodes], window),
         "steps_to_threshold": steps_to(run.episodes, threshold, window),
         "versions": run.versions,
         "notes": notes,
-        "config": run.config,
+        "config": _without_places({key: value for key, value in run.config.items() if key not in HOW_IT_RUNS[:2]}),
     }
+
+
+def _without_places(value: Any) -> Any:
+    """Values with the name in the place of each absolute path: where it lay says nothing elsewhere."""
+    if isinstance(value, dict):
+        return {key: _without_places(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_places(item) for item in value]
+    return PurePath(value).name if isinstance(value, str) and PurePath(value).is_absolute() else value
 
 
 def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
     seeds = [run.episodes for run in group.runs]
     success = [last_rates([episodes], window)["success"]["rate"] for episodes in seeds]
-    notes = list(group.notes)
+    notes = []
     if len(seeds) == 1:
-        notes.insert(0, f"One seed ({group.seeds[0]}): it shows what happened once, not what to expect.")
+        notes.append("One seed: it shows what happened once, not what to expect.")
     if len({len(episodes) for episodes in seeds}) > 1:
-        first = min(group.runs, key=lambda run: len(run.episodes))
-        notes.append(
-            f"Its seeds have flown different numbers of episodes: mean and band of its curves end where the first seed "
-            f"ends (over episodes: seed {first.seed} after {len(first.episodes):,})."
-        )
-    commits = {str(run.versions["commit"]) for run in group.runs if "commit" in run.versions}
-    if len(commits) > 1:
-        notes.append(f"Its runs were made by different states of the code: {', '.join(sorted(commits))}.")
+        notes.append(f"Its seeds have flown {min(map(len, seeds)):,} to {max(map(len, seeds)):,} episodes.")
+    if len({str(run.versions["commit"]) for run in group.runs if "commit" in run.versions}) > 1:
+        notes.append("Its runs were made by different states of the code.")
     return {
         "label": group.label,
-        "runs": [run.name for run in group.runs],
         "seeds": group.seeds,
         "last": last_rates(seeds, window),
         "success_by_seed": success,
@@ -203,42 +185,48 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
     }
 
 
-def _beside_the_thesis(groups: list[Group], rows: list[dict[str, Any]], window: int) -> dict[str, Any]:
-    reference, env = thesis(), groups[0].runs[0].choices.get("env")
-    found = [counterpart(group) for group in groups]
+def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:
+    """What was flown, what most seeds flew first; of two files of one run the longer trained counts for its group."""
+    files = [
+        {**evaluation, "run": run.name, "group": group.label, "run_seed": run.seed}
+        for group in groups
+        for run in group.runs
+        for evaluation in run.evaluations
+    ]
+    result = []
+    for flown in dict.fromkeys(each["flown"] for each in files):
+        alike = [each for each in files if each["flown"] == flown]
+        newest = {each["run"]: each for each in sorted(alike, key=_trained) if each["policy"] is None}
+        rows = [_pooled(group.label, [e for e in newest.values() if e["group"] == group.label]) for group in groups]
+        rows = sorted((row for row in rows if row), key=lambda row: -row["success"]["rate"])
+        result.append({"flown": flown, "groups": rows, "files": alike})
+    return sorted(result, key=lambda part: -sum(len(row["seeds"]) for row in part["groups"]))
 
-    def ours(learner: str, reward: str, threshold: float | None = None) -> list[dict[str, Any]]:
-        result = []
-        for group, row, place in zip(groups, rows, found, strict=True):
-            if isinstance(place, str) or place[:2] != (learner, reward):
-                continue
-            entry = {"group": group.label, "seeds": group.seeds, "unlike": place[2]}
-            if threshold is None:
-                entry["last"] = row["last"]
-            else:
-                entry["steps_to"] = [steps_to(run.episodes, threshold, window) for run in group.runs]
-            result.append(entry)
-        return result
 
-    return {
-        "source": reference["source"],
-        "episodes": reference["episodes"],
-        "window": reference["window"],
-        "rates": [r | {"ours": ours(r["learner"], r["reward"])} for r in reference["rates"] if r["env"] == env],
-        "steps_to": [
-            r | {"ours": ours(r["learner"], r["reward"], r["threshold"])}
-            for r in reference["steps_to"]
-            if r["env"] == env
-        ],
-        "class_sizes": {"thesis": reference["class_sizes"], "ours": class_sizes(groups)},
-        "without_row": {group.label: p for group, p in zip(groups, found, strict=True) if isinstance(p, str)},
-    }
+def _trained(evaluation: dict[str, Any]) -> float:
+    steps = evaluation["training_steps"]
+    return float(steps) if isinstance(steps, int | float) else 0.0
+
+
+def _pooled(group: str, evaluations: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Rates of a group over the tasks of all its seeds together, or None where it flew none."""
+    tasks = sum(each["episodes"] for each in evaluations)
+    if not tasks:
+        return None
+    counts = {name: sum(round(each[name]["rate"] * each["episodes"]) for each in evaluations) for name in RATES}
+    by_seed = [each["success"]["rate"] for each in evaluations]
+    seeds = [each["run_seed"] for each in evaluations]
+    rates = {name: wilson(count, tasks) for name, count in counts.items()}
+    return {"group": group, "seeds": seeds, "tasks": tasks, "success_by_seed": by_seed, **rates}
 
 
 def _settings(groups: list[Group]) -> dict[str, list[str]]:
+    """What differs between groups, and how their runs ran where that was recorded and differs."""
     learned = differences([group.runs[0].settings for group in groups], ("seed", *HOW_IT_RUNS))
     result = {key: [shown(value) for value in values] for key, values in learned.items()}
-    for key, values in how_they_ran([run for group in groups for run in group.runs]).items():
-        ordered = iter(shown(value) for value in values)
-        result[key] = [" / ".join(dict.fromkeys(next(ordered) for _ in group.runs)) for group in groups]
+    ran = [[flatten(run.config) for run in group.runs] for group in groups]
+    for key in HOW_IT_RUNS[3:]:
+        values = [[shown(flat.get(key)) for flat in group] for group in ran]
+        if len({value for group in values for value in group} - {shown(None)}) > 1:
+            result[key] = [" / ".join(dict.fromkeys(group)) for group in values]
     return result

@@ -1,14 +1,14 @@
-"""Run folders, read: what is whole becomes a :class:`Run`, what is not is left out with one sentence."""
+"""Run folders, read: what is whole becomes a :class:`Run`; a broken file is named."""
 
 from __future__ import annotations
 
 import json
-import math
-import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 
@@ -17,12 +17,13 @@ from uavrl.configs.parts import PARTS
 from uavrl.configs.registry import NONE
 from uavrl.configs.saved import load_config
 from uavrl.errors import UavrlError
-from uavrl.reporting.evaluations import read_evaluations, read_json
-from uavrl.training.episodes import Episode, read_episodes
+from uavrl.training.episodes import RATES, Episode, read_episodes, wilson
 
-CONFIG, EPISODES, SUMMARY, POLICY = "config.yaml", "episodes.csv", "summary.json", "policy.json"
+CONFIG, EPISODES = "config.yaml", "episodes.csv"
 _DEPTH = 4  # of folders that are searched for runs
 _MOST_STEPS = 2**53  # from there on a double, which a page counts in, skips numbers
+_TOLD = ("policy", "training_steps", "path_efficiency", "median_clearance", "steps_per_arrival")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -30,28 +31,23 @@ class Run:
     """One run folder.
 
     Attributes:
-        folder: where it lies, as it was given.
         name: what it is called in a report.
         config: its configuration as its file has it.
         settings: its values by their dotted names (see :func:`flatten`).
         choices: the yaml file of each part, by the part's name.
-        learner: what learns, as :func:`uavrl.configs.learner` names it.
         seed: of the run.
         episodes: at least one.
         planned: number of episodes that the run is to fly.
-        versions: of uavrl and torch, and the commit, where the run recorded them.
+        versions: of uavrl and torch, and the commit, where the run has ended and recorded them.
         evaluations: what ``uavrl-evaluate`` left in the folder, each with its ``file``, without single flights.
-        class_sizes: of the trajectory classes that ABR⁺ gave its reward by, or that ``uavrl-pretrain`` made of the
-            run's states, where the folder holds them.
+        class_sizes: of the trajectory classes, where the folder holds their artifact.
         notes: what is wrong with it, though it can be reported.
     """
 
-    folder: Path
     name: str
     config: dict[str, Any]
     settings: dict[str, Any]
     choices: dict[str, str]
-    learner: str
     seed: int
     episodes: list[Episode]
     planned: int
@@ -61,14 +57,19 @@ class Run:
     notes: list[str] = field(default_factory=list)
 
     @property
-    def finished(self) -> bool:
-        """Whether it has flown all its episodes."""
-        return len(self.episodes) >= self.planned
+    def learner(self) -> str:
+        """What learns, as :func:`uavrl.configs.learner` names it."""
+        return learner(self.choices)
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of all its episodes."""
+        return self.episodes[-1].total_steps
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A folder that is not reported, and what to do about it."""
+    """A folder that is not reported, by its name, and what to do about it."""
 
     folder: str
     reason: str
@@ -78,142 +79,103 @@ def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """The values of a nested mapping by dotted names; ``None`` and empty mappings are left out.
 
     Examples:
-        >>> flatten({"algo": {"name": "td3", "fork": None, "hidden": (400, 300)}, "seed": 0})
-        {'algo.name': 'td3', 'algo.hidden': [400, 300], 'seed': 0}
+        >>> flatten({"algo": {"fork": None, "hidden": (400, 300)}, "seed": 0})
+        {'algo.hidden': [400, 300], 'seed': 0}
     """
     flat: dict[str, Any] = {}
     for key, value in node.items():
-        name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            flat |= flatten(value, f"{name}.")
+            flat |= flatten(value, f"{prefix}{key}.")
         elif value is not None:
-            flat[name] = list(value) if isinstance(value, tuple) else value
+            flat[f"{prefix}{key}"] = list(value) if isinstance(value, tuple) else value
     return flat
 
 
-def find_run_folders(folders: Sequence[Path]) -> tuple[list[Path], list[LeftOut]]:
-    """Run folders among ``folders`` and below them, each once; and those in which there is none.
-
-    A run folder holds ``config.yaml`` or ``episodes.csv``; nothing below it is searched.
-    """
-    found: dict[Path, Path] = {}
-    left_out: list[LeftOut] = []
-    for folder in folders:
-        unreadable: list[LeftOut] = []
-        try:
-            exists = folder.is_dir()
-        except OSError as error:
-            left_out.append(_unreadable(folder, error))
-            continue
-        if not exists:
-            no_folder = "It is no folder: give the one that uavrl-train printed."
-            absent = "There is no such folder: check the path."
-            left_out.append(LeftOut(str(folder), no_folder if folder.exists() else absent))
-            continue
-        runs = list(_search(folder, _DEPTH, unreadable))
-        left_out += [left for left in unreadable if left not in left_out]
-        if not runs and not unreadable:
-            left_out.append(LeftOut(str(folder), "It holds no run: give the folder that uavrl-train printed."))
-        for run in runs:
-            found.setdefault(run.resolve(), run)
-    return list(found.values()), left_out
-
-
-def _search(folder: Path, depth: int, unreadable: list[LeftOut]) -> Iterator[Path]:
-    children: list[Path] = []
-    try:
-        is_run = any((folder / name).exists() for name in (CONFIG, EPISODES))
-        if depth and not is_run:
-            children = sorted(child for child in folder.iterdir() if child.name[0] != "." and child.is_dir())
-    except OSError as error:
-        unreadable.append(_unreadable(folder, error))
-        return
-    if is_run:
-        yield folder
-    for child in children:
-        yield from _search(child, depth - 1, unreadable)
-
-
-def _unreadable(folder: Path, error: OSError) -> LeftOut:
-    return LeftOut(str(folder), f"It cannot be read ({error.strerror or error}): check its permissions.")
-
-
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
-    """Reads all runs in and below ``folders``.
+    """Reads all runs in and below ``folders``, each once.
 
     Returns:
-        The runs, in the order of the folders, and what is left out: nothing here raises for a damaged folder.
+        The runs, in the order of the folders, and what is left out: nothing here raises for a broken folder.
     """
-    found, left_out = find_run_folders(folders)
-    names = [folder.resolve().name for folder in found]
+    found: dict[Path, None] = {}
+    left_out = []
+    for folder in folders:
+        inside = list(_run_folders(folder.resolve()))
+        found |= dict.fromkeys(inside)
+        if not inside:
+            left_out.append(LeftOut(str(folder), "It holds no run: give the folder that uavrl-train printed."))
+    names = [folder.name for folder in found]
     runs = []
-    for folder, name in zip(found, names, strict=True):
-        unique = name if names.count(name) == 1 else f"{folder.resolve().parent.name}/{name}"
+    for folder in found:
+        name = folder.name if names.count(folder.name) == 1 else f"{folder.parent.name}/{folder.name}"
         try:
-            runs.append(read_run(folder, unique))
-        except (UavrlError, OSError) as error:
-            left_out.append(LeftOut(str(folder), str(error)))
-        except Exception as error:  # a file can be damaged in more ways than can be named; the others are reported
-            reason = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
-            left_out.append(LeftOut(str(folder), f"It cannot be read ({reason}): mend its files, or leave it out."))
+            runs.append(read_run(folder, name))
+        except UavrlError as error:
+            left_out.append(LeftOut(name, str(error)))
     return runs, left_out
 
 
-def read_run(folder: Path, name: str | None = None) -> Run:
+def _run_folders(folder: Path) -> Iterator[Path]:
+    """Folders that hold a run's files; nothing below one, nothing hidden and nothing deep down is searched."""
+    for path, children, files in os.walk(folder):
+        depth = len(Path(path).relative_to(folder).parts)
+        if {CONFIG, EPISODES} & set(files):
+            children.clear()
+            yield Path(path)
+        children[:] = sorted(name for name in children if name[0] != "." and depth < _DEPTH)
+
+
+def read_run(folder: Path, name: str) -> Run:
     """Reads one run folder.
 
     Raises:
-        UavrlError: naming the file that is missing or damaged and what to do.
+        UavrlError: naming the file that is missing or broken.
     """
-    notes: list[str] = []
-    if (folder / POLICY).is_file():
+    if (folder / "policy.json").is_file():
         raise UavrlError("It is an exported policy, which has no training to report: give the folder of its run.")
-    config = _read_config(folder / CONFIG)
-    episodes = _read_episodes(folder / EPISODES, notes)
-    try:
-        choices = _choices(config)
-        seed, planned, label = int(config["seed"]), int(config["trainer"]["episodes"]), learner(choices)
-    except Exception as error:
-        raise _damaged(folder / CONFIG, f"it has no proper seed, trainer.episodes or algo ({error})") from error
+    config = _read(folder / CONFIG, _config)
+    choices = {str(group): str(choice) for group, choice in config["choices"].items()}
+    notes: list[str] = []
     return Run(
-        folder=folder,
-        name=name or folder.resolve().name,
+        name=name,
         config=config,
         settings=_settings(config, choices),
         choices=choices,
-        learner=label,
-        seed=seed,
-        episodes=episodes,
-        planned=planned,
-        versions=_versions(folder, len(episodes), notes),
-        evaluations=read_evaluations(folder, notes),
-        class_sizes=_class_sizes(folder, notes),
+        seed=config["seed"],
+        episodes=_read(folder / EPISODES, _episodes),
+        planned=config["trainer"]["episodes"],
+        versions=_optional(folder / "summary.json", _versions, notes) or {},
+        evaluations=[
+            row for path in sorted(folder.glob("evaluation*.json")) if (row := _optional(path, _evaluation, notes))
+        ],
+        class_sizes=_optional(folder / "artifact/artifact.json", _class_sizes, notes)
+        or _optional(folder / "pretrained/artifact.json", _class_sizes, notes),
         notes=notes,
     )
 
 
-def _damaged(path: Path, reason: str) -> UavrlError:
-    return UavrlError(f"{path.name} is damaged: {reason}. Mend the file from a copy, or leave the folder out.")
-
-
-def _missing(path: Path, holds: str) -> UavrlError:
-    return UavrlError(f"{path.name} is missing, which holds {holds}: bring it back, or leave the folder out.")
-
-
-def _read_config(path: Path) -> dict[str, Any]:
+def _read(path: Path, read: Callable[[Path], T]) -> T:
     if not path.is_file():
-        raise _missing(path, "the configuration of the run")
+        raise UavrlError(f"{path.name} is missing: bring it back, or leave the folder out.")
     try:
-        plain = OmegaConf.to_container(load_config(path))
-    except Exception as error:  # yaml, OmegaConf and the decoder each have their own
-        raise _damaged(path, " ".join(str(error).split())[:120]) from error
-    groups = ("env", "perception", "reward", "algo", "trainer")
-    if not isinstance(plain, dict):
-        raise _damaged(path, "it holds no configuration")
-    for group in groups:
-        if not isinstance(plain.get(group), dict):
-            raise _damaged(path, f"{group} is not in it")
-    return {str(key): value for key, value in plain.items()}
+        return read(path)
+    except Exception as error:  # a file can be broken in more ways than can be named
+        raise UavrlError(f"{path.name} cannot be read: mend it from a copy, or leave the folder out.") from error
+
+
+def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | None:
+    """What a file holds that a run may lack; a broken one is noted."""
+    try:
+        return _read(path, read) if path.is_file() else None
+    except UavrlError:
+        notes.append(f"{path.name} cannot be read and is left out.")
+        return None
+
+
+def _config(path: Path) -> dict[str, Any]:
+    config: Any = OmegaConf.to_container(load_config(path))
+    seed, planned, _ = int(config["seed"]), int(config["trainer"]["episodes"]), learner(config["choices"])
+    return {**config, "seed": seed, "trainer": {**config["trainer"], "episodes": planned}}
 
 
 def _settings(config: dict[str, Any], choices: dict[str, str]) -> dict[str, Any]:
@@ -223,65 +185,58 @@ def _settings(config: dict[str, Any], choices: dict[str, str]) -> dict[str, Any]
     return {group: choice for group, choice in choices.items() if group in PARTS and choice != NONE} | named
 
 
-def _choices(config: dict[str, Any]) -> dict[str, str]:
-    """The choices that made a configuration; those of an older uavrl were told by names among the values."""
-    if "choices" in config:
-        return {str(group): str(choice) for group, choice in config["choices"].items()}
-    algo, guard = config["algo"], config["algo"].get("lifeguard")
-    parts = {group: config.get(group) for group in PARTS}
-    return {
-        **{group: str(part["name"]) for group, part in parts.items() if isinstance(part, dict) and "name" in part},
-        "algo": str(algo["name"]).split("_")[0],
-        "fork": "on" if algo.get("fork") else NONE,
-        "lifeguard": str(guard["model"]) if guard else NONE,
-    }
-
-
-def _read_episodes(path: Path, notes: list[str]) -> list[Episode]:
-    if not path.is_file():
-        raise _missing(path, "what the run has flown")
-    try:
-        episodes = read_episodes(path)
-    except UavrlError as error:
-        raise UavrlError(f"{error} Mend the file from a copy, or leave the folder out.") from error
-    if not episodes:
-        raise UavrlError(f"{path.name} holds no whole episode: wait until the run has flown one.")
+def _episodes(path: Path) -> list[Episode]:
+    episodes = read_episodes(path)
     steps = [e.total_steps for e in episodes]
-    if any(later <= earlier for earlier, later in zip([0, *steps], steps, strict=False)):
-        raise _damaged(path, "total_steps does not grow from row to row")
-    if steps[-1] >= _MOST_STEPS:
-        raise _damaged(path, f"total_steps reaches {steps[-1]}")
-    if unknown := sum(not math.isfinite(e.episode_return) for e in episodes):
-        notes.append(f"{unknown:,} of its returns in {path.name} are no numbers, and so are the means over them.")
-    with path.open("rb") as file:
-        file.seek(-1, 2)
-        if file.read() != b"\n":
-            notes.append(f"The last row of {path.name} is cut off and does not count.")
+    grows = all(earlier < later for earlier, later in zip([0, *steps], [*steps, _MOST_STEPS], strict=True))
+    if not (episodes and grows and all(isfinite(e.episode_return) for e in episodes)):
+        raise ValueError("Expected one episode or more, steps that grow, and returns that are numbers.")
     return episodes
 
 
-def _class_sizes(folder: Path, notes: list[str]) -> dict[str, Any] | None:
-    for made in ("artifact", "pretrained"):
-        about = read_json(folder / made / "artifact.json", notes)
-        if about is not None:
-            return about.get("class_sizes")
-    return None
+def _versions(path: Path) -> dict[str, Any]:
+    return {key: value for key, value in json.loads(path.read_bytes())["versions"].items() if value is not None}
 
 
-def _versions(folder: Path, episodes: int, notes: list[str]) -> dict[str, Any]:
-    """From ``summary.json``; where the run has gone on since, from its newest checkpoint."""
-    summary = read_json(folder / SUMMARY, notes) or {}
-    told = summary.get("versions")
-    ended = {key: value for key, value in told.items() if value is not None} if isinstance(told, dict) else {}
-    return ended if ended and summary.get("episodes") == episodes else _versions_of_checkpoint(folder) or ended
+def _class_sizes(path: Path) -> dict[str, Any]:
+    sizes = json.loads(path.read_bytes())["class_sizes"]
+    return {str(name): {"number": size.get("classes"), "sd": float(size["sd"])} for name, size in sizes.items()}
 
 
-def _versions_of_checkpoint(folder: Path) -> dict[str, Any]:
-    for path in sorted((folder / "checkpoints").glob("checkpoint*"), reverse=True):
-        try:
-            with zipfile.ZipFile(path) as archive:
-                metadata = json.loads(archive.read("manifest.json"))["metadata"]
-            return {key: metadata[key] for key in ("uavrl", "commit") if metadata.get(key) is not None}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, zipfile.BadZipFile):
-            continue  # being written, or damaged: another one may say it
-    return {}
+def _evaluation(path: Path) -> dict[str, Any]:
+    content = json.loads(path.read_bytes())
+    tasks = int(content["episodes"])
+    rates = {name: wilson(round(float(content[name]["rate"]) * tasks), tasks) for name in RATES}
+    told = {key: content.get(key) for key in _TOLD}
+    whereabouts = _whereabouts(content)
+    return {"file": path.name, "flown": _flown(content), "episodes": tasks, **told, **rates, "whereabouts": whereabouts}
+
+
+def _flown(content: dict[str, Any]) -> str:
+    """What was flown. With planes, which move with the steps of all, the number of UAVs belongs to it.
+
+    Examples:
+        >>> _flown({"env": "dynamic", "valleys": [0], "planes": 3, "num_uavs": 8, "seed": 20000, "episodes": 500})
+        'dynamic, valleys 0, 500 tasks of seed 20000, 8 UAVs at a time'
+    """
+    valleys = ", ".join(map(str, content.get("valleys") or []))
+    changes = [str(each) for each in content.get("overrides") or [] if str(each).startswith(("env.", "perception."))]
+    return ", ".join(
+        [
+            str(content.get("env")),
+            *([f"valleys {valleys}"] if valleys else []),
+            f"{content['episodes']} tasks of seed {content.get('seed')}",
+            *([f"{content.get('num_uavs')} UAVs at a time"] if content.get("planes") else []),
+            *sorted(changes),
+        ]
+    )
+
+
+def _whereabouts(content: dict[str, Any]) -> dict[str, Any] | None:
+    """Where the flights went, or None where an evaluation does not tell it."""
+    places = content.get("whereabouts")
+    if places is None:
+        return None
+    spreads = {key: {p: float(places[key][p]) for p in ("p5", "p50", "p95")} for key in ("altitude", "wall_distance")}
+    first, second, third, fourth = map(float, places["height_quarters"])
+    return {**spreads, "height_quarters": [first, second, third, fourth]}

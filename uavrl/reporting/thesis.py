@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from uavrl.reporting.groups import Group
+from uavrl.reporting.learning_curves import steps_to
 
 TRADITIONAL, ABR, ABR_PLUS = "TR", "ABR", "ABR⁺"
 _BACKWARD = {"abr": ABR, "abr_plus": ABR_PLUS}
@@ -39,38 +40,35 @@ def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
     if learner.endswith("_lg_mlp"):
         learner = learner.removesuffix("_mlp")
         unlike.append("LifeGuard is an MLP, not linear")
-    if backward in _BACKWARD:
-        column = _BACKWARD[backward]
-        if reward != "navigation":
-            unlike.append(f"reward={reward}, not navigation (Eq. 3.6)")
-    elif reward == "traditional":
-        column = TRADITIONAL
-    else:
-        return (
-            f"reward={reward} with backward_reward={backward} has no row: the thesis has reward=traditional (TR) "
-            f"and backward_reward=abr or abr_plus with reward=navigation."
-        )
+    column = _BACKWARD.get(backward, TRADITIONAL if reward == "traditional" else None)
     env = run.choices.get("env")
     if not any((r["env"], r["learner"], r["reward"]) == (env, learner, column) for r in thesis()["rates"]):
-        return f"{learner} with {column} in the environment {env} has no row in the thesis."
+        return f"The thesis has no row with reward={reward}, backward_reward={backward} and {learner} in {env}."
+    if backward in _BACKWARD and reward != "navigation":
+        unlike.append(f"reward={reward}, not navigation (Eq. 3.6)")
     flown = sorted({len(run.episodes) for run in group.runs})
     if flown != [thesis()["episodes"]]:
         unlike.append(f"{' and '.join(f'{n:,}' for n in flown)} episodes, not {thesis()['episodes']:,}")
-    return learner, column, unlike
+    return learner, str(column), unlike
 
 
-def class_sizes(groups: list[Group]) -> list[dict[str, Any]]:
-    """Spread of ABR⁺'s class sizes beside Figure 4.2, from the runs that hold their artifact; each artifact once."""
-    found: list[dict[str, Any]] = []
-    for group in groups:
-        for run in group.runs:
-            if not isinstance(run.class_sizes, dict):
-                continue
-            rows = [
-                {"classes": str(name), "number": sizes.get("classes"), "sd": sizes["sd"]}
-                for name, sizes in run.class_sizes.items()
-                if isinstance(sizes, dict) and isinstance(sizes.get("sd"), int | float)
-            ]
-            if rows and rows not in [entry["rows"] for entry in found]:
-                found.append({"run": run.name, "rows": rows})
-    return found
+def beside_the_thesis(groups: list[Group], rows: list[dict[str, Any]], window: int) -> dict[str, Any]:
+    """The thesis's numbers of the groups' environment, each with ``ours``: what the groups of the same row reached."""
+    reference, env = thesis(), groups[0].runs[0].choices.get("env")
+    places = [counterpart(group) for group in groups]
+
+    def ours(row: dict[str, Any]) -> list[dict[str, Any]]:
+        return [
+            {"group": group.label, "seeds": group.seeds, "unlike": place[2], "last": facts["last"]}
+            | {"steps_to": [steps_to(run.episodes, row.get("threshold", 1.0), window) for run in group.runs]}
+            for group, facts, place in zip(groups, rows, places, strict=True)
+            if not isinstance(place, str) and place[:2] == (row["learner"], row["reward"])
+        ]
+
+    sizes = {run.name: run.class_sizes for group in groups for run in group.runs if run.class_sizes}
+    return {
+        **{key: reference[key] for key in ("source", "episodes", "window")},
+        **{key: [r | {"ours": ours(r)} for r in reference[key] if r["env"] == env] for key in ("rates", "steps_to")},
+        "class_sizes": {"thesis": reference["class_sizes"], "ours": sizes},
+        "without_row": {group.label: p for group, p in zip(groups, places, strict=True) if isinstance(p, str)},
+    }
