@@ -11,7 +11,7 @@ from embreex.rtcore_scene import EmbreeScene
 from flights import Row
 from scipy.spatial.transform import Rotation
 
-from uavrl.envs.bodies import STATIC, add_fixed, add_vehicle, split_mesh
+from uavrl.envs.bodies import STATIC, add_fixed, add_vehicle
 from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, PHYSICS_RATE
@@ -37,7 +37,7 @@ def bare_physics(world: World, airframe: Airframe, states: list[State]) -> Row:
     pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(fixedTimeStep=1 / PHYSICS_RATE, physicsClientId=client)
     for mesh in world.meshes:
-        for part in split_mesh(mesh):
+        for part in mesh.split():
             add_fixed(client, part, STATIC)
     vehicles = [add_vehicle(client, airframe) for _ in states[0].position]
     turn = 0

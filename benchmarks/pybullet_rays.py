@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from uavrl.envs.bodies import STATIC, add_fixed, split_mesh
+from uavrl.envs.bodies import STATIC, add_fixed
 from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.gym_env import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
@@ -35,7 +35,7 @@ class PyBulletLidar:
         with silenced():
             self._client = pybullet.connect(pybullet.DIRECT)
         for mesh in meshes:
-            for part in split_mesh(mesh):
+            for part in mesh.split():
                 body = add_fixed(self._client, part, STATIC)
                 pybullet.setCollisionFilterGroupMask(body, -1, -1, -1, physicsClientId=self._client)
         self._directions = firing_directions()

@@ -7,10 +7,62 @@ python examples/learning_curves.py runs/walker --window 100 --reference docs/dat
 from __future__ import annotations
 
 import argparse
+import itertools
+import json
 from pathlib import Path
 
-from uavrl.reporting.learning_curves import moving_rates, plot, plot_returns, read_returns, steps_to
-from uavrl.training.episodes import Episode, read_episodes
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+
+from uavrl.errors import UavrlError
+from uavrl.reporting.learning_curves import moving_mean, moving_rates, steps_to
+from uavrl.training.episodes import OUTCOMES, Episode, read_episodes
+
+
+def plot(runs: dict[str, list[Episode]], output: Path, window: int) -> None:
+    """Draws success, collision and time-out rates of several runs over steps."""
+    titles = {"arrived": "success", "collided": "collision", "timed_out": "time-out"}
+    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), sharey=True, layout="constrained")
+    for axis, name in zip(axes, OUTCOMES, strict=True):
+        for label, episodes in runs.items():
+            steps, rates = moving_rates(episodes, window)
+            axis.plot(steps / 1000, 100 * rates[name], label=label, linewidth=1.5)
+        axis.set(title=titles[name], xlabel="environment steps [thousand]", ylim=(0, 100))
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel(f"% of the last {window} episodes")
+    axes[-1].legend(loc="upper right")
+    figure.savefig(output, dpi=110)
+    plt.close(figure)
+
+
+def read_returns(path: Path) -> dict[str, list[float]]:
+    """Episode returns that others published: for each name in a JSON file a list ``episode_return``."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return {
+            name: [float(value) for value in entry["episode_return"]]
+            for name, entry in content.items()
+            if name != "about"
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UavrlError(f"Expected names with a list episode_return each in {path}: {error}.") from error
+
+
+def plot_returns(runs: dict[str, list[Episode]], references: dict[str, list[float]], output: Path, window: int) -> None:
+    """Draws the mean return of the last episodes over episodes, runs in colour and references in grey."""
+    figure, axis = plt.subplots(figsize=(8, 4.2), layout="constrained")
+    for (label, returns), grey in zip(references.items(), itertools.cycle(("0.35", "0.65")), strict=False):
+        axis.plot(moving_mean(returns, window), label=f"{label} (reference)", color=grey, linewidth=1.5)
+    for label, episodes in runs.items():
+        axis.plot(moving_mean([e.episode_return for e in episodes], window), label=label, linewidth=1.5)
+    axis.set(xlabel="episodes", ylabel=f"mean return of the last {window} episodes")
+    axis.grid(alpha=0.3)
+    axis.legend(loc="lower right")
+    figure.savefig(output, dpi=110)
+    plt.close(figure)
 
 
 def mean_return(episodes: list[Episode], outcome: str) -> str:

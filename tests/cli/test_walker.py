@@ -73,4 +73,4 @@ def test_a_walker_without_a_run_needs_a_policy_of_its_own(capsys: pytest.Capture
 def test_a_walkers_run_is_reported(finished: Path) -> None:
     report = make_report([finished])
     assert report.title == "Training runs of the hard-core bipedal walker"
-    assert [group["label"] for group in report.groups] == ["td3"]
+    assert [group["label"] for group in report.groups] == ["TD3, walker"]

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from uavrl.envs.bodies import split_mesh
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
@@ -312,7 +311,7 @@ def test_closest_distance():
 def test_large_meshes_are_split_without_loss():
     rng = np.random.default_rng(0)
     mesh = Mesh(rng.normal(size=(300, 3)), rng.integers(300, size=(1000, 3)))
-    parts = split_mesh(mesh, faces=64)
+    parts = mesh.split(64)
     assert max(len(part.faces) for part in parts) == 64
     np.testing.assert_array_equal(
         np.concatenate([part.vertices[part.faces] for part in parts]), mesh.vertices[mesh.faces]

@@ -38,9 +38,10 @@ def episodes(outcomes: str, world_seed: int = 0) -> list[Episode]:
     ]
 
 
-def config(**changes: Any) -> dict[str, Any]:
+def config(choices: dict[str, str] | None = None, **changes: Any) -> dict[str, Any]:
     """A real run's configuration with today's keys, values changed by dotted name (two underscores for a dot)."""
     result = yaml.safe_load(TEMPLATE.read_text())
+    result["choices"].update(choices or {})
     result["perception"].setdefault("blind", False)  # a key that is younger than that run
     world = result["env"]["world"]
     result["env"]["world"] = {field.name: world[field.name] for field in fields(WorldConfig) if field.name in world}
@@ -58,11 +59,11 @@ def write_episodes(path: Path, rows: Sequence[Episode]) -> None:
         csv.writer(file, lineterminator="\n").writerows([Episode.header(), *map(astuple, rows)])
 
 
-def run_folder(folder: Path, outcomes: str, **changes: Any) -> Path:
+def run_folder(folder: Path, outcomes: str, choices: dict[str, str] | None = None, **changes: Any) -> Path:
     """A run that has flown all its episodes, unless ``trainer__episodes`` says otherwise."""
     folder.mkdir(parents=True)
     changes = {"trainer__episodes": len(outcomes), **changes}
-    (folder / "config.yaml").write_text(yaml.safe_dump(config(**changes), sort_keys=False))
+    (folder / "config.yaml").write_text(yaml.safe_dump(config(choices, **changes), sort_keys=False))
     write_episodes(folder / "episodes.csv", episodes(outcomes))
     return folder
 
@@ -72,7 +73,6 @@ WHEREABOUTS = {
     "altitude": {"p5": 2.04, "p50": 3.46, "p95": 4.9},
     "height_quarters": [0.125, 0.25, 0.5, 0.125],
     "wall_distance": {"p5": 1.1, "p50": 6.2, "p95": 13.3},
-    "altitude_histogram": {"low": 2.0, "step": 0.25, "counts": [2, 0, 6]},
 }
 
 

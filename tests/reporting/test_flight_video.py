@@ -11,7 +11,7 @@ import pytest
 
 from tests.training.flights import small_replay
 from uavrl.errors import UavrlError
-from uavrl.reporting.flight_video import FRAME_RATE, Stage, write_video
+from uavrl.reporting.flight_video import FRAME_RATE, Camera, moment, write_video
 from uavrl.training.flight import RecordedFlight, Scenery
 
 
@@ -26,17 +26,21 @@ def shown() -> tuple[RecordedFlight, Scenery]:
 
 
 def test_the_vehicle_is_in_the_middle_and_the_sky_above(shown: tuple[RecordedFlight, Scenery]) -> None:
-    stage = Stage(*shown, size=(160, 90))
+    camera = Camera(*shown, size=(160, 90))
     try:
-        image = stage.frame(0.1).astype(int)
+        image = camera.render(0.1).astype(int)
         assert image.shape == (90, 160, 3)
         red, green, blue = image[30:80, 50:110].reshape(-1, 3).T
         assert ((blue > red + 60) & (blue > green + 20)).sum() > 20  # the rotors
         assert (image[0] >= [140, 180, 210]).all(1).mean() > 0.5
-        assert (stage.frame(-1.0) == stage.frame(0.0)).all() and (stage.frame(99.0) == stage.frame(0.2)).all()
+        assert (camera.render(-1.0) == camera.render(0.0)).all() and (camera.render(99.0) == camera.render(0.2)).all()
     finally:
-        stage.close()
-        stage.close()
+        camera.close()
+        camera.close()
+
+
+def test_what_is_told_is_the_newest_moment(shown: tuple[RecordedFlight, Scenery]) -> None:
+    assert [moment(shown[0], time) for time in (-1.0, 0.0, 0.05, 0.1, 9.0)] == [0, 0, 0, 1, 2]
 
 
 def test_a_film_has_the_frames_of_the_flight(shown: tuple[RecordedFlight, Scenery], tmp_path: Path) -> None:

@@ -1,20 +1,17 @@
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from tests.reporting.folders import ROOT, episodes
 from uavrl.errors import UavrlError
-from uavrl.reporting.learning_curves import moving_rates, plot, plot_returns, read_returns, steps_to
+from uavrl.reporting.learning_curves import curves, moving_rates, steps_to
 from uavrl.training.episodes import Episode
 
-
-def episodes(outcomes: str) -> list[Episode]:
-    names = {"a": "arrived", "c": "collided", "t": "timed_out"}
-    return [
-        Episode(i + 1, 10 * (i + 1), names[o], 0.0, 10, 0.0, 0.0, 3.5, 5.0, 5.0, 3.5, 0, i)
-        for i, o in enumerate(outcomes)
-    ]
+REFERENCE = ROOT / "docs/data/bipedal/reference.json"
 
 
 def test_rates_over_a_moving_window() -> None:
@@ -29,29 +26,41 @@ def test_a_threshold_counts_only_over_a_full_window() -> None:
     assert steps_to(episodes("cccc"), 0.6, window=3) is None
 
 
-def test_the_plot_is_drawn(tmp_path: Path) -> None:
-    plot({"one": episodes("caaat")}, tmp_path / "curves.png", window=3)
-    assert (tmp_path / "curves.png").stat().st_size > 5000
+def test_curves_of_seeds_that_end_at_different_episodes() -> None:
+    def seed(outcomes: str, length: int) -> list[Episode]:
+        names = {"a": "arrived", "c": "collided"}
+        return [
+            Episode(i + 1, length * (i + 1), names[o], float(i), length, 0, 0, 0, 0, 0, 0, 0, i)
+            for i, o in enumerate(outcomes)
+        ]
+
+    found = curves([seed("ca", 10), seed("aaa", 5)], window=2)
+    curve = found["success"]["episodes"]
+    assert curve["seeds"] == [[[1, 2], [0.0, 0.5]], [[1, 2, 3], [1.0, 1.0, 1.0]]]
+    assert [curve[name] for name in ("x", "mean", "low", "high")] == [[1, 2], [0.5, 0.75], [0.0, 0.5], [1.0, 1.0]]
+    steps = found["return"]["steps"]
+    assert steps["x"] == [10, 11, 12, 13, 14, 15], "from where both seeds have flown to where the first ends"
+    # The first seed has its first episode there, whose return is 0; the second its last two, or its last two but one.
+    assert steps["low"] == [0.0] * 6 and steps["high"] == [0.5, 0.5, 0.5, 0.5, 0.5, 1.5]
 
 
-REFERENCE = Path(__file__).resolve().parents[2] / "docs/data/bipedal/reference.json"
+@pytest.fixture(scope="module")
+def example() -> dict[str, Any]:
+    return runpy.run_path(str(ROOT / "examples/learning_curves.py"))
 
 
-def test_the_reference_curves_of_the_walker_are_whole() -> None:
-    references = read_returns(REFERENCE)
+def test_the_example_draws_rates_and_returns_beside_references(example: dict[str, Any], tmp_path: Path) -> None:
+    references = example["read_returns"](REFERENCE)
     assert {name: len(returns) for name, returns in references.items()} == {"td3_fork": 3594, "td3_lg": 5000}
-    assert references["td3_fork"][0] == -97.74
-
-
-def test_returns_are_drawn_beside_references(tmp_path: Path) -> None:
-    alone, beside = tmp_path / "alone.png", tmp_path / "beside.png"
-    plot_returns({"ours": episodes("caaat")}, {}, alone, window=3)
-    plot_returns({"ours": episodes("caaat")}, read_returns(REFERENCE), beside, window=100)
-    assert 5000 < alone.stat().st_size < beside.stat().st_size
+    alone, beside, rates = tmp_path / "alone.png", tmp_path / "beside.png", tmp_path / "rates.png"
+    example["plot_returns"]({"ours": episodes("caaat")}, {}, alone, window=3)
+    example["plot_returns"]({"ours": episodes("caaat")}, references, beside, window=100)
+    example["plot"]({"one": episodes("caaat")}, rates, window=3)
+    assert 5000 < alone.stat().st_size < beside.stat().st_size and rates.stat().st_size > 5000
 
 
 @pytest.mark.parametrize("content", ["", "[1, 2]", '{"td3": {"returns": [1.0]}}'])
-def test_what_holds_no_returns_is_refused(tmp_path: Path, content: str) -> None:
+def test_what_holds_no_returns_is_refused(example: dict[str, Any], tmp_path: Path, content: str) -> None:
     (tmp_path / "reference.json").write_text(content)
     with pytest.raises(UavrlError, match="a list episode_return"):
-        read_returns(tmp_path / "reference.json")
+        example["read_returns"](tmp_path / "reference.json")

@@ -8,17 +8,18 @@ from typing import Any
 
 import pytest
 
-from tests.reporting.folders import DOCUMENTED, ROOT, evaluation, run_folder
+from tests.reporting.folders import DOCUMENTED, ROOT, WHEREABOUTS, evaluation, run_folder
 from uavrl.errors import UavrlError
-from uavrl.reporting.learning_curves import curves
 from uavrl.reporting.report import make_report
 from uavrl.reporting.thesis import thesis
-from uavrl.training.episodes import Episode
+from uavrl.training.episodes import wilson
 
 
-def by(rows: list[dict[str, Any]], key: str, value: Any) -> dict[str, Any]:
-    (found,) = [row for row in rows if row[key] == value]
-    return found
+def test_wilson_by_hand() -> None:
+    # z = 1.959964: centre (0.5 + z²/20) / (1 + z²/10) = 0.5, half width z √(0.025 + z²/400) / (1 + z²/10) = 0.26341
+    assert wilson(5, 10) == pytest.approx({"rate": 0.5, "low": 0.23659, "high": 0.76341}, abs=1e-5)
+    # z²/(n + z²) = 3.841459 / 13.841459
+    assert wilson(0, 10) == pytest.approx({"rate": 0.0, "low": 0.0, "high": 0.277533}, abs=1e-6)
 
 
 def test_the_numbers_of_two_seeds_by_hand(tmp_path: Path) -> None:
@@ -35,128 +36,58 @@ def test_the_numbers_of_two_seeds_by_hand(tmp_path: Path) -> None:
     # 4 of 8: z² = 3.841459, half width z √(1/32 + z²/256) / (1 + z²/8)
     assert group["last"]["success"] == pytest.approx({"rate": 0.5, "low": 0.215212, "high": 0.784788}, abs=1e-5)
     assert group["steps_to_threshold"] == [60, None]
-    assert group["notes"] == []
+    assert group["notes"] == [] and report.warnings() == []
 
 
-def test_curves_of_seeds_that_end_at_different_episodes() -> None:
-    def seed(outcomes: str, length: int) -> list[Episode]:
-        names = {"a": "arrived", "c": "collided"}
-        return [
-            Episode(i + 1, length * (i + 1), names[o], float(i), length, 0, 0, 0, 0, 0, 0, 0, i)
-            for i, o in enumerate(outcomes)
-        ]
-
-    found = curves([seed("ca", 10), seed("aaa", 5)], window=2)
-    curve = found["success"]["episodes"]
-    assert curve.seeds == [([1, 2], [0.0, 0.5]), ([1, 2, 3], [1.0, 1.0, 1.0])]
-    assert (curve.x, curve.mean, curve.low, curve.high) == ([1, 2], [0.5, 0.75], [0.0, 0.5], [1.0, 1.0])
-    steps = found["return"]["steps"]
-    assert steps.x == [10, 11, 12, 13, 14, 15], "from where both seeds have flown to where the first ends"
-    # The first seed has its first episode there, whose return is 0; the second its last two, or its last two but one.
-    assert steps.low == [0.0] * 6 and steps.high == [0.5, 0.5, 0.5, 0.5, 0.5, 1.5]
+def test_the_best_group_comes_first(tmp_path: Path) -> None:
+    for name, outcomes, choices in (
+        ("a", "cca", {}),
+        ("b", "aaa", {"reward": "traditional"}),
+        ("c", "caa", {"fork": "on"}),
+    ):
+        run_folder(tmp_path / name, outcomes, choices)
+    report = make_report([tmp_path], window=3)
+    assert [group["label"] for group in report.groups] == ["TD3, TR", "TD3-FORK, prize", "TD3, prize"]
+    assert [run["name"] for run in report.runs] == ["b", "c", "a"]
+    assert report.settings["reward"] == ["traditional", "navigation_prize", "navigation_prize"]
 
 
-def test_one_seed_is_warned_of_and_not_tested(tmp_path: Path) -> None:
-    run_folder(tmp_path / "a", "ca")
+def test_what_to_know_stands_at_the_group_and_at_the_run(tmp_path: Path) -> None:
+    run_folder(tmp_path / "one", "ca", {"fork": "on"}, trainer__episodes=7)
+    for seed, commit in ((0, "a" * 40), (1, "b" * 40)):
+        folder = run_folder(tmp_path / f"two{seed}", "caca"[: 3 + seed], seed=seed)
+        (folder / "summary.json").write_text(
+            json.dumps({"versions": {"uavrl": "0.1.0", "commit": commit, "torch": None}})
+        )
     report = make_report([tmp_path], window=2)
-    (warning,) = report.warnings()
-    assert warning.startswith("td3: One seed (0)")
-    (part,) = report.comparisons
-    assert part["tests"] == [] and part["iqm"][0]["low"] is None
-    assert part["reading"] == [
-        "No pair is tested: that takes two groups with two seeds or more each.",
-        "One seed, so neither interval nor test: td3.",
-    ]
-    assert report.curves["td3"]["success"]["steps"]["x"] == []
+    notes = {group["label"]: group["notes"] for group in report.groups}
+    assert notes == {
+        "TD3-FORK, prize": ["One seed: it shows what happened once, not what to expect."],
+        "TD3, prize": ["Its seeds have flown 3 to 4 episodes.", "Its runs were made by different states of the code."],
+    }
+    assert report.warnings() == ["one: Unfinished: 2 of 7 episodes."]
+    assert {run["name"]: run["versions"] for run in report.runs}["two0"] == {"uavrl": "0.1.0", "commit": "a" * 40}
 
 
-def test_two_seeds_are_tested_and_said_to_show_little(tmp_path: Path) -> None:
-    for name, seed, outcomes in (("a", 0, "aaac"), ("b", 1, "aacc")):
-        run_folder(tmp_path / "td3" / name, outcomes, seed=seed)
-    for name, seed, outcomes in (("c", 0, "aaaa"), ("d", 1, "aaac")):
-        run_folder(tmp_path / "gamma" / name, outcomes, seed=seed, algo__gamma=0.9)
-    report = make_report([tmp_path], window=4)
-    (part,) = report.comparisons
-    (test,) = part["tests"]
-    assert (test["first"], test["second"], test["difference"]) == ("td3 · gamma=0.9", "td3 · gamma=0.99", 0.25)
-    assert test["permutation_holm"] == pytest.approx(2 / 3) and test["least"] == pytest.approx(1 / 3)
-    # t = 0.25 / √(0.03125 / 2 + 0.03125 / 2) = √2, two degrees of freedom: p = 1 - t / √(t² + 2)
-    assert test["welch_holm"] == pytest.approx(0.292893, abs=1e-6)
-    assert "no p below 0.33: it cannot call any difference significant" in part["reading"][0]
-    assert part["reading"][1].startswith("Two seeds show next to nothing")
-
-
-def test_evaluations_that_all_seeds_flew_alike_are_compared(tmp_path: Path) -> None:
+def test_evaluations_are_put_together_by_what_was_flown(tmp_path: Path) -> None:
     for seed, arrived, other in ((0, 8, 6), (1, 10, 4)):
         folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)
         evaluation(folder, arrived, 10)
-        evaluation(folder, other, 10, "evaluation_valleys=100.json", valleys=[100])
-    evaluation(tmp_path / "run0", 1, 10, "evaluation_seed=7.json", seed=7)
-    report = make_report([tmp_path], window=2)
-    assert len(report.evaluations) == 5
-    part = by(report.comparisons, "score", "evaluation")
-    assert part["tasks"] == [
-        "static, valleys [0], 10 tasks of seed 20000",
-        "static, valleys [100], 10 tasks of seed 20000",
-    ]
-    # 0.8, 0.6, 1.0, 0.4: one is cut off at each end
-    assert part["iqm"][0]["value"] == pytest.approx(0.7)
-
-
-def test_what_is_not_compared_is_said(tmp_path: Path) -> None:
-    for name, gamma, seed in (("a0", 0.9, 0), ("a1", 0.9, 1), ("b0", 0.99, 0)):
-        run_folder(tmp_path / name, "ca", seed=seed, algo__gamma=gamma)
-    evaluation(tmp_path / "a0", 8, 10)
-    evaluation(tmp_path / "b0", 8, 10)
-    (part,) = (p for p in make_report([tmp_path], window=2).comparisons if p["score"] == "evaluation")
-    assert [row["group"] for row in part["iqm"]] == ["td3 · gamma=0.99"]
-    assert part["reading"][-1] == "The evaluations of td3 · gamma=0.9 are not compared: seed 1 has none."
-    evaluation(tmp_path / "a1", 8, 10)
-    evaluation(tmp_path / "b0", 8, 10, seed=7)
-    (part,) = make_report([tmp_path], window=2).comparisons
-    assert part["reading"][-1].startswith("No evaluation is compared: none was flown alike by all seeds of")
-
-
-def test_planes_move_with_the_steps_of_all(tmp_path: Path) -> None:
-    for seed, count in ((0, 8), (1, 4)):
-        folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)
-        evaluation(folder, 8, 10, num_uavs=count)
-        evaluation(folder, 5, 10, "evaluation_env=dynamic.json", env="dynamic", num_uavs=count)
-        added = {"overrides": ["env.world.planes=3"], "num_uavs": count}
-        evaluation(folder, 5, 10, "evaluation_env.world.planes=3.json", **added, **({"planes": 3} if seed else {}))
-    part = by(make_report([tmp_path], window=2).comparisons, "score", "evaluation")
-    assert part["tasks"] == ["static, valleys [0], 10 tasks of seed 20000"]
-
-
-def test_runs_of_different_length_are_named(tmp_path: Path) -> None:
-    def sentences() -> list[str]:
-        (part,) = make_report([tmp_path], window=2).comparisons
-        return [sentence for sentence in part["reading"] if "equally long" in sentence]
-
-    run_folder(tmp_path / "run0", "caca", seed=0)
-    run_folder(tmp_path / "run1", "acac", seed=1)
-    assert not sentences()
-    run_folder(tmp_path / "run2", "aca", seed=0, algo__gamma=0.9)
-    assert sentences() == ["The runs have not flown equally long: 3 to 4 episodes, of which the last count."]
-
-
-def test_of_two_evaluations_of_the_same_the_longer_trained_counts(tmp_path: Path) -> None:
-    for seed in (0, 1):
-        folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)
-        evaluation(folder, 8, 10, training_steps=40 + seed)
         evaluation(folder, 1, 10, "evaluation_checkpoint=early.json", training_steps=20)
-        evaluation(folder, 0, 10, "evaluation_policy=straight.json", policy="straight", valleys=[5])
-        older = "evaluation_env.max_steps=9_env.world.size=-3_num=1.json"
-        newer = {"overrides": ["seed=3", "env.world.size=-3", "env.max_steps=9"]}
-        evaluation(folder, 5, 10, *([older] if seed else ["evaluation_anything.json"]), **({} if seed else newer))
-    part = by(make_report([tmp_path], window=2).comparisons, "score", "evaluation")
-    same = "static, valleys [0], 10 tasks of seed 20000"
-    assert part["tasks"] == [same, f"{same} with env.max_steps=9, env.world.size=-3"]
-    assert part["iqm"][0]["value"] == pytest.approx((0.8 + 0.5) / 2)
-    assert part["reading"][-1] == (
-        f"In {same}, the checkpoints have not trained equally long: 40 to 41 steps (0 where it is not recorded)."
-    )
-    assert sum("equally long" in sentence for sentence in part["reading"]) == 1
+        evaluation(folder, other, 10, "evaluation_valleys=100.json", valleys=[100])
+        evaluation(folder, 0, 10, "evaluation_policy=straight.json", policy="straight")
+    evaluation(run_folder(tmp_path / "fork", "ca", {"fork": "on"}), 10, 10)
+    evaluation(tmp_path / "run0", 5, 10, "evaluation_wind.json", overrides=["seed=3", "env.max_steps=9"], seed=3)
+    first, second, third = make_report([tmp_path], window=2).evaluations
+    assert first["flown"] == "static, valleys 0, 10 tasks of seed 20000" and len(first["files"]) == 7
+    assert [
+        (r["group"], r["seeds"], r["tasks"], r["success"]["rate"], r["success_by_seed"]) for r in first["groups"]
+    ] == [
+        ("TD3-FORK, prize", [0], 10, 1.0, [1.0]),
+        ("TD3, prize", [0, 1], 20, 0.9, [0.8, 1.0]),
+    ]
+    assert second["flown"] == "static, valleys 100, 10 tasks of seed 20000"
+    assert third["flown"] == "static, valleys 0, 10 tasks of seed 3, env.max_steps=9"
 
 
 def test_the_thesis_has_the_numbers_of_its_figures() -> None:
@@ -188,9 +119,8 @@ def test_the_thesis_has_the_numbers_of_its_figures() -> None:
 
 
 def test_groups_stand_beside_the_row_that_they_repeat(tmp_path: Path) -> None:
-    lifeguard = {"model": "mlp"}
-    run_folder(tmp_path / "a", "ca", reward={"name": "traditional"})
-    run_folder(tmp_path / "b", "aa", backward_reward={"name": "abr_plus"}, algo__lifeguard=lifeguard)
+    run_folder(tmp_path / "a", "ca", {"reward": "traditional"})
+    run_folder(tmp_path / "b", "aa", {"backward_reward": "abr_plus", "lifeguard": "mlp"})
     run_folder(tmp_path / "c", "ca")
     report = make_report([tmp_path], window=2)
     rows = {(r["learner"], r["reward"]): r["ours"] for r in report.thesis["rates"]}
@@ -204,7 +134,9 @@ def test_groups_stand_beside_the_row_that_they_repeat(tmp_path: Path) -> None:
     assert sum(map(len, rows.values())) == 2
     (steps,) = [r["ours"] for r in report.thesis["steps_to"] if r["learner"] == "td3_lg"]
     assert steps[0]["steps_to"] == [20]
-    assert list(report.thesis["without_row"]) == ["td3 · navigation_prize"]
+    assert report.thesis["without_row"] == {
+        "TD3, prize": "The thesis has no row with reward=navigation_prize, backward_reward=none and td3 in static."
+    }
 
 
 def test_settings_that_differ(tmp_path: Path) -> None:
@@ -223,25 +155,16 @@ def test_what_is_wrong_is_told_and_the_rest_reported(tmp_path: Path) -> None:
     report = make_report([tmp_path, tmp_path / "nowhere"], window=5)
     assert [run["name"] for run in report.runs] == ["good"]
     assert report.warnings() == [
-        f"{tmp_path / 'nowhere'} is left out. There is no such folder: check the path.",
-        f"{tmp_path / 'bad'} is left out. config.yaml is missing, which holds the configuration of the run: "
-        "bring it back, or leave the folder out.",
+        "nowhere is left out. It holds no run: give the folder that uavrl-train printed.",
+        "bad is left out. config.yaml is missing: bring it back, or leave the folder out.",
         "good: Unfinished: 2 of 7 episodes.",
         "good: It has flown fewer than 5 episodes: its rates are over all 2.",
-        "td3: One seed (0): it shows what happened once, not what to expect.",
     ]
 
 
-def test_seeds_of_different_length_are_told(tmp_path: Path) -> None:
-    run_folder(tmp_path / "a", "ca", seed=0)
-    run_folder(tmp_path / "b", "cac", seed=1)
-    notes = make_report([tmp_path], window=2).groups[0]["notes"]
-    assert "end where the first seed ends (over episodes: seed 0 after 2)" in notes[-1]
-
-
-def test_nothing_left_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(UavrlError, match=r"nothing to report.*no such folder"):
-        make_report([tmp_path / "nowhere"])
+def test_nothing_to_report_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(UavrlError, match=r"There is nothing to report\. .*holds no run"):
+        make_report([tmp_path])
 
 
 @pytest.mark.parametrize("wrong", [{"window": 0}, {"threshold": 0.0}, {"threshold": 1.5}, {"threshold": float("nan")}])
@@ -250,27 +173,29 @@ def test_numbers_out_of_range(tmp_path: Path, wrong: dict[str, Any]) -> None:
         make_report([tmp_path], **wrong)
 
 
-def test_json_gives_back_the_facts(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "a", "ca")
-    evaluation(folder, 8, 10)
-    rows = (folder / "episodes.csv").read_text().replace(",100.0,", ",nan,")
-    (folder / "episodes.csv").write_text(rows)
-    report = make_report([tmp_path], window=2)
-    assert json.loads(report.to_json()) == report.facts()
-    assert report.facts()["runs"][0]["last"]["mean_return"] is None, "a number that is none"
-    assert report.facts()["format"] == 1
+def test_json_gives_back_the_facts_and_names_no_place_of_this_machine(tmp_path: Path) -> None:
+    artifact = {"artifact": str(tmp_path / "deep/artifact")}
+    folder = run_folder(tmp_path / "a", "ca", run_dir=str(tmp_path / "a"), backward_reward=artifact)
+    run_folder(tmp_path / "empty", "")
+    evaluation(folder, 8, 10, path_efficiency=float("nan"), whereabouts=WHEREABOUTS)
+    report = make_report([tmp_path, tmp_path / "nowhere"], window=2)
+    facts = json.loads(report.to_json())
+    assert facts == report.facts() and facts["format"] == 2
+    assert facts["evaluations"][0]["files"][0]["path_efficiency"] is None, "a number that is none"
+    assert str(tmp_path) not in report.to_json()
+    assert facts["runs"][0]["config"]["backward_reward"] == {"artifact": "artifact"}
 
 
 def test_the_documented_runs_give_the_documented_numbers() -> None:
     report = make_report(DOCUMENTED, threshold=0.6)
     found = {(r["group"], r["seed"]): (r["last"]["success"]["rate"], r["steps_to_threshold"]) for r in report.runs}
     assert found == {  # docs/journal/open_valley.md
-        ("td3", 0): (0.84, 65_980),
-        ("td3", 1): (0.938, 131_838),
-        ("td3_fork", 0): (0.932, 56_777),
-        ("td3_lg", 0): (0.94, 59_690),
-        ("td3_lg_mlp", 0): (0.79, 72_918),
-        ("td3_lg_mlp", 1): (0.748, 87_191),
+        ("TD3, prize", 0): (0.84, 65_980),
+        ("TD3, prize", 1): (0.938, 131_838),
+        ("TD3-FORK, prize", 0): (0.932, 56_777),
+        ("TD3-LG, prize", 0): (0.94, 59_690),
+        ("TD3-LG (MLP), prize", 0): (0.79, 72_918),
+        ("TD3-LG (MLP), prize", 1): (0.748, 87_191),
     }
 
 

@@ -2,38 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from uavrl.envs.bullet import pybullet
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Airframe
 
-MESH_FACES = 10_000  # per collision shape: 30,000 indices stay below PyBullet's least limit, 32,768
 STATIC, VEHICLE, PLANE = 2, 64, 128  # collision groups: vehicles meet the other two, nothing else meets
-
-
-def split_mesh(mesh: Mesh, faces: int = MESH_FACES) -> list[Mesh]:
-    """Cuts a mesh into parts small enough for one PyBullet shape each.
-
-    Args:
-        mesh: Any mesh.
-        faces: Most faces of one part.
-
-    Returns:
-        Meshes that hold all faces of ``mesh`` together.
-
-    Examples:
-        >>> mesh = Mesh(np.eye(3), np.zeros((5, 3)))
-        >>> [len(part.faces) for part in split_mesh(mesh, faces=2)]
-        [2, 2, 1]
-    """
-    if len(mesh.faces) <= faces:
-        return [mesh]
-    parts = []
-    for start in range(0, len(mesh.faces), faces):
-        used, renumbered = np.unique(mesh.faces[start : start + faces], return_inverse=True)
-        parts.append(Mesh(mesh.vertices[used], renumbered.reshape(-1, 3)))
-    return parts
 
 
 def add_fixed(client: int, mesh: Mesh, group: int) -> int:
@@ -41,17 +14,11 @@ def add_fixed(client: int, mesh: Mesh, group: int) -> int:
 
     Args:
         client: PyBullet's physics client.
-        mesh: At most :data:`MESH_FACES` faces or so, see :func:`split_mesh`.
+        mesh: Few enough triangles for PyBullet, see :meth:`~uavrl.envs.mesh.Mesh.split`.
         group: :data:`STATIC` or :data:`PLANE`.
 
     Returns:
         The body's id.
-
-    Examples:
-        >>> client = pybullet.connect(pybullet.DIRECT)
-        >>> add_fixed(client, Mesh(np.eye(3), np.array([[0, 1, 2]])), STATIC)
-        0
-        >>> pybullet.disconnect(client)
     """
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_MESH,
@@ -76,12 +43,6 @@ def add_vehicle(client: int, airframe: Airframe) -> int:
 
     Returns:
         The body's id.
-
-    Examples:
-        >>> client = pybullet.connect(pybullet.DIRECT)
-        >>> round(pybullet.getDynamicsInfo(add_vehicle(client, Airframe()), -1, client)[0], 3)
-        2.307
-        >>> pybullet.disconnect(client)
     """
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_CYLINDER,

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from uavrl.envs.bullet import pybullet
-from uavrl.envs.mesh import Mesh, halved
+from uavrl.envs.mesh import Mesh, cut_up, edge_lengths
 from uavrl.envs.quadrotor import Airframe
 
 CLOSEST_DISTANCE_CAP = 5.0  # m
@@ -26,12 +26,7 @@ def surface_samples(mesh: Mesh, spacing: float) -> np.ndarray:
         [[3.0, 1.0, 0.0], [1.0, 3.0, 0.0]]
     """
     corners = mesh.vertices[mesh.faces].astype(np.float64)
-    found = [np.zeros((0, 3))]
-    while len(corners):
-        small = (np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1) <= spacing).all(axis=1)
-        found.append(corners[small].mean(axis=1))
-        corners = halved(corners[~small])
-    return np.concatenate(found)
+    return cut_up(corners, lambda pieces: edge_lengths(pieces).max(axis=1) <= spacing).mean(axis=1)
 
 
 class Clearance:

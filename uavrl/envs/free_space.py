@@ -22,11 +22,6 @@ def surface_points(mesh: Mesh, low: float, high: float) -> np.ndarray:
         mesh: Any triangles, in metres.
         low: Least height in metres.
         high: Greatest height in metres.
-
-    Examples:
-        >>> points = surface_points(Mesh(np.eye(3), np.array([[0, 1, 2]])), -1.0, 2.0)
-        >>> len(points) == 16 * 17 // 2
-        True
     """
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     corners = corners[(corners[..., 2].min(1) <= high) & (corners[..., 2].max(1) >= low)]
@@ -56,10 +51,6 @@ class FreeSpace:
         y: ``[Y]`` likewise.
         z: ``[Z]`` likewise.
         clearance: ``[X, Y, Z]``, a lower bound in metres of the distance to the geometry, cut at the longest asked for.
-
-    Examples:
-        >>> FreeSpace(np.arange(4.0), np.zeros(1), np.zeros(1), np.ones((4, 1, 1))).points[2, 0, 0].tolist()
-        [2.0, 0.0, 0.0]
     """
 
     x: np.ndarray
@@ -120,12 +111,6 @@ class Surface:
         mesh: Ground and obstacles, in metres.
         low: Least height in metres of what is measured.
         high: Greatest height in metres of what is measured.
-
-    Examples:
-        >>> from uavrl.envs.shapes import icosphere
-        >>> surface = Surface(icosphere(2), -2.0, 2.0)
-        >>> surface.clearance(np.array([[3.0, 0.0, 0.0], [9.0, 0.0, 0.0]]), longest=5.0).round(1).tolist()
-        [1.9, 5.0]
     """
 
     def __init__(self, mesh: Mesh, low: float, high: float) -> None:

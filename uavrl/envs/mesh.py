@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+
+MOST_FACES = 10_000  # of one PyBullet shape: 30,000 indices stay below its least limit, 32,768 on macOS
 
 
 @dataclass(frozen=True)
@@ -15,12 +17,6 @@ class Mesh:
     Args:
         vertices: ``float32 [V, 3]``.
         faces: ``int32 [F, 3]``, indices into ``vertices``.
-
-    Examples:
-        >>> import numpy as np
-        >>> mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32))
-        >>> mesh.translated((1.0, 0.0, 0.0)).vertices[0].tolist()
-        [2.0, 0.0, 0.0]
     """
 
     vertices: np.ndarray
@@ -39,12 +35,24 @@ class Mesh:
         """Returns the mesh moved by ``offset`` (x, y, z)."""
         return Mesh(self.vertices + np.asarray(list(offset), dtype=np.float32), self.faces)
 
+    def split(self, faces: int = MOST_FACES) -> list[Mesh]:
+        """Returns meshes of at most ``faces`` triangles that hold all of this one, in its order; none of an empty one.
+
+        Examples:
+            >>> mesh = Mesh(np.eye(3), np.zeros((5, 3)))
+            >>> [len(part.faces) for part in mesh.split(2)]
+            [2, 2, 1]
+        """
+        parts = []
+        for start in range(0, len(self.faces), faces):
+            used, renumbered = np.unique(self.faces[start : start + faces], return_inverse=True)
+            parts.append(Mesh(self.vertices[used], renumbered.reshape(-1, 3)))
+        return parts
+
     @staticmethod
     def merge(meshes: Iterable[Mesh]) -> Mesh:
         """Returns one mesh that holds all triangles of ``meshes``."""
-        vertices: list[np.ndarray] = []
-        faces: list[np.ndarray] = []
-        offset = 0
+        vertices, faces, offset = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.int32)], 0
         for mesh in meshes:
             vertices.append(mesh.vertices)
             faces.append(mesh.faces + offset)
@@ -52,10 +60,20 @@ class Mesh:
         return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def halved(corners: np.ndarray) -> np.ndarray:
-    """Cuts triangles ``[T, 3, 3]`` in two at the middle of their longest edges: ``[2T, 3, 3]``."""
-    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)  # [T, 3]: a-b, b-c, c-a
-    order = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
-    a, b, c = np.take_along_axis(corners, order[:, :, None], axis=1).transpose(1, 0, 2)
-    middle = (a + b) / 2.0
-    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+def edge_lengths(corners: np.ndarray) -> np.ndarray:
+    """Lengths ``[T, 3]`` of the edges ab, bc and ca of triangles ``[T, 3, 3]``."""
+    return np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)
+
+
+def cut_up(corners: np.ndarray, small: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Cuts triangles ``[T, 3, 3]`` in two at the middle of their longest edges until ``small`` says yes to all."""
+    found = [np.zeros((0, 3, 3))]
+    while len(corners):
+        done = small(corners)
+        found.append(corners[done])
+        corners = corners[~done]
+        order = (edge_lengths(corners).argmax(axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(corners, order[:, :, None], axis=1).transpose(1, 0, 2)
+        middle = (a + b) / 2.0
+        corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(found)

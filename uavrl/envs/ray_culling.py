@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh, halved
+from uavrl.envs.mesh import Mesh, cut_up
 
 __all__ = ["RayCuller"]
 
@@ -42,7 +42,8 @@ class RayCuller:
     def __init__(self, mesh: Mesh, max_range: float, cycles: int, azimuth_step: float, elevations: np.ndarray) -> None:
         if cycles % self._BIN:
             raise ValueError(f"cycles must be a multiple of {self._BIN}, got {cycles}.")
-        centres, radii = _spheres(mesh.vertices[mesh.faces].astype(np.float64))
+        corners = mesh.vertices[mesh.faces].astype(np.float64)
+        centres, radii = _spheres(cut_up(corners, lambda pieces: _spheres(pieces)[1] <= _SPHERE))
         by_x = np.argsort(centres[:, 0], kind="stable")
         # [3, S], by x, so that a range of x is a slice
         self._centres = np.ascontiguousarray(centres[by_x].T, dtype=np.float32)
@@ -122,13 +123,6 @@ class RayCuller:
 
 
 def _spheres(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns centres ``[S, 3]`` and radii ``[S]`` of spheres that together cover triangles ``[T, 3, 3]``."""
-    centres, radii = [], []
-    while len(corners):
-        middle = (corners.min(axis=1) + corners.max(axis=1)) / 2.0
-        radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
-        small = radius <= _SPHERE
-        centres.append(middle[small])
-        radii.append(radius[small])
-        corners = halved(corners[~small])
-    return np.concatenate([np.empty((0, 3)), *centres]), np.concatenate([np.empty(0), *radii])
+    """Centres ``[T, 3]`` and radii ``[T]`` of spheres around triangles ``[T, 3, 3]``."""
+    middle = (corners.min(axis=1) + corners.max(axis=1)) / 2.0
+    return middle, np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)

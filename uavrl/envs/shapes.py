@@ -10,14 +10,7 @@ from uavrl.envs.mesh import Mesh
 
 
 def signed_volume(mesh: Mesh) -> float:
-    """Returns the enclosed volume in m³: positive for a closed mesh whose faces turn outwards.
-
-    Examples:
-        >>> faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-        >>> corner = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 6]]), faces)
-        >>> signed_volume(corner)
-        1.0
-    """
+    """Returns the enclosed volume in m³: positive for a closed mesh whose faces turn outwards."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
@@ -58,11 +51,6 @@ def tube(path: np.ndarray, radii: np.ndarray, sides: int = 8) -> Mesh:
         path: ``[S, 2]`` in metres: x and z of the centre line, which lies in the plane y = 0.
         radii: ``[S]`` in metres.
         sides: Number of corners of the cross-section.
-
-    Examples:
-        >>> mesh = tube(np.array([[0.0, 0.0], [0.0, 2.0]]), np.array([0.5, 0.5]))
-        >>> mesh.vertices.max(0).tolist()
-        [0.5, 0.5, 2.0]
     """
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -75,12 +63,7 @@ def tube(path: np.ndarray, radii: np.ndarray, sides: int = 8) -> Mesh:
 
 @lru_cache(maxsize=4)
 def icosphere(subdivisions: int) -> Mesh:
-    """Returns the unit sphere as an icosahedron whose faces are split in four ``subdivisions`` times.
-
-    Examples:
-        >>> [len(icosphere(n).faces) for n in (0, 1, 2)]
-        [20, 80, 320]
-    """
+    """Returns the unit sphere as an icosahedron whose faces are split in four ``subdivisions`` times."""
     phi = (1 + 5**0.5) / 2
     corners = np.array([(0, s, t * phi) for s in (-1, 1) for t in (-1, 1)])
     vertices = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)])
@@ -118,11 +101,6 @@ def blob(
         radii: Half axes in metres along x, y and z.
         roughness: Largest share by which a bump moves the surface in or out, below 1.
         subdivisions: As in :func:`icosphere`: 1 gives 80 triangles, 2 gives 320.
-
-    Examples:
-        >>> smooth = blob(np.random.default_rng(0), (1.0, 2.0, 3.0), roughness=0.0)
-        >>> smooth.vertices.max(0).round(1).tolist()
-        [1.0, 2.0, 3.0]
     """
     sphere = icosphere(subdivisions)
     waves, phases = rng.normal(size=(3, 5)) * 2.0, rng.uniform(0, 2 * np.pi, 5)
@@ -131,12 +109,6 @@ def blob(
 
 
 def turned(mesh: Mesh, yaw: float) -> Mesh:
-    """Returns the mesh turned about the z axis by ``yaw`` in rad.
-
-    Examples:
-        >>> mesh = Mesh(np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 1, 2]]))
-        >>> turned(mesh, np.pi / 2).vertices[0].round(3).tolist()
-        [0.0, 1.0, 0.0]
-    """
+    """Returns the mesh turned about the z axis by ``yaw`` in rad."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     return Mesh(mesh.vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]), mesh.faces)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavrl.envs.bodies import PLANE, STATIC, add_fixed, add_vehicle, split_mesh
+from uavrl.envs.bodies import PLANE, STATIC, add_fixed, add_vehicle
 from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.clearance import Clearance
 from uavrl.envs.controller import VelocityController, feasible_command
@@ -124,7 +124,7 @@ class Simulation:
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self._dt, deterministicOverlappingPairs=1, physicsClientId=self._client
         )
-        self._statics = [add_fixed(self._client, part, STATIC) for mesh in meshes for part in split_mesh(mesh)]
+        self._statics = [add_fixed(self._client, part, STATIC) for mesh in meshes for part in mesh.split()]
         self._planes = [
             add_fixed(self._client, plane_mesh, PLANE) for _ in range(plane_count) if plane_mesh is not None
         ]

@@ -69,15 +69,6 @@ def flight_map(
         uav_radius: Radius in metres of a ball around the UAV.
         min_clearance: Least clearance of starts and goals in metres.
         min_distance: Least horizontal distance from start to goal in metres.
-
-    Examples:
-        >>> from uavrl.envs.shapes import icosphere
-        >>> flat, ball = HeightField(np.zeros((2, 2)), (10.0, 10.0)), icosphere(2).translated((0.0, 0.0, 3.5))
-        >>> flight = flight_map(
-        ...     flat, ball, level=3.5, ceiling=5.0, uav_radius=0.35, min_clearance=1.5, min_distance=5.0
-        ... )
-        >>> bool(np.linalg.norm(flight.candidates, axis=1).min() > 2.5)
-        True
     """
     needed = min_clearance + JITTER
     x, y = (np.arange(CELL / 2 - length / 2, length / 2, CELL) for length in ground.size)

@@ -16,7 +16,6 @@ from uavrl.errors import UavrlError
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 ROUTES = 12  # ways of planes through a valley
-MESH_FACES = 10_000  # about, per mesh: PyBullet takes at most 32,768 indices on macOS
 
 
 @dataclass
@@ -40,10 +39,6 @@ class WorldConfig:
         plane_speed: Least and greatest speed of a plane in m/s.
         plane_wingspan: Wingspan of a plane in m.
         plane_keep_out: Least distance in m from a start to a plane.
-
-    Examples:
-        >>> WorldConfig(seeds=(0, 1), planes=3).size
-        (40.0, 30.0)
     """
 
     seeds: tuple[int, ...] = (0,)
@@ -108,8 +103,8 @@ class Valley:
     routes: list[np.ndarray]
 
     def meshes(self) -> list[Mesh]:
-        """Returns its geometry in world coordinates: tiles of the ground, then the obstacles."""
-        parts = [*self.ground.tiles(), *_bundles([obstacle.mesh for obstacle in self.obstacles])]
+        """Returns its geometry in world coordinates, in few large parts: the physics steps faster over few bodies."""
+        parts = [*self.ground.tiles(), *Mesh.merge(obstacle.mesh for obstacle in self.obstacles).split()]
         return [part.translated((*self.origin, 0.0)) for part in parts]
 
 
@@ -123,16 +118,12 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
 
     Raises:
         UavrlError: If no start and goal can be found in it.
-
-    Examples:
-        >>> len(build_valley(WorldConfig(obstacles=9), 0, np.zeros(2)).obstacles)
-        9
     """
     ground = valley_ground(np.random.default_rng([seed, 0]), config.size)
     obstacles = place_obstacles(np.random.default_rng([seed, 1]), config.obstacles, config.obstacle_scale, ground)
     flight = flight_map(
         ground,
-        Mesh.merge([_NOTHING, *(obstacle.mesh for obstacle in obstacles)]),
+        Mesh.merge(obstacle.mesh for obstacle in obstacles),
         level=config.flight_level,
         ceiling=config.ceiling,
         uav_radius=config.uav_radius,
@@ -156,18 +147,6 @@ def _routes(config: WorldConfig, seed: int, ground: HeightField, obstacles: list
     top = float(np.ceil(ground.heights.max() + radius))
     solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
     return plan_routes(np.random.default_rng([seed, 2]), solid, config.size, top, config.ceiling, radius, ROUTES)
-
-
-_NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3)))
-
-
-def _bundles(meshes: list[Mesh]) -> list[Mesh]:
-    """Merges meshes into few of about ``MESH_FACES`` triangles: the physics steps faster over few bodies."""
-    ends = np.cumsum([len(mesh.faces) for mesh in meshes])
-    groups: dict[int, list[Mesh]] = {}
-    for end, mesh in zip(ends, meshes, strict=True):
-        groups.setdefault(int(end) // MESH_FACES, []).append(mesh)
-    return [Mesh.merge(group) for group in groups.values()]
 
 
 class World:

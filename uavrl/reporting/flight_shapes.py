@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import HalfspaceIntersection
 
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
@@ -17,7 +18,6 @@ OUTCOMES = {"arrived": "#009E73", "collided": "#D55E00", "timed_out": "#56B4E9"}
 KINDS = {"tree": "#6b8f5e", "rock": "#8f8b84", "pole": "#a08a6a", "arch": "#9a7f72", "overhang": "#7f8794"}
 OTHER_KIND = "#8a8a8a"
 BODY, HEAD, PLANE, GOAL = "#0072B2", "#CC79A7", "#7b3fa0", "#f0c419"
-_PHI = (1 + 5**0.5) / 2
 
 
 class Part(NamedTuple):
@@ -123,9 +123,9 @@ def football(radius: float) -> Football:
         >>> [part.shape for part in shape]
         [(60, 3), (116, 3), (116,), (90, 2)]
     """
-    vertices = np.array(sorted(_vertices()))
-    vertices *= radius / np.linalg.norm(vertices[0])
-    normals = truncated_icosahedron_faces(radius).normals.double().numpy()
+    shape = truncated_icosahedron_faces(radius)
+    normals, offsets = shape.normals.double().numpy(), shape.offsets.double().numpy()
+    vertices = HalfspaceIntersection(np.column_stack([normals, -offsets]), np.zeros(3)).intersections
     heights = vertices @ normals.T
     triangles, faces, edges = [], [], set()
     for face in range(len(normals)):
@@ -137,13 +137,3 @@ def football(radius: float) -> Football:
         faces += [face] * (len(around) - 2)
         edges |= {tuple(sorted(edge)) for edge in zip(around.tolist(), np.roll(around, -1).tolist(), strict=True)}
     return Football(vertices, np.array(triangles), np.array(faces), np.array(sorted(edges)))
-
-
-def _vertices() -> set[tuple[float, float, float]]:
-    """All cyclic permutations and sign changes of three corners: 60."""
-    found = set()
-    for x, y, z in ((0.0, 1.0, 3 * _PHI), (1.0, 2 + _PHI, 2 * _PHI), (_PHI, 2.0, 2 * _PHI + 1)):
-        for i, j, k in product((1, -1), repeat=3):
-            a, b, c = i * x + 0.0, j * y + 0.0, k * z + 0.0
-            found |= {(a, b, c), (c, a, b), (b, c, a)}
-    return found

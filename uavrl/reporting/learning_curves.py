@@ -40,7 +40,7 @@ def curves(group: Sequence[Sequence[Episode]], window: int) -> dict[str, dict[st
             after a tenth of them: a rate over two or three episodes is noise.
 
     Returns:
-        By quantity (``success``, ``collision``, ``time_out``, ``return``) and axis (``steps``, ``episodes``): x and y of
+        By quantity (``success``, ``collision``, ``time_out``, ``return``) and axis (``steps``, ``episodes``): x, y of
         each of ``seeds``; and ``x``, ``mean``, ``low`` and ``high`` of several seeds, to where the first one ends.
     """
     axes: dict[str, list[np.ndarray]] = {"steps": [], "episodes": []}

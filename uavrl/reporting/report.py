@@ -197,8 +197,12 @@ def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:
     for flown in dict.fromkeys(each["flown"] for each in files):
         alike = [each for each in files if each["flown"] == flown]
         newest = {each["run"]: each for each in sorted(alike, key=_trained) if each["policy"] is None}
-        rows = [_pooled(group.label, [e for e in newest.values() if e["group"] == group.label]) for group in groups]
-        rows = sorted((row for row in rows if row), key=lambda row: -row["success"]["rate"])
+        rows = [
+            _pooled(group.label, members)
+            for group in groups
+            if (members := [each for each in newest.values() if each["group"] == group.label])
+        ]
+        rows.sort(key=lambda row: -row["success"]["rate"])
         result.append({"flown": flown, "groups": rows, "files": alike})
     return sorted(result, key=lambda part: -sum(len(row["seeds"]) for row in part["groups"]))
 
@@ -208,11 +212,9 @@ def _trained(evaluation: dict[str, Any]) -> float:
     return float(steps) if isinstance(steps, int | float) else 0.0
 
 
-def _pooled(group: str, evaluations: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """Rates of a group over the tasks of all its seeds together, or None where it flew none."""
+def _pooled(group: str, evaluations: list[dict[str, Any]]) -> dict[str, Any]:
+    """Rates of a group over the tasks of all its seeds together."""
     tasks = sum(each["episodes"] for each in evaluations)
-    if not tasks:
-        return None
     counts = {name: sum(round(each[name]["rate"] * each["episodes"]) for each in evaluations) for name in RATES}
     by_seed = [each["success"]["rate"] for each in evaluations]
     seeds = [each["run_seed"] for each in evaluations]

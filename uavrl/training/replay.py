@@ -41,8 +41,7 @@ def make_scenery(world: World, valley: int, perception: DictConfig, sensor: Sequ
     """The valley with an index, as numbers to draw."""
     place, config = world.valleys[valley], world.config
     names = tuple(sorted({obstacle.kind for obstacle in place.obstacles}))
-    meshes = [obstacle.mesh for obstacle in place.obstacles]
-    merged = Mesh.merge([Mesh(np.zeros((0, 3)), np.zeros((0, 3))), *meshes])
+    merged = Mesh.merge(obstacle.mesh for obstacle in place.obstacles)
     kinds = [np.full(len(obstacle.mesh.faces), names.index(obstacle.kind)) for obstacle in place.obstacles]
     plane = plane_mesh(config.plane_wingspan)
     return Scenery(
