@@ -4,11 +4,11 @@ It needs torch, tensordict, torchrl and sortedcontainers.
 """
 
 from uavrl.buffers.abr import ABR, ABRPlus
-from uavrl.buffers.admission import FailureBias, is_admitted
+from uavrl.buffers.admission import FailureBias
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
-from uavrl.buffers.functional import backward_reward
+from uavrl.buffers.functional import backward_reward, is_admitted, multi_step_returns
 from uavrl.buffers.history import TrajectoryHistory
-from uavrl.buffers.multi_step import MultiStep, multi_step_returns
+from uavrl.buffers.multi_step import MultiStep
 from uavrl.buffers.replay import EpisodeBuffer, FailureBiasedBuffer, PrioritizedBuffer
 from uavrl.buffers.storage import FrameStorage, GatheringStorage
 

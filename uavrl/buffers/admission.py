@@ -7,33 +7,7 @@ from typing import Any
 import torch
 from tensordict import NestedKey, TensorDictBase
 
-
-def is_admitted(
-    episode_return: float,
-    fell: bool,
-    falls: int,
-    coin: float,
-    *,
-    success_return: float = 250.0,
-    probability: float = 0.5,
-) -> bool:
-    """Whether an episode is stored (Wei & Ying (2020), their code for the hard-core walker).
-
-    Args:
-        episode_return: as the environment gave it.
-        fell: whether the episode ended by a fall.
-        falls: the fall counter, with this episode's.
-        coin: a number drawn uniformly from [0, 1).
-        success_return: return from which an episode without a fall is a success.
-        probability: of a success to be stored while the counter is positive.
-
-    Examples:
-        >>> is_admitted(-90.0, True, 1, 0.9), is_admitted(249.0, False, 0, 0.9)
-        (True, True)
-        >>> [is_admitted(300.0, False, falls, coin) for falls, coin in ((0, 0.1), (3, 0.1), (3, 0.9))]
-        [False, True, False]
-    """
-    return fell or episode_return < success_return or (falls > 0 and coin < probability)
+from uavrl.buffers.functional import is_admitted
 
 
 class FailureBias:

@@ -1,4 +1,6 @@
-"""The augmentative backward reward as functions (Chansuparp (2022), §3.4, Eq. 3.5, Algorithm 3.1).
+"""What happens to episodes on their way into a buffer, as functions.
+
+The augmentative backward reward is that of Chansuparp (2022), §3.4, Eq. 3.5, Algorithm 3.1.
 
 Algorithm 3.1 counts steps from 1: a_t is taken in s_t, earns r_t and leads to s_{t+1}. Window k holds the steps
 Z - p_frames + 1 to Z with Z = k p_frames; the thesis prints k + p_frames, by which all windows would overlap.
@@ -100,6 +102,69 @@ def backward_reward(
     new = reward.clone()
     new[: len(ranks) * frames] += extra.repeat_interleave(frames).to(reward)
     return new
+
+
+def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int) -> tuple[Tensor, Tensor]:
+    """The discounted sum of the next n rewards, and over how many steps it goes.
+
+    ``R_t = Σ_{i<k} γ^i r_{t+i}`` with ``k = min(n, steps to the episode's end)`` (Sutton (1988); Barth-Maron et al.
+    (2018), Eq. 3: the target is ``R_t + γ^k Q(s_{t+k}, μ(s_{t+k}))``).
+
+    Args:
+        reward: ``[T]``, of whole episodes, end to end.
+        done: ``[T]``, true at the last step of each.
+        gamma: discount γ.
+        n_steps: n.
+
+    Returns:
+        ``R [T]`` and ``k [T]``.
+
+    Raises:
+        ValueError: when the last step ends no episode.
+
+    Examples:
+        >>> done = torch.tensor([False, False, True, True])
+        >>> returns, steps = multi_step_returns(torch.tensor([1.0, 2.0, 4.0, 8.0]), done, gamma=0.5, n_steps=2)
+        >>> returns.tolist(), steps.tolist()
+        ([2.0, 4.0, 4.0, 8.0], [2, 2, 1, 1])
+    """
+    if not len(done) or not done[-1]:
+        raise ValueError(f"Expected whole episodes, got {len(done)} steps the last of which ends none.")
+    at = torch.arange(len(done), device=done.device)
+    ends = done.nonzero().flatten()
+    steps = (ends[torch.searchsorted(ends, at)] - at + 1).clamp(max=n_steps)
+    returns = torch.zeros_like(reward)
+    for i in range(n_steps):
+        returns += gamma**i * torch.where(i < steps, reward.roll(-i), 0.0)
+    return returns, steps
+
+
+def is_admitted(
+    episode_return: float,
+    fell: bool,
+    falls: int,
+    coin: float,
+    *,
+    success_return: float = 250.0,
+    probability: float = 0.5,
+) -> bool:
+    """Whether an episode is stored (Wei & Ying (2020), their code for the hard-core walker).
+
+    Args:
+        episode_return: as the environment gave it.
+        fell: whether the episode ended by a fall.
+        falls: the fall counter, with this episode's.
+        coin: a number drawn uniformly from [0, 1).
+        success_return: return from which an episode without a fall is a success.
+        probability: of a success to be stored while the counter is positive.
+
+    Examples:
+        >>> is_admitted(-90.0, True, 1, 0.9), is_admitted(249.0, False, 0, 0.9)
+        (True, True)
+        >>> [is_admitted(300.0, False, falls, coin) for falls, coin in ((0, 0.1), (3, 0.1), (3, 0.9))]
+        [False, True, False]
+    """
+    return fell or episode_return < success_return or (falls > 0 and coin < probability)
 
 
 def check_labels(labels: Tensor, count: int) -> None:

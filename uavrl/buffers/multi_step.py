@@ -4,45 +4,9 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-__all__ = ["MultiStep", "multi_step_returns"]
-
-
-def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int) -> tuple[Tensor, Tensor]:
-    """The discounted sum of the next n rewards, and over how many steps it goes.
-
-    ``R_t = Σ_{i<k} γ^i r_{t+i}`` with ``k = min(n, steps to the episode's end)`` (Sutton (1988); Barth-Maron et al.
-    (2018), Eq. 3: the target is ``R_t + γ^k Q(s_{t+k}, μ(s_{t+k}))``).
-
-    Args:
-        reward: ``[T]``, of whole episodes, end to end.
-        done: ``[T]``, true at the last step of each.
-        gamma: discount γ.
-        n_steps: n.
-
-    Returns:
-        ``R [T]`` and ``k [T]``.
-
-    Raises:
-        ValueError: when the last step ends no episode.
-
-    Examples:
-        >>> done = torch.tensor([False, False, True, True])
-        >>> returns, steps = multi_step_returns(torch.tensor([1.0, 2.0, 4.0, 8.0]), done, gamma=0.5, n_steps=2)
-        >>> returns.tolist(), steps.tolist()
-        ([2.0, 4.0, 4.0, 8.0], [2, 2, 1, 1])
-    """
-    if not len(done) or not done[-1]:
-        raise ValueError(f"Expected whole episodes, got {len(done)} steps the last of which ends none.")
-    at = torch.arange(len(done), device=done.device)
-    ends = done.nonzero().flatten()
-    steps = (ends[torch.searchsorted(ends, at)] - at + 1).clamp(max=n_steps)
-    returns = torch.zeros_like(reward)
-    for i in range(n_steps):
-        returns += gamma**i * torch.where(i < steps, reward.roll(-i), 0.0)
-    return returns, steps
+from uavrl.buffers.functional import multi_step_returns
 
 
 class MultiStep(Transform):

@@ -10,16 +10,7 @@ STATIC, VEHICLE, PLANE = 2, 64, 128  # collision groups: vehicles meet the other
 
 
 def add_fixed(client: int, mesh: Mesh, group: int) -> int:
-    """Adds an exact triangle mesh that nothing moves but ourselves.
-
-    Args:
-        client: PyBullet's physics client.
-        mesh: Few enough triangles for PyBullet, see :meth:`~uavrl.envs.mesh.Mesh.split`.
-        group: :data:`STATIC` or :data:`PLANE`.
-
-    Returns:
-        The body's id.
-    """
+    """Adds an exact triangle mesh to a group, which nothing moves but ourselves; gives the body's id."""
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_MESH,
         vertices=mesh.vertices.tolist(),
@@ -33,16 +24,9 @@ def add_fixed(client: int, mesh: Mesh, group: int) -> int:
 
 
 def add_vehicle(client: int, airframe: Airframe) -> int:
-    """Adds a cylinder with the mass of airframe and LiDAR, its centre of mass shifted.
+    """Adds a cylinder with the mass of airframe and LiDAR, its centre of mass shifted; gives the body's id.
 
     Bullet's own damping is off, since drag is ours, and so is sleeping.
-
-    Args:
-        client: PyBullet's physics client.
-        airframe: Gives hull, mass and inertia.
-
-    Returns:
-        The body's id.
     """
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_CYLINDER,

@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from uavrl.envs.quadrotor import GRAVITY, ROTOR_SPINS, Aerodynamics, Airframe, Vector, drag, mixing_matrix
+from uavrl.envs.quadrotor import GRAVITY, ROTOR_SPINS, Aerodynamics, Airframe, drag, mixing_matrix
 
 THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
 _QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # row (x, y) → (-y, x)
 
 
-@dataclass(frozen=True)
-class ControllerGains:
-    """Gains of the cascade.
-
-    Args:
-        velocity: Acceleration per velocity error along x, y, z in 1/s.
-        disturbance: Rate at which the estimate of unknown forces (wind) follows them in 1/s.
-        disturbance_limit: Most that it can be along each axis in N.
-        attitude: Rate per tilt error in 1/s.
-        rate: Angular acceleration per rate error about x, y, z in 1/s.
-
-    Examples:
-        >>> ControllerGains(attitude=5.0).attitude
-        5.0
-    """
-
-    velocity: Vector = (2.6, 2.6, 4.0)
-    disturbance: float = 2.0
-    disturbance_limit: float = 6.0
-    attitude: float = 7.0
-    rate: Vector = (24.0, 24.0, 6.0)
+VELOCITY_GAIN = np.array([2.6, 2.6, 4.0])  # 1/s, acceleration per velocity error along x, y, z
+RATE_GAIN = np.array([24.0, 24.0, 6.0])  # 1/s, angular acceleration per rate error about x, y, z
+ATTITUDE_GAIN = 7.0  # 1/s, rate per tilt error
+DISTURBANCE_RATE = 2.0  # 1/s, at which the estimate of unknown forces (wind) follows them
+DISTURBANCE_LIMIT = 6.0  # N, most that it can be along each axis
 
 
 def _within(values: np.ndarray, least: np.ndarray | float, most: np.ndarray | float) -> np.ndarray:
@@ -195,7 +178,6 @@ class VelocityController:
         count: Number of vehicles N.
         airframe: The vehicle.
         aerodynamics: Its drag.
-        gains: Gains of the cascade.
 
     Attributes:
         disturbance: ``[N, 3]``, estimate of the unknown forces in world axes in N.
@@ -209,16 +191,14 @@ class VelocityController:
         True
     """
 
-    def __init__(
-        self, count: int, airframe: Airframe, aerodynamics: Aerodynamics, gains: ControllerGains | None = None
-    ) -> None:
-        self.airframe, self.gains = airframe, gains or ControllerGains()
+    def __init__(self, count: int, airframe: Airframe, aerodynamics: Aerodynamics) -> None:
+        self.airframe = airframe
         self.disturbance = np.zeros((count, 3))
         self._velocity_tm1 = np.zeros((count, 3))
         self._mixer = Mixer(airframe)
         self._coefficients = aerodynamics.coefficients
-        self._velocity_gain = airframe.total_mass * np.array(self.gains.velocity)
-        self._rate_gain = np.array(airframe.combined_inertia) * np.array(self.gains.rate)
+        self._velocity_gain = airframe.total_mass * VELOCITY_GAIN
+        self._rate_gain = np.array(airframe.combined_inertia) * RATE_GAIN
         self._weight = np.array([0.0, 0.0, airframe.total_mass * GRAVITY])
         self._wrench = np.zeros((count, 4))
         self._rates = np.zeros((count, 3))
@@ -262,15 +242,14 @@ class VelocityController:
         """Inner loop: the rotor thrusts ``[N, 4]`` in N to aim at, from the state as in :meth:`track`."""
         rates, wrench = self._rates, self._wrench
         np.multiply(self._yaw_rate, rotation[:, 2], out=rates)
-        rates[:, :2] += self.gains.attitude * tilt_error(np.matmul(self._direction[:, None], rotation)[:, 0])
+        rates[:, :2] += ATTITUDE_GAIN * tilt_error(np.matmul(self._direction[:, None], rotation)[:, 0])
         wrench[:, 0] = np.add.reduce(self._force * rotation[:, :, 2], axis=1)
         wrench[:, 1:] = self._rate_gain * (rates - twist[:, 1]) + self._moment
         return self._mixer(wrench)
 
     def _estimate(self, velocity: np.ndarray, known: np.ndarray, dt: float) -> None:
         """Lets the estimate follow what the known forces ``[N, 3]`` leave unexplained of the acceleration."""
-        limit = self.gains.disturbance_limit
         unknown = (self.airframe.total_mass / dt) * (velocity - self._velocity_tm1) - known
-        unknown = _within(unknown, -limit, limit)
-        self.disturbance += -np.expm1(-self.gains.disturbance * dt) * (unknown - self.disturbance)
+        unknown = _within(unknown, -DISTURBANCE_LIMIT, DISTURBANCE_LIMIT)
+        self.disturbance += -np.expm1(-DISTURBANCE_RATE * dt) * (unknown - self.disturbance)
         self._velocity_tm1 = velocity.copy()

@@ -16,13 +16,7 @@ SURFACE_ERROR = SURFACE_STEP / 3**0.5  # m, no point of a triangle is farther th
 
 
 def surface_points(mesh: Mesh, low: float, high: float) -> np.ndarray:
-    """Returns points ``[P, 3]`` such that the surface between two heights is nowhere over ``SURFACE_ERROR`` from one.
-
-    Args:
-        mesh: Any triangles, in metres.
-        low: Least height in metres.
-        high: Greatest height in metres.
-    """
+    """Returns points ``[P, 3]``: the surface between two heights is nowhere over ``SURFACE_ERROR`` from one."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     corners = corners[(corners[..., 2].min(1) <= high) & (corners[..., 2].max(1) >= low)]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max(1)
@@ -105,13 +99,7 @@ def _neighbours(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
 
 
 class Surface:
-    """The surface of a mesh as points, to measure clearances with.
-
-    Args:
-        mesh: Ground and obstacles, in metres.
-        low: Least height in metres of what is measured.
-        high: Greatest height in metres of what is measured.
-    """
+    """The surface of a mesh between two heights as points, to measure clearances with."""
 
     def __init__(self, mesh: Mesh, low: float, high: float) -> None:
         self._tree = cKDTree(surface_points(mesh, low, high), balanced_tree=False, compact_nodes=False)

@@ -135,14 +135,7 @@ MIX = ("tree", "spire", "buttress", "pole", "mushroom", "spire", "arch",  # deal
 
 
 def make_obstacle(rng: np.random.Generator, kind: str, scale: float = 1.0, yaw: float | None = None) -> Mesh:
-    """Returns one obstacle of the kind, its outline centred over the origin.
-
-    Args:
-        rng: Source of sizes and yaw.
-        kind: A key of ``KINDS``.
-        scale: Factor on all its lengths.
-        yaw: Turn about the z axis in rad; drawn if None.
-    """
+    """Returns one obstacle of the kind, all its lengths times ``scale``, its outline centred over the origin."""
     shape = KINDS[kind](rng)
     yaw = rng.uniform(0, 2 * np.pi) if yaw is None else yaw
     mesh = turned(Mesh(shape.vertices * scale, shape.faces), yaw)
@@ -156,29 +149,13 @@ def outline_radius(mesh: Mesh) -> float:
 
 
 def choose_place(places: np.ndarray, radius: float, circles: np.ndarray) -> int:
-    """Returns the index of the first place with ``GAP`` to all circles, or that of the roomiest place.
-
-    Args:
-        places: ``[P, 2]`` in metres.
-        radius: Radius of the new circle in metres.
-        circles: ``[K, 3]``: x, y and radius of what stands already, in metres.
-
-    Examples:
-        >>> choose_place(np.array([[1.0, 0.0], [9.0, 0.0]]), 1.0, np.array([[0.0, 0.0, 1.0]]))
-        1
-    """
+    """Returns the index of the first of ``places [P, 2]`` with ``GAP`` to all ``circles [K, 3]``, or the roomiest."""
     apart = np.linalg.norm(places[:, None] - circles[:, :2], axis=-1) - circles[:, 2] - radius
     return int(np.minimum(apart.min(1, initial=np.inf), GAP).argmax())
 
 
 def lowest_ground(ground: HeightField, xy: np.ndarray, radius: float) -> float:
-    """Returns the least height in metres of the ground within about ``radius`` of ``xy [2]``, so that nothing floats.
-
-    Examples:
-        >>> slope = HeightField(np.array([[0.0, 0.0], [1.0, 1.0]]), (2.0, 2.0))
-        >>> round(lowest_ground(slope, np.zeros(2), 0.5), 3)
-        0.25
-    """
+    """Returns the least height of the ground within about ``radius`` of ``xy [2]``, so that nothing floats."""
     angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     rim = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
     return float(ground.at(np.concatenate([[xy], xy + rim / 2, xy + rim])).min())
@@ -194,14 +171,7 @@ def wall_places(rng: np.random.Generator, half: np.ndarray, count: int) -> tuple
 
 
 def place_obstacles(rng: np.random.Generator, count: int, scale: float, ground: HeightField) -> list[Obstacle]:
-    """Returns ``count`` obstacles on the ground from wall to wall; buttresses stand against the walls.
-
-    Args:
-        rng: Source of sizes, yaws and places.
-        count: Number of obstacles.
-        scale: Factor on all their lengths.
-        ground: The valley's height field.
-    """
+    """Returns ``count`` obstacles on the ground from wall to wall; buttresses stand against the walls."""
     half = np.maximum(np.array(ground.size) / 2 - MARGIN, 0.0)
     circles = np.zeros((0, 3))
     obstacles = []

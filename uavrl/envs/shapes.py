@@ -16,19 +16,7 @@ def signed_volume(mesh: Mesh) -> float:
 
 
 def loft(rings: np.ndarray) -> Mesh:
-    """Returns the closed skin over a stack of rings, with a flat cap at either end.
-
-    Args:
-        rings: ``[S, P, 3]`` in metres: S rings of P points each, all turning the same way.
-
-    Returns:
-        A mesh of ``2 S P`` triangles that turn outwards.
-
-    Examples:
-        >>> square = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-        >>> len(loft(np.stack([square, square + [0, 0, 2]])).faces)
-        16
-    """
+    """Returns the closed skin over rings ``[S, P, 3]`` that turn alike: ``2 S P`` triangles that turn outwards."""
     count, points, _ = rings.shape
     ring = np.arange(points)
     after = (ring + 1) % points
@@ -45,13 +33,7 @@ def loft(rings: np.ndarray) -> Mesh:
 
 
 def tube(path: np.ndarray, radii: np.ndarray, sides: int = 8) -> Mesh:
-    """Returns a closed tube of round cross-section along a path.
-
-    Args:
-        path: ``[S, 2]`` in metres: x and z of the centre line, which lies in the plane y = 0.
-        radii: ``[S]`` in metres.
-        sides: Number of corners of the cross-section.
-    """
+    """Returns a closed tube along ``path [S, 2]``, x and z in the plane y = 0, with ``radii [S]``."""
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     normal = np.stack([tangent[:, 1], np.zeros(len(path)), -tangent[:, 0]], -1)
@@ -94,14 +76,7 @@ def _split(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.nd
 def blob(
     rng: np.random.Generator, radii: tuple[float, float, float], roughness: float = 0.2, subdivisions: int = 2
 ) -> Mesh:
-    """Returns a closed, bumpy ellipsoid around the origin.
-
-    Args:
-        rng: Source of the bumps.
-        radii: Half axes in metres along x, y and z.
-        roughness: Largest share by which a bump moves the surface in or out, below 1.
-        subdivisions: As in :func:`icosphere`: 1 gives 80 triangles, 2 gives 320.
-    """
+    """Returns a bumpy ellipsoid around the origin; no bump moves its surface by more than the share ``roughness``."""
     sphere = icosphere(subdivisions)
     waves, phases = rng.normal(size=(3, 5)) * 2.0, rng.uniform(0, 2 * np.pi, 5)
     bumps = np.cos(sphere.vertices @ waves + phases).mean(1, keepdims=True)

@@ -50,14 +50,7 @@ def grid_axes(shape: tuple[int, ...], size: tuple[float, float]) -> tuple[np.nda
 
 
 def interpolate(heights: np.ndarray, size: tuple[float, float], field: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Returns the height of the triangulated surface at each point.
-
-    Args:
-        heights: ``[V, X, Y]`` in metres, V fields of equal extent.
-        size: Extent of each field along x and y in metres.
-        field: ``[N]``, the field that each point asks.
-        xy: ``[N, 2]`` in metres in the field's own frame.
-    """
+    """Returns the height ``[N]`` of the surfaces ``heights [V, X, Y]`` at ``xy [N, 2]`` of the fields ``field [N]``."""
     cells = np.array(heights.shape[1:]) - 1
     scaled = np.clip((np.asarray(xy) / np.asarray(size) + 0.5) * cells, 0, cells)
     corner = np.minimum(scaled.astype(np.int64), cells - 1)
@@ -69,14 +62,7 @@ def interpolate(heights: np.ndarray, size: tuple[float, float], field: np.ndarra
 
 
 def smooth_noise(rng: np.random.Generator, x: np.ndarray, y: np.ndarray, wavelength: tuple[float, float]) -> np.ndarray:
-    """Returns a sum of plane waves in random directions, scaled to reach exactly ±1 somewhere.
-
-    Args:
-        rng: Source of directions, wavelengths and phases.
-        x: Any shape, in metres.
-        y: Same shape, in metres.
-        wavelength: Shortest and longest in metres.
-    """
+    """Returns a sum of plane waves in random directions at ``x`` and ``y``, scaled to reach exactly ±1 somewhere."""
     total = np.zeros_like(x)
     for _ in range(12):
         angle, phase = rng.uniform(0, 2 * np.pi, 2)
@@ -89,10 +75,6 @@ def valley_ground(rng: np.random.Generator, size: tuple[float, float]) -> Height
     """Returns a valley: a floor within ±0.5 m around 0 and walls of about 7 m at the border.
 
     Source: Chansuparp (2022), §4.1: a valley of 1200 m² with complex geography. The heights are this library's choice.
-
-    Args:
-        rng: Source of the shape.
-        size: Extent along x and y in metres.
     """
     shape = tuple(max(2, round(length / GRID_STEP) + 1) for length in size)
     x, y = np.meshgrid(*grid_axes(shape, size), indexing="ij")

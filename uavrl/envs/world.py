@@ -109,12 +109,7 @@ class Valley:
 
 
 def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
-    """Builds one valley and maps its free space.
-
-    Args:
-        config: The world's config.
-        seed: The valley's seed.
-        origin: ``[2]``, the valley's middle in the world in metres.
+    """Builds one valley around ``origin [2]`` and maps its free space.
 
     Raises:
         UavrlError: If no start and goal can be found in it.

@@ -14,13 +14,14 @@ import numpy as np
 
 import uavrl
 from uavrl.errors import UavrlError
-from uavrl.reporting.groups import HOW_IT_RUNS, Group, differences, group_runs, same_task, shown
+from uavrl.reporting.groups import HOW_IT_RUNS, Group, below, differences, group_runs, same_task, shown
 from uavrl.reporting.learning_curves import curves, steps_to
 from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
 from uavrl.reporting.thesis import beside_the_thesis
 from uavrl.training.episodes import RATES, Episode, wilson
 
 FORMAT = 2  # of the JSON file
+_PLACES = ("run_dir", "resume")  # of the machine that made a run
 _TITLES = {"bipedal_hardcore": "Training runs of the hard-core bipedal walker"}
 
 
@@ -151,7 +152,7 @@ def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str,
         "steps_to_threshold": steps_to(run.episodes, threshold, window),
         "versions": run.versions,
         "notes": notes,
-        "config": _without_places({key: value for key, value in run.config.items() if key not in HOW_IT_RUNS[:2]}),
+        "config": _without_places({key: value for key, value in run.config.items() if key not in _PLACES}),
     }
 
 
@@ -227,7 +228,8 @@ def _settings(groups: list[Group]) -> dict[str, list[str]]:
     learned = differences([group.runs[0].settings for group in groups], ("seed", *HOW_IT_RUNS))
     result = {key: [shown(value) for value in values] for key, values in learned.items()}
     ran = [[flatten(run.config) for run in group.runs] for group in groups]
-    for key in HOW_IT_RUNS[3:]:
+    keys = {key: None for group in ran for flat in group for key in flat if below(key, HOW_IT_RUNS)}
+    for key in (key for key in keys if not below(key, (*_PLACES, "choices"))):
         values = [[shown(flat.get(key)) for flat in group] for group in ran]
         if len({value for group in values for value in group} - {shown(None)}) > 1:
             result[key] = [" / ".join(dict.fromkeys(group)) for group in values]
