@@ -35,17 +35,18 @@ class Mesh:
         """Returns the mesh moved by ``offset`` (x, y, z)."""
         return Mesh(self.vertices + np.asarray(list(offset), dtype=np.float32), self.faces)
 
-    def split(self, faces: int = MOST_FACES) -> list[Mesh]:
-        """Returns meshes of at most ``faces`` triangles that hold all of this one, in its order; none of an empty one.
+    def split(self, part: np.ndarray | None = None) -> list[Mesh]:
+        """Returns a mesh for each number in ``part [F]``, in order; without it, parts that PyBullet takes.
 
         Examples:
             >>> mesh = Mesh(np.eye(3), np.zeros((5, 3)))
-            >>> [len(part.faces) for part in mesh.split(2)]
-            [2, 2, 1]
+            >>> [len(part.faces) for part in mesh.split(np.array([7, 0, 7, 7, 0]))]
+            [2, 3]
         """
+        part = np.arange(len(self.faces)) // MOST_FACES if part is None else part
         parts = []
-        for start in range(0, len(self.faces), faces):
-            used, renumbered = np.unique(self.faces[start : start + faces], return_inverse=True)
+        for number in np.unique(part):
+            used, renumbered = np.unique(self.faces[part == number], return_inverse=True)
             parts.append(Mesh(self.vertices[used], renumbered.reshape(-1, 3)))
         return parts
 

@@ -9,6 +9,7 @@ import numpy as np
 from uavrl.envs.mesh import Mesh
 
 GRID_STEP = 0.4  # m between two heights of the field
+TILE_CELLS = 64  # along each side of a mesh of the surface: 8,192 triangles
 FLOOR_AMPLITUDE = 0.5  # m, the floor stays within ± this
 WALL_HEIGHT = 7.0  # m, mean height of the walls at the border
 WALL_WIDTH = 2.5  # m, mean width of the slope from the floor to the top of the wall
@@ -37,11 +38,13 @@ class HeightField:
 
     def tiles(self) -> list[Mesh]:
         """Returns the surface as meshes for PyBullet, every cell cut along its (0, 0)–(1, 1) diagonal."""
+        tile_x, tile_y = (np.arange(n - 1) // TILE_CELLS for n in self.heights.shape)
         across, along = np.meshgrid(*grid_axes(self.heights.shape, self.size), indexing="ij")
         index = np.arange(self.heights.size).reshape(self.heights.shape)
         a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-        faces = np.stack([a, b, c, a, c, d], -1).reshape(-1, 3)
-        return Mesh(np.stack([across, along, self.heights], -1).reshape(-1, 3), faces).split()
+        faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+        mesh = Mesh(np.stack([across, along, self.heights], -1).reshape(-1, 3), faces)
+        return mesh.split(np.tile(np.add.outer(tile_x * len(tile_y), tile_y).ravel(), 2))
 
 
 def grid_axes(shape: tuple[int, ...], size: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavrl.envs.limits import check_world_size
-from uavrl.envs.mesh import Mesh
+from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
@@ -104,7 +104,9 @@ class Valley:
 
     def meshes(self) -> list[Mesh]:
         """Returns its geometry in world coordinates, in few large parts: the physics steps faster over few bodies."""
-        parts = [*self.ground.tiles(), *Mesh.merge(obstacle.mesh for obstacle in self.obstacles).split()]
+        counts = [len(obstacle.mesh.faces) for obstacle in self.obstacles]
+        bundle = np.repeat(np.cumsum(counts, dtype=int) // MOST_FACES, counts)  # whole obstacles
+        parts = [*self.ground.tiles(), *Mesh.merge(obstacle.mesh for obstacle in self.obstacles).split(bundle)]
         return [part.translated((*self.origin, 0.0)) for part in parts]
 
 
