@@ -25,7 +25,7 @@ from tensordict import TensorDictBase
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.envs.world import World
-from uavrl.training.episodes import outcome, wilson
+from uavrl.runs.episodes import outcome, wilson
 from uavrl.training.factory import make_env
 
 Way = Callable[[np.ndarray, np.ndarray, np.random.Generator], list[np.ndarray]]

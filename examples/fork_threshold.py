@@ -21,20 +21,18 @@ from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from uavrl.buffers import FrameStorage
 from uavrl.models import RewardNet, SystemNet
-from uavrl.training.checkpoint import latest_checkpoint, read_config
-from uavrl.training.episodes import read_episodes
+from uavrl.runs.checkpoint import latest_checkpoint
+from uavrl.runs.episodes import read_episodes
 
 FRAME = 35
 
 
 def replay_data(run: Path, folder: Path) -> TensorDictBase:
     """The transitions in the newest checkpoint of a run."""
-    config = read_config(run)
-    storage = FrameStorage(config.buffer.capacity, frames=config.perception.frames)
     with zipfile.ZipFile(latest_checkpoint(run)) as archive:
         prefix = json.loads(archive.read("manifest.json"))["components"]["replay_data"]["path"]
         archive.extractall(folder, [name for name in archive.namelist() if name.startswith(prefix)])
-    storage.loads(folder / prefix / "storage")
+    storage = FrameStorage.saved_at(folder / prefix / "storage")
     return storage.get(slice(0, len(storage)))
 
 

@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 
 from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import moving_mean, moving_rates, steps_to
-from uavrl.training.episodes import OUTCOMES, Episode, read_episodes
+from uavrl.runs.episodes import OUTCOMES, Episode, read_episodes
 
 
 def plot(runs: dict[str, list[Episode]], output: Path, window: int) -> None:

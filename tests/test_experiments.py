@@ -72,9 +72,8 @@ def test_an_experiment_flies_every_cell_of_its_figure(
     assert beside <= flown
 
 
-def test_the_states_of_figure_4_2_are_kept() -> None:
+def test_figure_4_2_is_a_plain_run_in_the_static_valley() -> None:
     ((config, settings),) = combinations("figure_4_2")
-    assert settings.trainer.record_states
     assert cell(config, settings) == ("static", "td3", "TR")
 
 

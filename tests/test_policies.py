@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 import torch
 
-from uavrl.cli.policies import PACKAGED, load_policy, packaged_policies
+from uavrl.cli.policies import PACKAGED, packaged_policies
 from uavrl.configs import to_dataclass
-from uavrl.training.episodes import wilson
-from uavrl.training.evaluation import fly
+from uavrl.flying.flight import fly
+from uavrl.runs.episodes import wilson
 from uavrl.training.factory import make_env
+from uavrl.training.policies import load_policy
 
 TASKS = 50
 

@@ -365,7 +365,7 @@ def test_a_full_disk_is_one_sentence(
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("uavrl.training.episodes.EpisodeLog.add", full)
+    monkeypatch.setattr("uavrl.runs.episodes.EpisodeLog.add", full)
     assert "No space left on device" in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
 
 

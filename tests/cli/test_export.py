@@ -90,9 +90,9 @@ def _of_the_future(folder: Path) -> None:
     ("damage", "said"),
     [
         (_flip_a_bit, "policy.safetensors is damaged"),
-        (_cut_off, "cannot be read"),
+        (_cut_off, "is not of uavrl.policy 1"),
         (_of_another_shape, "are of another policy than its config.yaml describes"),
-        (_of_the_future, "is not a policy that this version of uavrl reads"),
+        (_of_the_future, "is not of uavrl.policy 1, which this version of uavrl reads"),
     ],
 )
 def test_a_damaged_policy_is_refused(

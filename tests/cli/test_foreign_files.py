@@ -23,9 +23,9 @@ from uavrl.cli import export as export_command
 from uavrl.cli import pretrain as pretrain_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
+from uavrl.flying import recording
 from uavrl.models.trajectory_classifier import packaged_artifact
-from uavrl.training import flight
-from uavrl.training.checkpoint import RandomState
+from uavrl.runs.checkpoint import RandomState
 from uavrl.trust import check_archive
 
 EVERYTHING = ["fork=on", "lifeguard=linear", "buffer=prioritized", "backward_reward=abr"]  # the most components
@@ -37,7 +37,6 @@ COMPONENTS = [
     "loss_module",
     "policy",
     "random_state",
-    "recording",
     "trainer_module.episode_replay",
     "trainer_module.optimization_stepper",
     "trainer_state",
@@ -467,7 +466,7 @@ def test_flights_whose_summary_is_none_are_refused(
 def test_flights_that_unpack_to_more_than_a_memory_holds_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
-    monkeypatch.setattr(flight, "MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(recording, "MOST_BYTES", 1_000_000)
     np.savez_compressed(tmp_path / "f.npz", about=np.array("{}"), zeros=np.zeros(200_000))
     assert (tmp_path / "f.npz").stat().st_size < 5_000
     assert "holds no flights" in refused(replay_command.main, f"flight={tmp_path / 'f.npz'}")

@@ -25,7 +25,7 @@ from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.files import removed_on_failure
+from uavrl.runs.files import removed_on_failure
 from uavrl.training.loggers import require_login
 from uavrl.training.silence import Silence
 from uavrl.transforms import TruncatedIcosahedron

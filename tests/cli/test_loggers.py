@@ -15,7 +15,7 @@ from torchrl.checkpoint import Checkpoint
 
 from tests.training.test_resume import small_config
 from uavrl.errors import UavrlError
-from uavrl.training.checkpoint import rotation
+from uavrl.runs.checkpoint import rotation
 from uavrl.training.run import create_run, train
 
 SETTINGS = ["logger.interval=1", "trainer.episodes=6", "algo.random_steps=20"]

@@ -1,4 +1,4 @@
-"""``uavrl-pretrain`` end to end on a small recording; bad input ends in one sentence."""
+"""``uavrl-pretrain`` end to end on a small run; bad input ends in one sentence."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 import torch
 
-from tests.pretraining.synthetic import checkpoint_run, record, walk
+from tests.pretraining.synthetic import checkpoint_run, drifting_run, walk
 from uavrl.cli import pretrain as command
 from uavrl.models import TrajectoryClassifier
-from uavrl.models.trajectory_classifier import read_about
-from uavrl.pretraining import StateRecorder, pipeline
+from uavrl.pretraining import pipeline
+from uavrl.pretraining.states import read_states
+from uavrl.runs.weights import ARTIFACT
 
 SMALL = [
     "progress=false",
@@ -66,9 +67,9 @@ def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    record(tmp_path / "states", episodes=50)
-    return tmp_path / "states"
+def run(tmp_path: Path) -> Path:
+    drifting_run(tmp_path / "run", episodes=50)
+    return tmp_path / "run"
 
 
 def names(folder: Path) -> list[str]:
@@ -78,14 +79,14 @@ def names(folder: Path) -> list[str]:
 # ---------------------------------------------------------------------- end to end
 
 
-def test_from_a_recording_to_an_artifact(recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out_folder = tmp_path / "artifact"
-    assert in_process(f"recording={recording}", f"output={out_folder}", *SMALL) == 0
+    assert in_process(f"run={run}", f"output={out_folder}", *SMALL) == 0
     assert names(out_folder) == ["artifact.json", "artifact.safetensors", "class_sizes.png", "elbow.png"]
-    about = read_about(out_folder)
+    about = ARTIFACT.about(out_folder)
     assert about["k"] == about["sse"]["elbow"] in about["sse"]["k"]
     assert about["sse"]["sse"][-1] < about["sse"]["sse"][0]
-    assert about["source"]["name"] == "states" and about["source"]["states_drawn"] == 400
+    assert about["source"]["name"].startswith("run/checkpoint") and about["source"]["states_drawn"] == 400
     assert about["source"]["episodes"] == 50 == sum(about["source"]["outcomes"].values())
     assert about["classifier"]["held_out_accuracy"] > 0.7 and 0 < about["classifier"]["held_out_states"] < 200
     assert about["config"]["pretrain"]["hidden"] == 16
@@ -95,17 +96,17 @@ def test_from_a_recording_to_an_artifact(recording: Path, tmp_path: Path, capfd:
     assert f"Artifact: {out_folder}" in said
 
     classifier = TrajectoryClassifier.load(out_folder)
-    states = torch.from_numpy(np.fromfile(recording / "states.f32", "<f4").reshape(-1, 6))
+    states = torch.from_numpy(read_states(run).states)
     labels = classifier(states)
     nearest = torch.cdist(classifier.encode(states), classifier.centres).argmin(-1)
     assert (labels == nearest).float().mean() > 0.7
 
 
-def test_the_same_seed_gives_the_same_artifact_and_the_default_output_is_in_the_source(recording: Path) -> None:
-    assert in_process(f"recording={recording}", *SMALL) == 0
-    assert in_process(f"recording={recording}", f"output={recording}/other", *SMALL) == 0
-    assert in_process(f"recording={recording}", f"output={recording}/seed", *SMALL, "seed=1") == 0
-    one, same, other = (read_about(recording / name) for name in ("pretrained", "other", "seed"))
+def test_the_same_seed_gives_the_same_artifact_and_the_default_output_is_in_the_source(run: Path) -> None:
+    assert in_process(f"run={run}", *SMALL) == 0
+    assert in_process(f"run={run}", f"output={run}/other", *SMALL) == 0
+    assert in_process(f"run={run}", f"output={run}/seed", *SMALL, "seed=1") == 0
+    one, same, other = (ARTIFACT.about(run / name) for name in ("pretrained", "other", "seed"))
     assert one["weights_sha256"] == same["weights_sha256"] != other["weights_sha256"]
     assert one["config_sha256"] == same["config_sha256"] != other["config_sha256"]
     assert one["source"] == same["source"]
@@ -116,7 +117,7 @@ def test_from_the_checkpoint_of_a_run_with_a_given_k(tmp_path: Path) -> None:
     path = checkpoint_run(tmp_path / "run", [walk(15, 6, rng) for _ in range(30)])
     arguments = [f"run={tmp_path / 'run'}", *SMALL, "pretrain.k=7", "pretrain.compare_k=20"]
     assert in_process(*arguments) == 0
-    about = read_about(tmp_path / "run" / "pretrained")
+    about = ARTIFACT.about(tmp_path / "run" / "pretrained")
     assert about["source"]["name"] == f"run/{path.name}"
     assert about["k"] == 7 != about["sse"]["elbow"]
     assert list(about["class_sizes"]) == [
@@ -129,29 +130,29 @@ def test_from_the_checkpoint_of_a_run_with_a_given_k(tmp_path: Path) -> None:
     assert TrajectoryClassifier.load(tmp_path / "run" / "pretrained").k == 7
 
 
-def test_without_a_curve(recording: Path) -> None:
-    assert in_process(f"recording={recording}", *SMALL, "pretrain.k=3", "pretrain.clusters=[]") == 0
-    assert names(recording / "pretrained") == ["artifact.json", "artifact.safetensors", "class_sizes.png"]
-    assert read_about(recording / "pretrained")["sse"] == {"k": [], "sse": [], "elbow": None}
+def test_without_a_curve(run: Path) -> None:
+    assert in_process(f"run={run}", *SMALL, "pretrain.k=3", "pretrain.clusters=[]") == 0
+    assert names(run / "pretrained") == ["artifact.json", "artifact.safetensors", "class_sizes.png"]
+    assert ARTIFACT.about(run / "pretrained")["sse"] == {"k": [], "sse": [], "elbow": None}
 
 
-def test_a_short_recording_is_used_whole_and_that_is_said(recording: Path, tmp_path: Path) -> None:
-    done = as_process(f"recording={recording}", *SMALL, "pretrain.states=5000", cwd=tmp_path)
+def test_a_short_run_is_used_whole_and_that_is_said(run: Path, tmp_path: Path) -> None:
+    done = as_process(f"run={run}", *SMALL, "pretrain.states=5000", cwd=tmp_path)
     assert done.returncode == 0
-    source = read_about(recording / "pretrained")["source"]
+    source = ARTIFACT.about(run / "pretrained")["source"]
     assert source["states_drawn"] == source["states"] < 5000
     assert "fewer than pretrain.states=5000: all are used" in done.stderr
 
 
-def test_one_shot_learning_is_counted_beside(recording: Path) -> None:
-    assert in_process(f"recording={recording}", *SMALL, "pretrain.one_shot=true") == 0
-    sizes = read_about(recording / "pretrained")["class_sizes"]
+def test_one_shot_learning_is_counted_beside(run: Path) -> None:
+    assert in_process(f"run={run}", *SMALL, "pretrain.one_shot=true") == 0
+    sizes = ARTIFACT.about(run / "pretrained")["class_sizes"]
     assert next(iter(sizes)) == "one-shot learning"
     assert 1 <= sizes["one-shot learning"]["largest"] <= 400
 
 
-def test_progress_bars_are_shown_if_asked_for(recording: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert in_process(f"recording={recording}", *SMALL, "progress=true") == 0
+def test_progress_bars_are_shown_if_asked_for(run: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert in_process(f"run={run}", *SMALL, "progress=true") == 0
     err = capfd.readouterr().err
     assert all(name in err for name in ("autoencoder, epochs", "k-means, values of k", "classifier, epochs"))
 
@@ -162,21 +163,20 @@ def test_progress_bars_are_shown_if_asked_for(recording: Path, capfd: pytest.Cap
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "Give either run=RUN_FOLDER or recording=FOLDER"),
+        ([], "Give run=RUN_FOLDER, of a training whose states are learned from"),
+        (["recording=none"], "There is no key 'recording'"),
         (["run=none"], "Expected a run folder at none"),
-        (["recording=none"], "none/recording.json and found no such file"),
-        (["recording=none", "run=none"], "and not both"),
-        (["recording=states", "pretrain.states=0"], "pretrain.states must be at least 1"),
-        (["recording=states", "pretrain.states=10"], "Expected at least as many states as clusters (16), got 10"),
-        (["recording=states", "pretrain.k=100000"], "Expected at least as many states as clusters (100000)"),
-        (["recording=states", "output=file"], "file cannot be written"),
-        (["recording=states", "output=file/below"], "cannot be written"),
+        (["run=run", "pretrain.states=0"], "pretrain.states must be at least 1"),
+        (["run=run", "pretrain.states=10"], "Expected at least as many states as clusters (16), got 10"),
+        (["run=run", "pretrain.k=100000"], "Expected at least as many states as clusters (100000)"),
+        (["run=run", "output=file"], "file/artifact.json cannot be written"),
+        (["run=run", "output=file/below"], "cannot be written"),
     ],
 )
 def test_bad_input_is_one_sentence_and_writes_nothing(
     arguments: list[str],
     said: str,
-    recording: Path,
+    run: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     refused: Callable[..., str],
@@ -184,15 +184,8 @@ def test_bad_input_is_one_sentence_and_writes_nothing(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("kept")
     assert said in refused(*SMALL, *arguments)
-    assert names(tmp_path) == ["file", "states"]
-    assert names(recording) == ["episodes.csv", "recording.json", "states.f32"]
-
-
-def test_states_that_are_not_finite_are_refused(recording: Path, refused: Callable[..., str]) -> None:
-    content = bytearray((recording / "states.f32").read_bytes())
-    content[400:404] = np.array([np.nan], "<f4").tobytes()
-    (recording / "states.f32").write_bytes(content)
-    assert f"Expected finite states in {recording}" in refused(f"recording={recording}", *SMALL)
+    assert names(tmp_path) == ["file", "run"]
+    assert names(run) == ["checkpoints", "config.yaml"]
 
 
 @pytest.mark.parametrize(
@@ -202,34 +195,27 @@ def test_states_that_are_not_finite_are_refused(recording: Path, refused: Callab
 def test_too_few_states_or_episodes_are_refused(
     lengths: list[int], said: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    recorder = StateRecorder(tmp_path / "few", 6)
-    for length in lengths:
-        recorder.add(np.random.default_rng(length).normal(size=(length, 6)), "arrived")
-    assert said in refused(f"recording={tmp_path / 'few'}", *SMALL)
+    rng = np.random.default_rng(0)
+    checkpoint_run(tmp_path / "few", [walk(length, 6, rng) for length in lengths])
+    assert said in refused(f"run={tmp_path / 'few'}", *SMALL)
 
 
-def test_a_truncated_recording_is_refused(recording: Path, refused: Callable[..., str]) -> None:
-    path = recording / "states.f32"
-    path.write_bytes(path.read_bytes()[:-5])
-    assert "is truncated" in refused(f"recording={recording}", *SMALL)
-
-
-def test_an_artifact_is_not_overwritten(recording: Path, refused: Callable[..., str]) -> None:
-    (recording / "pretrained").mkdir()
-    (recording / "pretrained" / "artifact.json").write_text("kept")
-    assert "holds an artifact already" in refused(f"recording={recording}", *SMALL)
-    assert (recording / "pretrained" / "artifact.json").read_text() == "kept"
+def test_an_artifact_is_not_overwritten(run: Path, refused: Callable[..., str]) -> None:
+    (run / "pretrained").mkdir()
+    (run / "pretrained" / "artifact.json").write_text("kept")
+    assert "holds an artifact already" in refused(f"run={run}", *SMALL)
+    assert (run / "pretrained" / "artifact.json").read_text() == "kept"
 
 
 def test_ctrl_c_leaves_no_artifact(
-    recording: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    run: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pipeline, "train_classifier", interrupted)
-    assert in_process(f"recording={recording}", *SMALL) == 130
-    assert names(recording / "pretrained") == []
+    assert in_process(f"run={run}", *SMALL) == 130
+    assert names(run / "pretrained") == []
     assert "uavrl: stopped." in capfd.readouterr().err
 
 
@@ -243,8 +229,8 @@ def test_the_real_command_names_the_bad_override(override: str, named: str, tmp_
     assert not list(tmp_path.iterdir())
 
 
-def test_the_report_is_plain_json(recording: Path) -> None:
-    assert in_process(f"recording={recording}", *SMALL) == 0
-    text = (recording / "pretrained" / "artifact.json").read_text()
-    assert "NaN" not in text and str(recording.parent) not in text
+def test_the_report_is_plain_json(run: Path) -> None:
+    assert in_process(f"run={run}", *SMALL) == 0
+    text = (run / "pretrained" / "artifact.json").read_text()
+    assert "NaN" not in text and str(run.parent) not in text
     assert json.loads(text)["versions"]["torch"] == version("torch")

@@ -17,9 +17,9 @@ from tests.cli.test_bad_input import TINY, in_process
 from tests.reporting.test_flight_page import Page
 from uavrl.cli import replay as command
 from uavrl.cli import train as train_command
-from uavrl.cli.policies import load_policy
+from uavrl.flying.recording import load_recording
 from uavrl.reporting.flight_page import unpack
-from uavrl.training.flight import load_replay
+from uavrl.training.policies import load_policy
 
 WORLD = ["env.world.size=[26,20]", "env.world.obstacles=6"]
 SMALL = ["progress=false", "points=40"]
@@ -63,7 +63,7 @@ def test_a_run_is_shown_with_its_own_reward_and_the_risk_that_its_lifeguard_sees
     assert in_process(command.main, *arguments) == 0
     out = capfd.readouterr().out
     assert "task 0: " in out and "task 3: " in out and f"Written to {page}" in out
-    shown, kept = data_of(page), load_replay(data)
+    shown, kept = data_of(page), load_recording(data)
     assert shown["source"]["run"] == "guarded" and shown["source"]["seed"] == 20_000
     assert [flight["task"] for flight in shown["flights"]] == [0, 3]
     for flight, whole in zip(shown["flights"], kept.flights, strict=True):
@@ -77,7 +77,7 @@ def test_a_run_is_shown_with_its_own_reward_and_the_risk_that_its_lifeguard_sees
 def test_the_policy_of_the_run_flies(run_dir: Path, tmp_path: Path) -> None:
     data = tmp_path / "f.npz"
     assert in_process(command.main, f"run={run_dir}", f"output={tmp_path / 'p.html'}", f"data={data}", *SMALL) == 0
-    (flight,) = load_replay(data).flights
+    (flight,) = load_recording(data).flights
     _, policy, source = load_policy(run_dir, None, torch.device("cpu"))
     states = TensorDict({"observation": torch.from_numpy(flight.observations[:-1])}, [flight.summary.steps])
     with torch.no_grad():
@@ -95,7 +95,7 @@ def test_the_page_goes_into_the_run_and_its_name_tells_what_was_changed(run_dir:
 def test_a_policy_that_sees_nothing_is_shown_without_points(run_dir: Path, tmp_path: Path) -> None:
     data = tmp_path / "blind.npz"
     assert in_process(command.main, f"run={run_dir}", "perception.blind=true", f"data={data}", *SMALL) == 0
-    (flight,) = load_replay(data).flights
+    (flight,) = load_recording(data).flights
     assert not flight.faces.any() and len(flight.points) == 0
     (run_dir / "replay_perception.blind=true.html").unlink()
 

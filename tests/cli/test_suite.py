@@ -11,9 +11,9 @@ import pytest
 from tests.cli.test_bad_input import in_process
 from tests.composing import composed
 from uavrl.cli import evaluate as evaluate_command
-from uavrl.cli.suite import scenarios
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.errors import UavrlError
+from uavrl.flying.suite import scenarios
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
 

@@ -10,7 +10,7 @@ import pytest
 from tests.cli.test_bad_input import in_process
 from uavrl.cli import evaluate, replay, train
 from uavrl.reporting.report import make_report
-from uavrl.training.episodes import read_episodes
+from uavrl.runs.episodes import read_episodes
 
 TINY = [
     "env=bipedal_hardcore",

@@ -1,4 +1,4 @@
-"""Small recordings that need no flight."""
+"""Runs of small, made up states that need no flight."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint
 from torchrl.data import TensorDictReplayBuffer
 
-from uavrl.buffers import FrameStorage
-from uavrl.pretraining import StateRecorder
-from uavrl.training.checkpoint import BufferState, rotation
+from uavrl.buffers import FrameStorage, MultiStep
+from uavrl.runs.checkpoint import BufferState, rotation
+from uavrl.runs.config import fingerprint, read_config
 
 OUTCOMES = ("arrived", "collided", "timed_out")
 
@@ -23,13 +23,11 @@ def walk(length: int, width: int, rng: np.random.Generator, places: int = 5) -> 
     return (place + np.cumsum(rng.normal(scale=0.02, size=(length, width)), 0)).astype(np.float32)
 
 
-def record(path: Path, episodes: int = 40, width: int = 6, seed: int = 0) -> list[np.ndarray]:
-    """Writes a recording and returns the states of its episodes."""
+def drifting_run(run_dir: Path, episodes: int = 40, width: int = 6, seed: int = 0) -> list[np.ndarray]:
+    """Makes a run and returns the states of its episodes."""
     rng = np.random.default_rng(seed)
-    recorder, written = StateRecorder(path, width), []
-    for i in range(episodes):
-        written.append(walk(int(rng.integers(5, 20)), width, rng))
-        recorder.add(written[-1], OUTCOMES[i % 3])
+    written = [walk(int(rng.integers(5, 20)), width, rng) for _ in range(episodes)]
+    checkpoint_run(run_dir, written)
     return written
 
 
@@ -50,12 +48,20 @@ def transitions(states: np.ndarray, outcome: str) -> TensorDict:
     )
 
 
-def checkpoint_run(run_dir: Path, episodes: list[np.ndarray], capacity: int = 10_000, frames: int = 1) -> Path:
+def checkpoint_run(
+    run_dir: Path, episodes: list[np.ndarray], capacity: int = 10_000, frames: int = 1, n_steps: int = 1
+) -> Path:
     """A run folder with a checkpoint whose replay buffer saw these episodes."""
-    buffer = TensorDictReplayBuffer(storage=FrameStorage(capacity, frames), batch_size=4)
+    transform = MultiStep(n_steps, 0.9) if n_steps > 1 else None
+    buffer = TensorDictReplayBuffer(storage=FrameStorage(capacity, frames), batch_size=4, transform=transform)
     for i, states in enumerate(episodes):
         buffer.extend(transitions(states, OUTCOMES[i % 3]))
     run_dir.mkdir(parents=True)
     (run_dir / "config.yaml").write_text(f"algo:\n  name: td3\nbuffer:\n  capacity: {capacity}\n")
     checkpoint = Checkpoint(replay_data=BufferState(buffer), format="archive", archive_compression="stored")
-    return rotation(run_dir).save(checkpoint, step=1)
+    about = {
+        "fingerprint": fingerprint(read_config(run_dir)),
+        "collected_frames": len(buffer),
+        "episodes": len(episodes),
+    }
+    return rotation(run_dir).save(checkpoint, step=1, metadata=about)

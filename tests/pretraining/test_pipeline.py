@@ -12,19 +12,19 @@ import pytest
 import torch
 
 from uavrl.configs.pretrain import PretrainRecipe
-from uavrl.pretraining import Recording, pictures, pipeline
+from uavrl.pretraining import States, pictures, pipeline
 from uavrl.pretraining.pipeline import draw_sample, one_shot_sizes
 
 RECIPE = PretrainRecipe(states=300, clusters=(2, 3, 4, 5, 6), compare_k=None, held_out=0.2)
 
 
-def recording(lengths: list[int]) -> Recording:
+def flown(lengths: list[int]) -> States:
     states = np.random.default_rng(0).normal(size=(sum(lengths), 4)).astype(np.float32)
-    return Recording.from_lengths(states, lengths, ["arrived"] * len(lengths), "example")
+    return States(states, np.repeat(np.arange(len(lengths)), lengths), ["arrived"] * len(lengths), "example")
 
 
 def test_the_draw_is_of_different_states_whole_triples_and_held_out_episodes() -> None:
-    source = recording([20] * 40)
+    source = flown([20] * 40)
     sample = draw_sample(source, RECIPE, seed=0)
     assert len(sample.index) == 300 == len(np.unique(sample.index))
     assert set(sample.centres) <= set(sample.index)
@@ -38,13 +38,13 @@ def test_the_draw_is_of_different_states_whole_triples_and_held_out_episodes() -
 
 
 def test_the_draw_follows_the_seed() -> None:
-    one, same, other = (draw_sample(recording([20] * 40), RECIPE, seed) for seed in (3, 3, 4))
+    one, same, other = (draw_sample(flown([20] * 40), RECIPE, seed) for seed in (3, 3, 4))
     assert np.array_equal(one.index, same.index) and torch.equal(one.held_out, same.held_out)
     assert not np.array_equal(one.index, other.index)
 
 
 def test_two_episodes_are_enough() -> None:
-    sample = draw_sample(recording([150, 150]), RECIPE, seed=0)
+    sample = draw_sample(flown([150, 150]), RECIPE, seed=0)
     assert 0 < int(sample.held_out.sum()) < 300
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from uavrl.envs.world import WorldConfig
-from uavrl.training.episodes import Episode
+from uavrl.runs.episodes import Episode
 
 ROOT = Path(__file__).resolve().parents[2]
 TEMPLATE = ROOT / "docs/journal/data/enhancers/td3_seed0/config.yaml"
@@ -78,7 +78,7 @@ WHEREABOUTS = {
 
 def evaluation(folder: Path, arrived: int, tasks: int, name: str = "evaluation.json", **changes: Any) -> Path:
     """What ``uavrl-evaluate`` writes; what did not arrive has collided."""
-    from uavrl.training.episodes import wilson
+    from uavrl.runs.episodes import wilson
 
     result = {
         "episodes": tasks,

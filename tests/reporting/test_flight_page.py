@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.training.flights import small_replay
+from tests.flying.flights import small_recording
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
+from uavrl.flying.recording import Recording
 from uavrl.reporting.flight_page import above_ground, make_page, pack, page_data, unpack, write_page
 from uavrl.reporting.flight_shapes import football
-from uavrl.training.flight import Replay
 from uavrl.transforms.functional import truncated_icosahedron_faces
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -54,11 +54,11 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page() -> Page:
-    return Page(make_page(small_replay()))
+    return Page(make_page(small_recording()))
 
 
 def test_the_page_fetches_nothing_and_forbids_it() -> None:
-    text = make_page(small_replay())
+    text = make_page(small_recording())
     assert all(address.startswith("data:") for address in Page(text).fetched)
     assert "default-src 'none'" in text
     assert not re.search(r"@import|url\(\s*['\"]?(https?:)?//", text.split("<script>")[0])
@@ -66,7 +66,7 @@ def test_the_page_fetches_nothing_and_forbids_it() -> None:
 
 
 def test_the_numbers_in_the_page_are_those_of_the_flight(page: Page) -> None:
-    replay = small_replay()
+    replay = small_recording()
     data = json.loads(page.scripts["data"])
     assert data["source"] == replay.source
     for shown, flight in zip(data["flights"], replay.flights, strict=True):
@@ -87,14 +87,14 @@ def test_the_numbers_in_the_page_are_those_of_the_flight(page: Page) -> None:
 
 @pytest.mark.parametrize("copies", [1, 25])
 def test_the_page_stays_small(copies: int) -> None:
-    replay = small_replay()
-    many = Replay(replay.source, replay.flights * copies, replay.sceneries)
+    replay = small_recording()
+    many = Recording(replay.source, replay.flights * copies, replay.sceneries)
     assert len(make_page(many).encode()) < 15e6
 
 
 def test_text_from_outside_cannot_leave_the_data() -> None:
-    replay = small_replay()
-    evil = Replay({"run": "</script><script>alert(1)</script>"}, replay.flights[:1], replay.sceneries)
+    replay = small_recording()
+    evil = Recording({"run": "</script><script>alert(1)</script>"}, replay.flights[:1], replay.sceneries)
     page = Page(make_page(evil))
     assert json.loads(page.scripts["data"])["source"] == evil.source
     assert len(page.scripts) == 4
@@ -120,7 +120,7 @@ def test_the_football_is_that_of_the_reduction() -> None:
 
 
 def test_foundations_are_left_out_and_nothing_else() -> None:
-    scenery = next(iter(small_replay().sceneries.values()))
+    scenery = next(iter(small_recording().sceneries.values()))
     seen = above_ground(scenery)
     assert 0.3 < len(seen["triangles"]) / len(scenery.triangles) < 1
     ground = HeightField(scenery.heights, tuple(scenery.size.tolist())).at(seen["vertices"][:, :2])
@@ -134,12 +134,12 @@ def test_foundations_are_left_out_and_nothing_else() -> None:
 def test_without_plotly_the_page_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
     with pytest.raises(UavrlError, match=r"pip install 'uavrl\[report\]'"):
-        write_page(small_replay(), tmp_path / "page.html")
+        write_page(small_recording(), tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_page_of_no_flights_has_data() -> None:
-    assert page_data(Replay({}, (), {}))["flights"] == []
+    assert page_data(Recording({}, (), {}))["flights"] == []
 
 
 # ---------------------------------------------------------------------- in a browser
@@ -164,7 +164,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     try:
         driver.set_script_timeout(900)  # without a graphics card, and on a busy machine
         driver.command_executor.client_config.timeout = 1000
-        write_page(small_replay(), folder / "page.html")
+        write_page(small_recording(), folder / "page.html")
         driver.get((folder / "page.html").as_uri())
         ready = "return document.body && document.body.dataset.ready"
         until = time.monotonic() + 900
@@ -177,7 +177,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
-    flight = small_replay().flights[0]
+    flight = small_recording().flights[0]
     move = """
         document.getElementById("slider").value = arguments[0];
         document.getElementById("slider").dispatchEvent(new Event("input"));
@@ -229,7 +229,7 @@ def test_a_browser_plays_and_steps_by_keys_wherever_the_mouse_has_been(browser: 
 
 
 def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
-    flight = small_replay().flights[1]
+    flight = small_recording().flights[1]
     shown = browser.execute_async_script("""
         const done = arguments[0];
         choose(1).then(() => {

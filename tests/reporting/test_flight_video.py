@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.training.flights import small_replay
+from tests.flying.flights import small_recording
 from uavrl.errors import UavrlError
+from uavrl.flying.recording import RecordedFlight, Scenery
 from uavrl.reporting.flight_video import FRAME_RATE, Camera, moment, write_video
-from uavrl.training.flight import RecordedFlight, Scenery
 
 
 @pytest.fixture(scope="module")
 def shown() -> tuple[RecordedFlight, Scenery]:
     """Three moments of a flight: six pictures, and a second of the last one."""
-    flight = small_replay().flights[0]
+    flight = small_recording().flights[0]
     first = {
         n: getattr(flight, n)[:3] for n in ("times", "positions", "attitudes", "velocities", "distances", "planes")
     }
-    return replace(flight, **first), small_replay().scenery(flight)
+    return replace(flight, **first), small_recording().scenery(flight)
 
 
 def test_the_vehicle_is_in_the_middle_and_the_sky_above(shown: tuple[RecordedFlight, Scenery]) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from tests.reporting.folders import run_folder
 from uavrl.reporting.groups import HOW_IT_RUNS, group_runs, label, same_task
 from uavrl.reporting.runs import read_runs
-from uavrl.training.checkpoint import FREE_KEYS
+from uavrl.runs.config import FREE_KEYS
 
 
 def labels(folder: Path) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 from tests.reporting.folders import ROOT, episodes
 from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import curves, moving_rates, steps_to
-from uavrl.training.episodes import Episode
+from uavrl.runs.episodes import Episode
 
 REFERENCE = ROOT / "docs/data/bipedal/reference.json"
 

@@ -12,7 +12,7 @@ from tests.reporting.folders import DOCUMENTED, ROOT, WHEREABOUTS, evaluation, r
 from uavrl.errors import UavrlError
 from uavrl.reporting.report import make_report
 from uavrl.reporting.thesis import thesis
-from uavrl.training.episodes import wilson
+from uavrl.runs.episodes import wilson
 
 
 def test_wilson_by_hand() -> None:

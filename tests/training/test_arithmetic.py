@@ -17,11 +17,11 @@ from omegaconf import OmegaConf
 
 from tests.training.test_resume import assert_same_run, small_config
 from uavrl.errors import UavrlError
+from uavrl.runs.checkpoint import rotation
 from uavrl.training import arithmetic
 from uavrl.training import run as run_module
 from uavrl.training import sweep as sweep_module
 from uavrl.training.arithmetic import carried, chosen_products, multiplied_by
-from uavrl.training.checkpoint import rotation
 from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sweep import is_finished, place_of
 

@@ -19,8 +19,8 @@ from torchrl.envs import EnvBase
 
 from tests.training.test_resume import small_config
 from uavrl.errors import UavrlError
+from uavrl.runs.episodes import read_episodes
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.episodes import read_episodes
 from uavrl.training.run import create_run, train
 
 

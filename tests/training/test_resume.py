@@ -14,9 +14,8 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
 
+import numpy as np
 import pytest
-import tensordict
-import torch
 from omegaconf import DictConfig, OmegaConf
 
 from tests.cli.test_bad_input import in_process
@@ -24,9 +23,9 @@ from tests.composing import with_run_dir
 from uavrl.buffers import GatheringStorage
 from uavrl.cli import train as train_command
 from uavrl.errors import UavrlError
-from uavrl.pretraining.recording import StateRecorder, read_recording
-from uavrl.training.checkpoint import rotation
-from uavrl.training.episodes import read_episodes
+from uavrl.pretraining import read_states
+from uavrl.runs.checkpoint import rotation
+from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, train
 
 SMALL = [
@@ -74,7 +73,6 @@ DDPG = ["algo=ddpg"]
 DYNAMIC = ["env=dynamic", "perception.lidar.dropout=0.1"]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
-POSITIONS = ("frames.memmap", "first_frame.memmap")
 
 
 def small_config(run_dir: Path, *overrides: str, base: Sequence[str] = SMALL) -> DictConfig:
@@ -149,29 +147,15 @@ def test_abr_plus_runs_with_the_artifact_of_the_package(tmp_path: Path) -> None:
     assert last_values(tmp_path / "run", "backward_seconds")[0] > 0
 
 
-def test_a_recording_keeps_every_state_and_is_cut_back_with_the_run(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=8", "trainer.record_states=true")
+def test_pretraining_finds_every_state_of_a_run_that_was_resumed(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=8")
     train(config, create_run(config))
-    before = read_recording(tmp_path / "run/states")
-    episodes = read_episodes(tmp_path / "run/episodes.csv")
-    assert before.outcomes == [episode.outcome for episode in episodes]
-    assert len(before) == sum(episode.steps for episode in episodes)
-    recorder = StateRecorder(tmp_path / "run/states")
-    recorder.add(torch.zeros(5, 105), "arrived")  # flown after the last checkpoint, by a process that was killed
-    config = OmegaConf.merge(config, {"trainer": {"episodes": 12}})
-    train(config, tmp_path / "run", resume=True)
-    after = read_recording(tmp_path / "run/states")
-    assert len(after.outcomes) == 12
+    before = read_states(tmp_path / "run")
+    train(OmegaConf.merge(config, {"trainer": {"episodes": 12}}), tmp_path / "run", resume=True)
+    after, episodes = read_states(tmp_path / "run"), read_episodes(tmp_path / "run/episodes.csv")
+    assert after.outcomes == [episode.outcome for episode in episodes]
+    assert np.bincount(after.episode).tolist() == [episode.steps for episode in episodes]
     assert (after.states[: len(before)] == before.states).all()
-
-
-def test_a_run_can_be_asked_for_its_states_later_and_the_recording_survives_a_spell_without(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=3")
-    train(config, create_run(config))
-    for episodes, record in ((6, True), (8, False), (10, True)):
-        config = OmegaConf.merge(config, {"trainer": {"episodes": episodes, "record_states": record}})
-        train(config, tmp_path / "run", resume=True)
-        assert len(read_recording(tmp_path / "run/states").outcomes) == (5 if episodes == 10 else 3)
 
 
 @pytest.mark.parametrize("frames", [1, 4])
@@ -237,40 +221,27 @@ def test_a_resumed_run_is_bit_identical(
 
 
 class WholeStates(GatheringStorage):
-    """Where transitions lay up to version 0.1."""
+    """Keeps every state as it is sampled."""
 
     frame_bytes = 0
 
     def __init__(self, capacity: int, frames: int, device: str) -> None:
         super().__init__(capacity, device=device)
 
-    def dumps(self, path: Path) -> None:
-        tensordict.save(self.get(slice(0, len(self))), path)
 
-
-def test_states_kept_frame_by_frame_teach_the_same_and_older_checkpoints_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = ["buffer=prioritized", "buffer.capacity=70"]  # overwritten before and after the resumption
+def test_states_kept_frame_by_frame_teach_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = ["buffer=prioritized", "buffer.capacity=70"]  # overwritten meanwhile
     for name in ("frames", "whole"):
         config = small_config(tmp_path / name, "trainer.episodes=10", *small)
         with monkeypatch.context() as patch:
             if name == "whole":
                 patch.setattr("uavrl.buffers.replay.FrameStorage", WholeStates)
             train(config, create_run(config))
-    for episodes in (10, 14):
-        if episodes == 14:
-            for name in ("frames", "whole"):
-                train(small_config(tmp_path / name, "trainer.episodes=14", *small), tmp_path / name, resume=True)
-        assert (tmp_path / "frames/episodes.csv").read_bytes() == (tmp_path / "whole/episodes.csv").read_bytes()
-        frames, whole = (contents(rotation(tmp_path / name).latest()) for name in ("frames", "whole"))
-        learned = [name for name in frames if "/storage/" not in name]
-        assert len(learned) > 30
-        assert not [name for name in learned if frames[name] != whole[name]]
-    # By now both lie frame by frame; the numbers of the frames may differ.
-    same = [name for name in frames if name.endswith(".memmap") and name.rpartition("/")[2] not in POSITIONS]
-    assert len([name for name in same if "/storage/" in name]) >= 8
-    assert not [name for name in same if frames[name] != whole[name]]
+    assert (tmp_path / "frames/episodes.csv").read_bytes() == (tmp_path / "whole/episodes.csv").read_bytes()
+    frames, whole = (contents(rotation(tmp_path / name).latest()) for name in ("frames", "whole"))
+    learned = [name for name in frames if "/storage/" not in name]
+    assert len(learned) > 30
+    assert not [name for name in learned if frames[name] != whole[name]]
 
 
 def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ import pytest
 from tests.cli.test_bad_input import in_process
 from tests.training.test_resume import SMALL, assert_same_run, small_config
 from uavrl.cli import train as train_command
-from uavrl.training.checkpoint import rotation
-from uavrl.training.episodes import Episode, read_episodes
+from uavrl.runs.checkpoint import rotation
+from uavrl.runs.episodes import Episode, read_episodes
 from uavrl.training.progress import Progress
 from uavrl.training.resuming import how_to_go_on
 from uavrl.training.run import create_run, train
@@ -52,8 +52,6 @@ def killed_early(tmp_path: Path) -> Path:
     run_dir = create_run(small_config(tmp_path / "run", *EPISODES))
     (run_dir / "checkpoints/.checkpoint-000000000000.torchrl.stage-1").touch()
     (run_dir / "artifact").mkdir()
-    (run_dir / "states").mkdir()
-    (run_dir / "states/states.f32").touch()
     (run_dir / "episodes.csv").write_text(",".join(Episode.header()) + "\n")
     return run_dir
 

@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 
 from tests.training.test_resume import small_config
 from tests.training.test_walker import walker_config
-from uavrl.training.episodes import Episode, read_episodes
+from uavrl.runs.episodes import Episode, read_episodes
 from uavrl.training.run import create_run, train
 from uavrl.training.sync_collector import SyncCollector
 

@@ -15,7 +15,7 @@ from tests.training.test_resume import small_config
 from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
-from uavrl.training.episodes import Episode, EpisodeLog, read_episodes, split_episodes
+from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.run import _build, create_run, seed_everything, train
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 

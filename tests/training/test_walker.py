@@ -8,8 +8,8 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from tests.training.test_resume import assert_same_run, small_config
-from uavrl.training.checkpoint import rotation
-from uavrl.training.episodes import read_episodes
+from uavrl.runs.checkpoint import rotation
+from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, train
 
 WALKER = [

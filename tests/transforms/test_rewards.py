@@ -9,7 +9,8 @@ from torchrl.envs import TransformedEnv, check_env_specs
 from tests.contracts import TransformContract
 from tests.transforms.small_env import SmallEnv
 from uavrl.transforms import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
-from uavrl.transforms.rewards import fold_degrees
+from uavrl.transforms.rewards import SumOfTerms, fold_degrees
+from uavrl.transforms.sparse import SparseReward
 
 
 def transitions(*batch: int) -> TensorDict:
@@ -137,4 +138,25 @@ def test_time_costs_but_where_a_flight_collides() -> None:
     steps = TensorDict({"distance": torch.tensor([[5.0], [1.0], [3.5]]), "next": after}, [3])
     reward = TraditionalReward(time_cost=0.25)
     assert reward(steps)["next", "reward"].squeeze(-1).tolist() == [0.75, 49.75, -50.0]
-    assert reward.terms(steps, after)["time"].tolist() == [-0.25, -0.25, 0.0]
+    assert reward.terms(steps, after)["time"].squeeze(-1).tolist() == [-0.25, -0.25, 0.0]
+
+
+@pytest.mark.parametrize(
+    "reward",
+    [
+        NavigationReward(arrived_reward=200.0),
+        NavigationReward((3.0, 2.0, 1.0, 0.5), altitude_term="literal", collided_reward=-10.0),
+        TraditionalReward(time_cost=0.25),
+        SparseReward(),
+    ],
+    ids=["prize", "literal", "traditional", "sparse"],
+)
+def test_the_reward_is_the_sum_of_its_terms_and_a_collision_alone_counts(reward: SumOfTerms) -> None:
+    steps = transitions(200)
+    terms = reward.terms(steps, steps["next"])
+    collided = steps["next", "collided"]
+    assert collided.any() and (steps["next", "arrived"] & collided).any()
+    paid = reward(steps)["next", "reward"]
+    torch.testing.assert_close(torch.stack(list(terms.values())).sum(0), paid)
+    assert (paid[collided] == reward.collided_reward).all()
+    assert all((term[collided] == 0).all() for name, term in terms.items() if name != "collision")

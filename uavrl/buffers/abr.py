@@ -8,8 +8,9 @@ from pathlib import Path
 from uavrl.buffers.backward_reward import BackwardReward
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
-from uavrl.models.trajectory_classifier import ABOUT, WEIGHTS, TrajectoryClassifier, packaged_artifact
+from uavrl.models.trajectory_classifier import TrajectoryClassifier, packaged_artifact
 from uavrl.ranges import Count, NonNegative, Share, Whole
+from uavrl.runs.weights import ARTIFACT
 
 
 class ABR(BackwardReward):
@@ -87,7 +88,7 @@ class ABRPlus(BackwardReward):
         if kept is not None and not kept.exists():
             TrajectoryClassifier.load(source)
             kept.mkdir()
-            for name in (WEIGHTS, ABOUT):  # and nothing that lies beside them
+            for name in (ARTIFACT.safetensors, ARTIFACT.json):  # and nothing that lies beside them
                 shutil.copyfile(source / name, kept / name)
         classifier = TrajectoryClassifier.load(source if kept is None else kept)
         if classifier.inputs != observations:

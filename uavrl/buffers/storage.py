@@ -170,6 +170,14 @@ class FrameStorage(GatheringStorage):
         """Restores what :meth:`dumps` wrote."""
         self.load_state_dict(tensordict.load(path, allow_pickle=False))
 
+    @classmethod
+    def saved_at(cls, path: str | Path) -> FrameStorage:
+        """A storage just large enough for what :meth:`dumps` wrote, with as many frames to a state."""
+        saved = tensordict.load(path, allow_pickle=False)
+        storage = cls(max(len(saved.get("transitions", ())), 1), int(saved["stacked"]))
+        storage.load_state_dict(saved)
+        return storage
+
     @property
     def frame_bytes(self) -> int:
         """What the frames take that are kept."""

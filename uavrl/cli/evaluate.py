@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,20 +10,10 @@ from typing import Any
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.cli.policies import (
-    UNTOLD,
-    baseline,
-    load_policy,
-    name_of_output,
-    policy_folder,
-    told_apart,
-    with_overrides,
-    writable,
-)
+from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder
 from uavrl.cli.suite import evaluate_suite
-from uavrl.configs import EvaluateConfig, checked, to_dataclass
-from uavrl.errors import UavrlError
-from uavrl.files import replacing
+from uavrl.configs import EvaluateConfig, checked
+from uavrl.runs.files import replacing, writable
 
 
 @command("evaluate")
@@ -43,84 +32,45 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
     import torch
 
     from uavrl.envs.navigation import NavigationEnv
+    from uavrl.flying.flight import fly
+    from uavrl.flying.summary import summarize, table
+    from uavrl.flying.whereabouts import Whereabouts
     from uavrl.training.arithmetic import multiplied_by
     from uavrl.training.factory import make_device, make_env
 
     torch.set_num_threads(settings.threads)
-    device = make_device(settings.device)
-    env_config, perception, choices = settings.env, settings.perception, settings.choices
+    chosen = choose(settings, config, overrides, folder, make_device(settings.device))
     if folder is not None:
-        run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
-        source["run"] = settings.run or f"policy={settings.policy}"
-        changed = to_dataclass(with_overrides(run_config, config, overrides))
-        env_config, perception, choices = changed.env, changed.perception, changed.choices
-    else:
-        _only_in_the_valley(env_config, choices, "policy")
-        policy, source = baseline(str(settings.policy), env_config.world.flight_level), {"policy": settings.policy}
+        chosen.source["run"] = settings.run or f"policy={settings.policy}"
     output = _output(settings, overrides)
-    if settings.valleys is not None:
-        _only_in_the_valley(env_config, choices, "valleys")
-        env_config.world.seeds = list(settings.valleys)
-    told = {"seed": settings.seed, "env": choices.get("env", ""), "overrides": _telling(overrides)}
+    told = {"seed": settings.seed, "env": chosen.choices.get("env", ""), "overrides": distinguishing(overrides)}
     count = min(settings.num_uavs, settings.episodes)
-    if "world" in env_config:
-        told["valleys"] = list(env_config.world.seeds)
-        told["planes"] = env_config.world.planes
+    if "world" in chosen.env:
+        told["valleys"] = list(chosen.env.world.seeds)
+        told["planes"] = chosen.env.world.planes
         told["num_uavs"] = count  # planes move with the steps of all
+    offered: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}
     with multiplied_by(settings.products, settings.threads) as told["products"]:
-        env = make_env(
-            env_config,
-            perception,
-            packages=settings.packages,
-            seed=settings.seed,
-            num_uavs=count,
-            measure_clearance=True,
-        )
+        env = make_env(chosen.env, chosen.perception, measure_clearance=True, **offered)
         try:
-            fly = _fly if isinstance(env.base_env, NavigationEnv) else _walk
-            result, text = fly(settings, env, policy, {**told, **source})
+            places = Whereabouts(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
+            watch = None if places is None else places.add
+            flights = fly(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
         finally:
             env.close()
+    result = summarize(flights) | ({} if places is None else {"whereabouts": places.summary()})
+    known = [{key: value for key, value in asdict(flight).items() if value is not None} for flight in flights]
     with replacing(output) as partial:
-        partial.write_text(json.dumps(result, indent=1) + "\n")
-    print(text)
+        partial.write_text(json.dumps({**result, **told, **chosen.source, "flights": known}, indent=1) + "\n")
+    print(table(result))
     print(f"Written to {output}")
-
-
-def _only_in_the_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:
-    if "world" not in env:
-        raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
-
-
-def _fly(settings: EvaluateConfig, env: Any, policy: Any, told: dict[str, Any]) -> tuple[dict[str, Any], str]:
-    """What goes into the file, and onto the screen."""
-    from uavrl.training.evaluation import fly, summarize_flights, table
-    from uavrl.training.whereabouts import Whereabouts
-
-    places = Whereabouts(env.base_env.world)
-    flights = fly(env, policy, settings.episodes, watch=places.add, progress=settings.progress)
-    result = {**summarize_flights(flights), "whereabouts": places.summary()}
-    return {**result, **told, "flights": [asdict(flight) for flight in flights]}, table(result)
-
-
-def _walk(settings: EvaluateConfig, env: Any, policy: Any, told: dict[str, Any]) -> tuple[dict[str, Any], str]:
-    from uavrl.training.walks import summarize_walks, walk, walk_table
-
-    walks = walk(env, policy, settings.episodes, progress=settings.progress)
-    result = summarize_walks(walks)
-    return {**result, **told, "flights": [asdict(each) for each in walks]}, walk_table(result)
 
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
     """Where the result goes, found writable before anything is flown; what was changed stands in its name."""
     several = [] if settings.episodes == EvaluateConfig.episodes else [f"episodes={settings.episodes}"]
-    name = name_of_output("evaluation", [*_telling(overrides), *several]) + ".json"
+    name = name_of_output("evaluation", [*distinguishing(overrides), *several]) + ".json"
     return writable(Path(settings.output or (Path(settings.run or ".") / name)))
-
-
-def _telling(overrides: list[str]) -> list[str]:
-    """Those overrides that tell which tasks were flown by what, beside how many."""
-    return told_apart(overrides, UNTOLD)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
+from uavrl.runs.weights import POLICY
 
 
 def main() -> None:
@@ -28,10 +29,9 @@ def main() -> None:
 
 def _export(args: argparse.Namespace) -> None:
     # Imported here: --help answers without loading torch.
-    from uavrl.cli.policies import load_actor
-    from uavrl.training.exported import export_policy, is_exported
+    from uavrl.training.policies import export_policy, load_actor
 
-    if is_exported(args.run):
+    if POLICY.is_in(args.run):
         raise UavrlError(f"{args.run} holds a policy on its own already: copy the folder.")
     config, actor, about = load_actor(args.run, args.checkpoint, "cpu", args.packages)
     export_policy(actor, config, {**about, "run": args.run.resolve().name}, args.output)

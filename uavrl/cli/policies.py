@@ -1,26 +1,91 @@
-"""What evaluation and replay share: whose policy flies, in which environment, and where the result goes."""
+"""What evaluation and replay share: whose policy flies, in which environment, and what its results are called."""
 
 from __future__ import annotations
 
-import errno
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
 import uavrl
-from uavrl.configs import to_dataclass
+from uavrl.configs import EvaluateConfig, TrainConfig, to_dataclass
+from uavrl.configs.replay import ReplayConfig
 from uavrl.errors import UavrlError
+from uavrl.runs.weights import POLICY
 
 if TYPE_CHECKING:
-    from uavrl.configs import TrainConfig
+    import torch
+    from tensordict import TensorDictBase
 
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
 
 # Keys of an evaluation that do not tell which tasks were flown by what.
-UNTOLD = ("run", "packages", "episodes", "output", "device", "threads", "products", "progress")
+PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "products", "progress")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What flies, and where.
+
+    Attributes:
+        policy: reads an environment's output, writes ``action``.
+        env: the environment's configuration.
+        perception: what makes of its output what the policy reads.
+        reward: what pays.
+        choices: the yaml file of each part.
+        source: what a result says about the policy.
+        run: the settings of the run that it comes from, with what the command line changed; None for a baseline.
+    """
+
+    policy: Callable[[TensorDictBase], TensorDictBase]
+    env: DictConfig
+    perception: DictConfig
+    reward: DictConfig
+    choices: Mapping[str, str]
+    source: dict[str, Any]
+    run: TrainConfig | None = None
+
+
+def choose(
+    settings: EvaluateConfig | ReplayConfig,
+    config: DictConfig,
+    overrides: list[str],
+    folder: Path | None,
+    device: torch.device,
+) -> Chosen:
+    """Loads what the command line asks for.
+
+    Args:
+        settings: of the command.
+        config: the same as Hydra composed it.
+        overrides: what was given on the command line.
+        folder: where the policy lies, as :func:`policy_folder` says.
+        device: where it computes.
+    """
+    from uavrl.training.policies import load_policy
+
+    if folder is None:
+        require_valley(settings.env, settings.choices, "policy")
+        policy = baseline(str(settings.policy), settings.env.world.flight_level)
+        parts = (settings.env, settings.perception, settings.reward, settings.choices)
+        chosen = Chosen(policy, *parts, {"policy": settings.policy})
+    else:
+        run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
+        run = to_dataclass(with_overrides(run_config, config, overrides))
+        chosen = Chosen(policy, run.env, run.perception, run.reward, run.choices, source, run)
+    if settings.valleys is not None:
+        require_valley(chosen.env, chosen.choices, "valleys")
+        chosen.env.world.seeds = list(settings.valleys)
+    return chosen
+
+
+def require_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:
+    """Refuses a key that another environment has no use for."""
+    if "world" not in env:
+        raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
 
 
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
@@ -43,8 +108,8 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     return result
 
 
-def told_apart(overrides: Sequence[str], plain: Collection[str]) -> list[str]:
-    """The overrides of a command line whose keys are not plain: those that tell its result from another one."""
+def distinguishing(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
+    """The overrides of a command line whose keys are not plain: those by which its result differs from another one."""
     return [override for override in overrides if override.split("=")[0] not in plain]
 
 
@@ -59,25 +124,6 @@ def name_of_output(stem: str, overrides: Sequence[str]) -> str:
     return "_".join([stem, *told])
 
 
-def writable(output: Path, key: str = "output") -> Path:
-    """The path itself, found writable before anything is flown; its folder is made.
-
-    Raises:
-        UavrlError: when it cannot be written; ``key`` names the setting that chooses another.
-    """
-    try:
-        output.parent.mkdir(parents=True, exist_ok=True)
-        if output.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "it is a folder")
-        partial = output.with_name(output.name + ".partial")
-        partial.unlink(missing_ok=True)  # it may be a link to somewhere else
-        partial.touch()
-        partial.unlink()
-    except OSError as error:
-        raise UavrlError(f"{output} cannot be written ({error.strerror}): choose another with {key}=FILE.") from error
-    return output
-
-
 def packaged_policies() -> list[str]:
     """The names of the policies that come with the package.
 
@@ -85,15 +131,11 @@ def packaged_policies() -> list[str]:
         >>> "static" in packaged_policies()
         True
     """
-    return sorted(path.parent.name for path in PACKAGED.glob("*/policy.json"))
+    return sorted(path.parent.name for path in PACKAGED.glob(f"*/{POLICY.json}"))
 
 
 def policy_folder(run: str | None, policy: str | None) -> Path | None:
-    """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline.
-
-    Raises:
-        UavrlError: unless exactly one of the two is given.
-    """
+    """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline."""
     if (run is None) == (policy is None):
         raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
     if run is not None:
@@ -101,93 +143,9 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
     return PACKAGED / str(policy) if policy in packaged_policies() else None
 
 
-def load_policy(
-    run_dir: Path, checkpoint: str | None, device: Any, packages: Sequence[str] = ()
-) -> tuple[DictConfig, Any, dict[str, Any]]:
-    """The policy of a run or of a folder that ``uavrl-export`` wrote, ready to fly.
-
-    Args:
-        run_dir: the folder.
-        checkpoint: a checkpoint's file, or None.
-        device: where it computes.
-        packages: packages whose classes the run may name, as the one says who runs this.
-
-    Returns:
-        The run's configuration, the policy, and what a result says about them.
-
-    Raises:
-        UavrlError: when the run or the checkpoint is missing or damaged.
-    """
-    config, actor, about = load_actor(run_dir, checkpoint, device, packages)
-
-    def policy(tensordict: Any) -> Any:
-        acted = actor(tensordict.select("observation").to(device))
-        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
-
-    told = ("checkpoint", "training_steps", "training_episodes", "commit")
-    return config, policy, {"run": str(run_dir), **{key: about[key] for key in told if key in about}}
-
-
-def load_actor(
-    run_dir: Path, checkpoint: str | None, device: Any, packages: Sequence[str] = ()
-) -> tuple[DictConfig, Any, dict[str, Any]]:
-    """The policy's module, from the checkpoint named, else from a policy on its own, else from the newest checkpoint.
-
-    Returns:
-        The run's configuration, the module, and where it comes from.
-
-    Raises:
-        UavrlError: when the run or the checkpoint is missing or damaged.
-    """
-    from torchrl.checkpoint import Checkpoint
-
-    from uavrl.training.checkpoint import check_checkpoint, read_config, restore
-    from uavrl.training.exported import is_exported, load_exported
-    from uavrl.training.factory import make_env
-    from uavrl.training.learner import make_actor
-    from uavrl.training.spaces import spaces_of
-
-    config = read_config(run_dir)
-    config.packages = list(packages)
-    settings: TrainConfig = to_dataclass(config)
-    env = make_env(settings.env, settings.perception, packages=settings.packages, num_uavs=1)
-    actor = make_actor(settings, spaces_of(env), device)
-    env.close()
-    if checkpoint is None and is_exported(run_dir):
-        return config, actor, load_exported(run_dir, actor)
-    path = checkpoint_path(run_dir, checkpoint)
-    metadata = check_checkpoint(path, config)
-    restore(Checkpoint(policy=actor), path, ["policy"])
-    about = {
-        "checkpoint": path.name,
-        "training_steps": metadata["collected_frames"],
-        "training_episodes": metadata["episodes"],
-        "commit": metadata.get("commit"),
-    }
-    return config, actor, about
-
-
-def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
-    """The file of the checkpoint named, or of the run's newest.
-
-    Raises:
-        UavrlError: when there is none.
-    """
-    from uavrl.training.checkpoint import latest_checkpoint
-
-    path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
-    if not path.is_file():
-        raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
-    return path
-
-
-def baseline(name: str, flight_level: float) -> Any:
-    """A policy that learns nothing, by its name.
-
-    Raises:
-        UavrlError: for an unknown name.
-    """
-    from uavrl.training.baselines import BASELINES
+def baseline(name: str, flight_level: float) -> Callable[[TensorDictBase], TensorDictBase]:
+    """A policy that learns nothing, by its name."""
+    from uavrl.flying.baselines import BASELINES
 
     if name not in BASELINES:
         names = ", ".join([*BASELINES, *packaged_policies()])

@@ -1,4 +1,4 @@
-"""``uavrl-pretrain``: from recorded states to the trajectory classifier that ABR⁺ loads."""
+"""``uavrl-pretrain``: from the states of a run to the trajectory classifier that ABR⁺ loads."""
 
 from __future__ import annotations
 

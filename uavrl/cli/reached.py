@@ -9,6 +9,7 @@ from typing import Any
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.errors import UavrlError
+from uavrl.runs.names import SUMMARY
 
 
 def reached(summary: dict[str, Any], evaluation: dict[str, Any], folder: str, page: str) -> str:
@@ -52,7 +53,7 @@ def read(folder: Path) -> str:
     if not evaluations:
         raise UavrlError(f"{folder} holds no evaluation: run uavrl-evaluate run={folder} first.")
     try:
-        summary, evaluation = (json.loads(path.read_text()) for path in (folder / "summary.json", evaluations[-1]))
+        summary, evaluation = (json.loads(path.read_text()) for path in (folder / SUMMARY, evaluations[-1]))
         return reached(summary, evaluation, str(folder), str(folder / "replay.html"))
     except (OSError, ValueError, KeyError) as error:
         raise UavrlError(f"Expected a run that has ended and was evaluated in {folder}: {error}.") from error

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.cli.policies import (
-    baseline,
-    checkpoint_path,
-    load_policy,
-    name_of_output,
-    policy_folder,
-    told_apart,
-    with_overrides,
-    writable,
-)
-from uavrl.configs import checked, to_dataclass
+from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder
+from uavrl.configs import checked
 from uavrl.configs.replay import ReplayConfig
 from uavrl.errors import UavrlError
+from uavrl.runs.files import writable
+from uavrl.runs.weights import POLICY
 
 if TYPE_CHECKING:
-    from uavrl.training.flight import Replay
+    from uavrl.flying.recording import Recording
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".webm", ".avi", ".mov")
 
@@ -41,17 +33,17 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
         raise UavrlError("Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz, and no two of them.")
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
+    from uavrl.flying.recording import load_recording, save_recording
+    from uavrl.flying.whereabouts import whereabouts_lines
     from uavrl.reporting.flight_page import needs_plotly, write_page
     from uavrl.reporting.flight_video import needs_imageio, write_video
     from uavrl.training.arithmetic import multiplied_by
-    from uavrl.training.flight import load_replay, save_replay
-    from uavrl.training.whereabouts import whereabouts_lines
 
     needs_plotly()
     if settings.video:
         needs_imageio()
     # All that can be wrong with the input is found before a folder is made or anything is flown.
-    loaded = load_replay(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
+    loaded = load_recording(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
     outputs = _outputs(settings, overrides)
     with multiplied_by(settings.products, settings.threads):
         shown = loaded() if callable(loaded) else loaded
@@ -64,7 +56,7 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
         print("\n".join(f"  {line}" for line in whereabouts_lines(flight.whereabouts)))
     write_page(shown, outputs["output"])
     if settings.data:
-        save_replay(shown, outputs["data"])
+        save_recording(shown, outputs["data"])
     if settings.video:
         write_video(shown.flights[0], shown.scenery(shown.flights[0]), outputs["video"], progress=settings.progress)
     for path in outputs.values():
@@ -75,59 +67,48 @@ def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
     """Where page, data and film go, found writable before anything is flown."""
     plain = ("run", "flight", "output", "video", "data", "points", "device", "threads", "products", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
-    paths = {
-        "output": Path(settings.output or folder / (name_of_output("replay", told_apart(overrides, plain)) + ".html"))
-    }
+    name = name_of_output("replay", distinguishing(overrides, plain)) + ".html"
+    paths = {"output": Path(settings.output or folder / name)}
     if settings.video and Path(settings.video).suffix.lower() not in VIDEO_SUFFIXES:
         raise UavrlError(f"video must end in {', '.join(VIDEO_SUFFIXES)}, got {settings.video}.")
     paths |= {key: Path(path) for key in ("data", "video") if (path := getattr(settings, key))}
-    return {key: writable(path, key) for key, path in paths.items()}
+    return {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
 
 
-def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) -> Callable[[], Replay]:
+def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) -> Callable[[], Recording]:
     """Loads what flies; the call that it returns flies it."""
     import torch
 
-    from uavrl.training.exported import is_exported
-    from uavrl.training.factory import make_device
-    from uavrl.training.replay import load_risk, record_flights
+    from uavrl.flying.record import record_flights
+    from uavrl.training.factory import make_device, make_env
+    from uavrl.training.policies import checkpoint_path, load_risk
 
     torch.set_num_threads(settings.threads)
     device = make_device(settings.device)
-    env, perception, reward, risk = settings.env, settings.perception, settings.reward, None
-    source: dict[str, Any]
-    choices, packages = settings.choices, settings.packages
     folder = policy_folder(settings.run, settings.policy)
-    if folder is not None:
-        run_config, policy, source = load_policy(folder, settings.checkpoint, device, packages)
-        changed = to_dataclass(with_overrides(run_config, config, overrides))
-        env, perception, reward, choices = changed.env, changed.perception, changed.reward, changed.choices
-        if "world" not in env:
+    chosen, risk = choose(settings, config, overrides, folder, device), None
+    if folder is not None and chosen.run is not None:
+        if "world" not in chosen.env:
             raise UavrlError(
-                f"uavrl-replay shows flights in the valley, and {folder} is a run of {choices.get('env')}: see how it "
-                f"does with uavrl-evaluate run={folder}."
+                f"uavrl-replay shows flights in the valley, and {folder} is a run of {chosen.choices.get('env')}: see "
+                f"how it does with uavrl-evaluate run={folder}."
             )
-        if settings.checkpoint is not None or not is_exported(folder):  # LifeGuard is not exported
-            risk = load_risk(changed, checkpoint_path(folder, settings.checkpoint), device)
-        source["run"] = folder.resolve().name
-    else:
-        policy, source = baseline(str(settings.policy), env.world.flight_level), {"policy": settings.policy}
-    if settings.valleys is not None:
-        env.world.seeds = list(settings.valleys)
-    return partial(
-        record_flights,
-        env,
-        perception,
-        policy,
-        settings.task_numbers,
-        seed=settings.seed,
-        source={**source, "env": choices.get("env", ""), "seed": settings.seed},
-        reward=reward,
-        packages=packages,
-        risk=risk,
-        max_points=settings.points,
-        progress=settings.progress,
-    )
+        if settings.checkpoint is not None or not POLICY.is_in(folder):  # LifeGuard is not exported
+            risk = load_risk(chosen.run, checkpoint_path(folder, settings.checkpoint), device)
+        chosen.source["run"] = folder.resolve().name
+    source = {**chosen.source, "env": chosen.choices.get("env", ""), "seed": settings.seed}
+
+    def flown() -> Recording:
+        parts = (chosen.env, chosen.perception, chosen.reward)
+        offered: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": 1}
+        env = make_env(*parts, keep_cloud=True, measure_clearance=True, **offered)
+        told: dict[str, Any] = {"seed": settings.seed, "source": source, "risk": risk, "max_points": settings.points}
+        try:
+            return record_flights(env, chosen.policy, settings.task_numbers, progress=settings.progress, **told)
+        finally:
+            env.close()
+
+    return flown
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""``uavrl-evaluate suite=…``: one policy in every scenario of ``conf/suite.yaml``, and one table."""
+"""``uavrl-evaluate suite=…``: one policy in every scenario of the suite, and one table."""
 
 from __future__ import annotations
 
@@ -7,45 +7,19 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from uavrl.cli.command import FULL_ERROR
-from uavrl.cli.policies import UNTOLD, checkpoint_path, name_of_output, policy_folder, told_apart, writable
-from uavrl.configs import EvaluateConfig, conf_dir
-from uavrl.configs.checks import did_you_mean
+from uavrl.cli.policies import distinguishing, name_of_output, policy_folder
+from uavrl.configs import EvaluateConfig
 from uavrl.errors import UavrlError
-from uavrl.files import replacing
+from uavrl.runs.files import replacing, writable
+from uavrl.runs.weights import POLICY
 
 log = logging.getLogger(__name__)
-RATES = ("success", "collision", "time_out")
-HOW = {"steps_per_arrival": ".0f", "median_clearance": ".2f"}  # arrivals flew, and how it is written
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
-
-
-def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
-    """What each scenario asked for changes; ``"all"`` asks for every one.
-
-    Raises:
-        UavrlError: for a name that the suite does not have.
-
-    Examples:
-        >>> scenarios(["dense"])
-        {'dense': ['env=static', 'env.world.obstacles=90']}
-    """
-    suite: Any = OmegaConf.to_container(OmegaConf.load(conf_dir() / "suite.yaml"))
-    if asked == "all":
-        return suite
-    names = [asked] if isinstance(asked, str) else list(asked)
-    for name in names:
-        if name not in suite:
-            known = f"suite must be all or some of {', '.join(suite)}, got {name!r}"
-            raise UavrlError(known + did_you_mean(str(name), suite, ": "))
-    return {name: suite[name] for name in names}
 
 
 def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
@@ -54,7 +28,9 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
     Each is an evaluation of its own in a file of its own; one that is there already, of the same policy and tasks, is
     not flown again.
     """
-    kept = told_apart(overrides, OWN)
+    from uavrl.flying.suite import scenarios, suite_table
+
+    kept = distinguishing(overrides, OWN)
     for override in kept:
         if override.split("=")[0] in ("valleys", "env") or override.startswith("env."):
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
@@ -75,7 +51,7 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
 
 
 def _folder(settings: EvaluateConfig, kept: list[str]) -> Path:
-    name = name_of_output("suite", told_apart(kept, UNTOLD))
+    name = name_of_output("suite", distinguishing(kept))
     folder = Path(settings.output or (Path(settings.run or ".") / name))
     writable(folder / "suite.json")
     return folder
@@ -102,7 +78,7 @@ def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, 
     try:
         result = json.loads(output.read_text())
         same = (result["overrides"], result["episodes"], result["seed"]) == (
-            told_apart(told, UNTOLD),
+            distinguishing(told),
             settings.episodes,
             settings.seed,
         )
@@ -116,32 +92,8 @@ def _changed(settings: EvaluateConfig) -> float:
     folder = policy_folder(settings.run, settings.policy)
     if folder is None:
         return 0.0
-    from uavrl.training.exported import ABOUT, is_exported
+    if settings.checkpoint is None and POLICY.is_in(folder):
+        return (folder / POLICY.json).stat().st_mtime
+    from uavrl.training.policies import checkpoint_path
 
-    alone = settings.checkpoint is None and is_exported(folder)
-    return (folder / ABOUT if alone else checkpoint_path(folder, settings.checkpoint)).stat().st_mtime
-
-
-def suite_table(results: dict[str, dict[str, Any]]) -> str:
-    """The rates of each scenario with their Wilson 95 % intervals, and how arrivals flew.
-
-    Examples:
-        >>> rate = {"rate": 0.5, "low": 0.4, "high": 0.6}
-        >>> result = dict(success=rate, collision=rate, time_out=rate, steps_per_arrival=100.0, median_clearance=None)
-        >>> print(suite_table({"dense": result}))
-        scenario         success  (95 %)        collision  time-out  steps per arrival  clearance
-        dense              50.0%  40.0–60.0         50.0%     50.0%                100          –
-    """
-    heads = f"{'collision':>12}{'time-out':>10}{'steps per arrival':>19}{'clearance':>11}"
-    lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
-    for name, result in results.items():
-        success, collision, time_out = (result[key] for key in RATES)
-        interval = f"{100 * success['low']:.1f}–{100 * success['high']:.1f}"
-        steps, clearance = (_number(result[key], form) for key, form in HOW.items())
-        rates = f"{success['rate']:>11.1%}  {interval:<11}{collision['rate']:>12.1%}{time_out['rate']:>10.1%}"
-        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}")
-    return "\n".join(lines)
-
-
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None else format(value, form)
+    return checkpoint_path(folder, settings.checkpoint).stat().st_mtime

@@ -20,10 +20,10 @@ from uavrl.cli.errors import one_sentence, sentence
 from uavrl.configs import complete, to_dataclass
 from uavrl.configs.memory import require_memory
 from uavrl.errors import FolderTaken, Stopped, UavrlError
-from uavrl.files import removed_on_failure
+from uavrl.runs.files import removed_on_failure
+from uavrl.runs.names import ANY_CHECKPOINT
 
 log = logging.getLogger(__name__)
-FIRST_CHECKPOINT = "checkpoints/checkpoint*"  # from here on a run folder holds something
 LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
 
 
@@ -84,7 +84,7 @@ def _train(config: DictConfig) -> None:
 
     if config.resume is None:
         run_dir = Path(config.run_dir)
-        with full_disk_told(run_dir), removed_on_failure(run_dir, FIRST_CHECKPOINT):
+        with full_disk_told(run_dir), removed_on_failure(run_dir, ANY_CHECKPOINT):
             _fly(config, create_run(config), resume=False)
         return
     run_dir = Path(str(config.resume))
@@ -103,7 +103,7 @@ def full_disk_told(run_dir: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
-        begun = any(run_dir.glob(FIRST_CHECKPOINT))
+        begun = any(run_dir.glob(ANY_CHECKPOINT))
         again = f"go on with uavrl-train resume={run_dir}" if begun else "start it again"
         raise UavrlError(
             f"{error.filename or run_dir} cannot be written ({error.strerror}): make room on its disk, and {again}."
@@ -128,7 +128,7 @@ def _train_in_sweep(config: DictConfig) -> None:
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
             "command is started again."
         )
-    from uavrl.training.checkpoint import FREE_KEYS
+    from uavrl.runs.config import FREE_KEYS
     from uavrl.training.claim import locked
     from uavrl.training.run import create_run, resume_config
     from uavrl.training.sweep import is_begun, is_finished, place_of
@@ -140,7 +140,7 @@ def _train_in_sweep(config: DictConfig) -> None:
         _swept.ended.append(run_dir)
         return
     try:
-        with full_disk_told(run_dir), removed_on_failure(run_dir, FIRST_CHECKPOINT):
+        with full_disk_told(run_dir), removed_on_failure(run_dir, ANY_CHECKPOINT):
             run_dir.mkdir(parents=True, exist_ok=True)
             with locked(run_dir):
                 if is_finished(run_dir, config.trainer.episodes):  # meanwhile, by another process

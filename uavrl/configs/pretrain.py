@@ -58,7 +58,6 @@ class PretrainConfig:
     """conf/pretrain.yaml: one pre-training."""
 
     run: str | None = None
-    recording: str | None = None
     output: str | None = None
     pretrain: PretrainRecipe = field(default_factory=PretrainRecipe)
     seed: Seed = 0

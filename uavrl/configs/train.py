@@ -27,7 +27,6 @@ class TrainerConfig:
     threads: Count = 1
     execution: Execution = "auto"
     products: Products = "auto"
-    record_states: bool = False
     progress: bool = True
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +11,7 @@ from torch import Tensor, nn
 
 from uavrl.errors import UavrlError
 from uavrl.models.actor_critic import mlp
-
-FORMAT = "uavrl.trajectory_classifier"
-VERSION = 1
-ABOUT, WEIGHTS = "artifact.json", "artifact.safetensors"
+from uavrl.runs.weights import ARTIFACT
 
 
 class TrajectoryClassifier(nn.Module):
@@ -83,6 +78,18 @@ class TrajectoryClassifier(nn.Module):
         """
         return self.classifier(self.encode(states)).argmax(-1)
 
+    def save(self, path: Path, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Writes an artifact into a folder.
+
+        Args:
+            path: the folder, which exists.
+            report: what else ``artifact.json`` tells.
+
+        Returns:
+            What ``artifact.json`` holds.
+        """
+        return ARTIFACT.save(path, self.state_dict(), {"sizes": self.sizes, **report})
+
     @classmethod
     def load(cls, path: str | Path) -> TrajectoryClassifier:
         """Loads the artifact that ``uavrl-pretrain`` wrote; nothing in it is unpickled.
@@ -93,56 +100,18 @@ class TrajectoryClassifier(nn.Module):
         Raises:
             UavrlError: when it is missing, of another format or version, or damaged.
         """
-        from safetensors.torch import load
-
-        path = Path(path)
-        about = read_about(path)
-        if not (path / WEIGHTS).is_file():
-            raise UavrlError(f"Expected {path / WEIGHTS} and found no such file: copy the whole folder.")
-        content = (path / WEIGHTS).read_bytes()
-        if hashlib.sha256(content).hexdigest() != about["weights_sha256"]:
-            raise _damaged(path, f"{WEIGHTS} has another checksum than {ABOUT} says")
+        about, weights = ARTIFACT.load(Path(path))
         try:
-            weights = load(content)
             with torch.device("meta"):  # takes no memory, whatever sizes are named
-                expected = {name: list(tensor.shape) for name, tensor in cls(**about["sizes"]).state_dict().items()}
-            found = {name: list(tensor.shape) for name, tensor in weights.items()}
-            if expected != found:
-                differing = sorted(name for name in expected | found if expected.get(name) != found.get(name))
-                raise _damaged(path, f"the shapes of {', '.join(differing)} are not those that {ABOUT} says")
+                expected = {name: tensor.shape for name, tensor in cls(**about["sizes"]).state_dict().items()}
+            if expected != {name: tensor.shape for name, tensor in weights.items()}:
+                raise ValueError("the sizes that it tells are not those of its weights")
             classifier = cls(**about["sizes"])
             classifier.load_state_dict(weights)
-        except UavrlError:
-            raise
         except Exception as error:
-            raise _damaged(path, str(error).splitlines()[0]) from error
+            reason = str(error).splitlines()[0]
+            raise UavrlError(f"The artifact {path} is damaged ({reason}): {ARTIFACT.remedy}.") from error
         return classifier.requires_grad_(False).eval()
-
-
-def read_about(path: str | Path) -> dict[str, Any]:
-    """What ``artifact.json`` tells of an artifact: sizes, where its data came from, and how good it is.
-
-    Raises:
-        UavrlError: when it is missing, or of another format or version.
-    """
-    file = Path(path) / ABOUT
-    if not file.is_file():
-        raise UavrlError(f"Expected an artifact with {file} and found no such file: make one with uavrl-pretrain.")
-    try:
-        about = json.loads(file.read_text())
-        known = about["format"] == FORMAT
-    except (ValueError, KeyError, TypeError):
-        known = False
-    if not known:
-        raise UavrlError(f"Expected {file} to be of the format {FORMAT}, it holds something else.")
-    if about.get("version") != VERSION:
-        raise UavrlError(
-            f"Expected an artifact of version {VERSION} in {path}, got version {about.get('version')}: "
-            f"make it anew with uavrl-pretrain."
-        )
-    if not {"sizes", "weights_sha256"} <= set(about):
-        raise _damaged(Path(path), f"{ABOUT} does not tell sizes and checksum")
-    return about
 
 
 def packaged_artifact(name: str = "abr_plus_static") -> Path:
@@ -152,10 +121,6 @@ def packaged_artifact(name: str = "abr_plus_static") -> Path:
         UavrlError: when there is none of that name.
     """
     path = Path(__file__).resolve().parent.parent / "artifacts" / name
-    if not (path / ABOUT).is_file():
-        raise UavrlError(f"Expected the artifact {name} in {path} and found none: make one with uavrl-pretrain.")
+    if not ARTIFACT.is_in(path):
+        raise UavrlError(f"Expected the artifact {name} in {path} and found none: {ARTIFACT.remedy}.")
     return path
-
-
-def _damaged(path: Path, reason: str) -> UavrlError:
-    return UavrlError(f"The artifact {path} is damaged ({reason}): copy it again, or make it anew with uavrl-pretrain.")

@@ -1,6 +1,6 @@
-"""From recorded states to the artifact that ABR⁺ loads."""
+"""From the states of a run to the artifact that ABR⁺ loads."""
 
-from uavrl.pretraining.recording import Recording, StateRecorder, read_recording
+from uavrl.pretraining.states import States, read_states
 from uavrl.pretraining.triples import triple_centres
 
-__all__ = ["Recording", "StateRecorder", "read_recording", "triple_centres"]
+__all__ = ["States", "read_states", "triple_centres"]

@@ -1,7 +1,9 @@
-"""From a recording to one artifact: autoencoder, clusters, classifier, statistics and pictures."""
+"""From the states of a run to one artifact: autoencoder, clusters, classifier, statistics and pictures."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
 import platform
 from dataclasses import asdict, dataclass
@@ -20,7 +22,6 @@ from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import PSAE
 from uavrl.models.trajectory_classifier import TrajectoryClassifier
-from uavrl.pretraining.artifact import make_output, save_artifact, sha256_of_config, sha256_of_states
 from uavrl.pretraining.clustering import (
     Clusters,
     class_sizes,
@@ -30,11 +31,14 @@ from uavrl.pretraining.clustering import (
     size_deviation,
     standardization,
 )
-from uavrl.pretraining.from_run import open_source
 from uavrl.pretraining.networks import accuracy, predict, train_classifier, train_psae
 from uavrl.pretraining.pictures import draw
-from uavrl.pretraining.recording import OUTCOMES, Recording
+from uavrl.pretraining.states import States, read_states
 from uavrl.pretraining.triples import triple_centres
+from uavrl.runs.episodes import OUTCOMES
+from uavrl.runs.files import writable
+from uavrl.runs.names import PRETRAINED
+from uavrl.runs.weights import ARTIFACT
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +48,7 @@ class Sample:
     """The states that are learned from.
 
     Attributes:
-        index: ``[n]``, ascending, which states of the recording.
+        index: ``[n]``, ascending, which of the run's states.
         centres: ``[m]``, those of them that have a neighbour on both sides.
         held_out: ``[n]`` boolean, those of the episodes that the classifier does not learn from.
     """
@@ -62,46 +66,41 @@ def pretrain(config: PretrainConfig) -> dict[str, Any]:
 
     Returns:
         What ``artifact.json`` holds, and under ``"output"`` the folder.
-
-    Raises:
-        UavrlError: when the source does not do, or the output cannot be written.
     """
+    if config.run is None:
+        raise UavrlError("Give run=RUN_FOLDER, of a training whose states are learned from: uavrl-train makes one.")
     torch.set_num_threads(config.threads)
-    recording = open_source(config.recording, config.run)
-    sample = draw_sample(recording, config.pretrain, config.seed)
-    output = Path(config.output or Path(str(config.recording or config.run)) / "pretrained")
-    make_output(output)
+    flown = read_states(Path(config.run))
+    sample = draw_sample(flown, config.pretrain, config.seed)
+    output = Path(config.output or Path(config.run) / PRETRAINED)
+    if any((output / name).exists() for name in (ARTIFACT.json, ARTIFACT.safetensors)):
+        raise UavrlError(f"The folder {output} holds an artifact already: choose another with output=FOLDER.")
+    writable(output / ARTIFACT.json, "output=FOLDER")
     with threadpool_limits(config.threads):
-        about = _pretrain(recording, sample, config, output)
+        about = _pretrain(flown, sample, config, output)
     return {**about, "output": str(output)}
 
 
-def draw_sample(recording: Recording, recipe: PretrainRecipe, seed: int) -> Sample:
-    """Draws states at random, each as likely as the next, and the episodes that are held out.
-
-    Raises:
-        UavrlError: when there are too few of them.
-    """
-    total, episodes = len(recording), len(recording.outcomes)
+def draw_sample(flown: States, recipe: PretrainRecipe, seed: int) -> Sample:
+    """Draws states at random, each as likely as the next, and the episodes that are held out."""
+    total, episodes = len(flown), len(flown.outcomes)
     count = min(recipe.states, total)
     if count < recipe.largest_k:
         raise UavrlError(
             f"Expected at least as many states as clusters ({recipe.largest_k}), got {count} of the {total} in "
-            f"{recording.name}: record more, or lower pretrain.clusters, k and compare_k."
+            f"{flown.name}: fly more, or lower pretrain.clusters, k and compare_k."
         )
     if episodes < 2:
-        raise UavrlError(f"Expected 2 or more episodes in {recording.name}, found {episodes}: record more.")
+        raise UavrlError(f"Expected 2 or more episodes in {flown.name}, found {episodes}: fly more.")
     if count < recipe.states:
-        log.info(
-            "%s holds %d states, fewer than pretrain.states=%d: all are used.", recording.name, total, recipe.states
-        )
+        log.info("%s holds %d states, fewer than pretrain.states=%d: all are used.", flown.name, total, recipe.states)
     rng = np.random.default_rng(seed)
     index = np.sort(rng.choice(total, count, replace=False))
-    centres = np.intersect1d(index, triple_centres(recording.episode), assume_unique=True)
+    centres = np.intersect1d(index, triple_centres(flown.episode), assume_unique=True)
     if len(centres) == 0:
-        raise UavrlError(f"Expected three states in a row in {recording.name}, no episode is as long: record more.")
+        raise UavrlError(f"Expected three states in a row in {flown.name}, no episode is as long: fly more.")
     apart = rng.choice(episodes, min(max(round(recipe.held_out * episodes), 1), episodes - 1), replace=False)
-    held_out = np.isin(recording.episode[index], apart)
+    held_out = np.isin(flown.episode[index], apart)
     if held_out.all() or not held_out.any():
         raise UavrlError(f"Expected states in and out of {len(apart)} held-out episodes: raise pretrain.states.")
     return Sample(index, centres, torch.from_numpy(held_out))
@@ -120,10 +119,10 @@ def one_shot_sizes(states: Tensor, frames: int = 3) -> Tensor | None:
     return class_sizes(OneShotClassifier(states.shape[1] // frames, frames, max_classes=len(states))(states))
 
 
-def _pretrain(recording: Recording, sample: Sample, config: PretrainConfig, output: Path) -> dict[str, Any]:
+def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Path) -> dict[str, Any]:
     recipe, show = config.pretrain, config.progress
-    psae, psae_report = _train_psae(recording.states, sample.centres, recipe, config.seed, show)
-    states = torch.as_tensor(recording.states[sample.index], dtype=torch.float32)
+    psae, psae_report = _train_psae(flown.states, sample.centres, recipe, config.seed, show)
+    states = torch.as_tensor(flown.states[sample.index], dtype=torch.float32)
     features = psae.encode(states)
     mean, scale = standardization(features)
     scaled = (features - mean) / scale
@@ -151,9 +150,9 @@ def _pretrain(recording: Recording, sample: Sample, config: PretrainConfig, outp
     report = {
         "k": k,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "source": _source(recording, sample),
+        "source": _source(flown, sample),
         "config": _settings(config),
-        "config_sha256": sha256_of_config(_settings(config)),
+        "config_sha256": hashlib.sha256(json.dumps(_settings(config), sort_keys=True).encode()).hexdigest(),
         "psae": psae_report,
         "sse": {"k": list(recipe.clusters), "sse": curve, "elbow": at_elbow},
         "classifier": learned,
@@ -164,7 +163,7 @@ def _pretrain(recording: Recording, sample: Sample, config: PretrainConfig, outp
         },
     }
     draw(output, recipe.clusters, curve, at_elbow, sizes)
-    return save_artifact(output, classifier, report)
+    return classifier.save(output, report)
 
 
 def _train_psae(
@@ -226,13 +225,13 @@ def _train_classifier(
     }
 
 
-def _source(recording: Recording, sample: Sample) -> dict[str, Any]:
+def _source(flown: States, sample: Sample) -> dict[str, Any]:
     return {
-        "name": recording.name,
-        "states": len(recording),
-        "episodes": len(recording.outcomes),
-        "outcomes": {outcome: recording.outcomes.count(outcome) for outcome in OUTCOMES},
-        "sha256": sha256_of_states(recording.states),
+        "name": flown.name,
+        "states": len(flown),
+        "episodes": len(flown.outcomes),
+        "outcomes": {outcome: flown.outcomes.count(outcome) for outcome in OUTCOMES},
+        "sha256": flown.sha256(),
         "states_drawn": len(sample.index),
     }
 

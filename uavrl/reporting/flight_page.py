@@ -13,9 +13,9 @@ import numpy as np
 
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
-from uavrl.files import replacing
+from uavrl.flying.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.reporting.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, vehicle
-from uavrl.training.flight import RecordedFlight, Replay, Scenery, thinned
+from uavrl.runs.files import replacing
 
 POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four characters of three bytes
 
@@ -64,11 +64,11 @@ def unpack(packed: dict[str, Any]) -> np.ndarray:
     return raw * packed["scale"] if "scale" in packed else raw
 
 
-def page_data(replay: Replay) -> dict[str, Any]:
+def page_data(replay: Recording) -> dict[str, Any]:
     """All that the page shows, as JSON.
 
     Examples:
-        >>> page_data(Replay({"policy": "straight"}, (), {}))["flights"]
+        >>> page_data(Recording({"policy": "straight"}, (), {}))["flights"]
         []
     """
     scans = sum(len(flight.times) for flight in replay.flights)
@@ -132,7 +132,7 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
     }
 
 
-def make_page(replay: Replay) -> str:
+def make_page(replay: Recording) -> str:
     """The page, with its data, its programs and plotly's inside.
 
     Raises:
@@ -150,7 +150,7 @@ def make_page(replay: Replay) -> str:
     return page
 
 
-def write_page(replay: Replay, output: Path) -> None:
+def write_page(replay: Recording, output: Path) -> None:
     """Writes the page of some flights.
 
     Args:

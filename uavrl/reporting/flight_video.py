@@ -15,8 +15,8 @@ from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
+from uavrl.flying.recording import RecordedFlight, Scenery
 from uavrl.reporting.flight_shapes import GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, cage, vehicle
-from uavrl.training.flight import RecordedFlight, Scenery
 
 FRAME_RATE = 20  # per second; the flight is kept at 10
 GROUND = {-10.0: "#bfb591", -0.15: "#c6bc9a", 0.15: "#cdc4a5", 0.6: "#d0c7ab", 2.0: "#d2cab0", 4.0: "#d6d0bc"}  # from m

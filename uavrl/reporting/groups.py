@@ -9,24 +9,8 @@ from typing import Any
 
 from uavrl.configs.registry import NONE
 from uavrl.reporting.runs import LeftOut, Run
+from uavrl.runs.config import HOW_IT_RUNS
 
-# Where a run's files go and how fast it computes, not what it learns: two seeds of a group may differ here.
-HOW_IT_RUNS = (
-    "run_dir",
-    "resume",
-    "choices",
-    "packages",
-    "logger",
-    "device",
-    "trainer.episodes",
-    "trainer.until_success",
-    "trainer.progress",
-    "trainer.record_states",
-    "trainer.keep_checkpoints",
-    "trainer.execution",
-    "trainer.threads",
-    "trainer.window",
-)
 # What makes two success rates comparable at all; how many vehicles fly at a time does not.
 TASK, NOT_TASK = ("env", "perception"), ("env.num_uavs",)
 _SHOWN = 3  # differences that a sentence or a label names

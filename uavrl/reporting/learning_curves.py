@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from uavrl.training.episodes import OUTCOMES, RATES, Episode
+from uavrl.runs.episodes import OUTCOMES, RATES, Episode
 
 POINTS = 240  # of a curve: enough for a screen
 

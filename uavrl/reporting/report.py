@@ -18,7 +18,7 @@ from uavrl.reporting.groups import HOW_IT_RUNS, Group, below, differences, group
 from uavrl.reporting.learning_curves import curves, steps_to
 from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
 from uavrl.reporting.thesis import beside_the_thesis
-from uavrl.training.episodes import RATES, Episode, wilson
+from uavrl.runs.episodes import RATES, Episode, wilson
 
 FORMAT = 2  # of the JSON file
 _PLACES = ("run_dir", "resume")  # of the machine that made a run

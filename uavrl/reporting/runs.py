@@ -15,11 +15,13 @@ from omegaconf import OmegaConf
 from uavrl.configs import learner
 from uavrl.configs.parts import PARTS
 from uavrl.configs.registry import NONE
-from uavrl.configs.saved import load_config
 from uavrl.errors import UavrlError
-from uavrl.training.episodes import RATES, Episode, read_episodes, wilson
+from uavrl.runs import names
+from uavrl.runs.config import load_config
+from uavrl.runs.episodes import RATES, Episode, read_episodes, wilson
+from uavrl.runs.names import CONFIG, EPISODES
+from uavrl.runs.weights import ARTIFACT, POLICY
 
-CONFIG, EPISODES = "config.yaml", "episodes.csv"
 _DEPTH = 4  # of folders that are searched for runs
 _MOST_STEPS = 2**53  # from there on a double, which a page counts in, skips numbers
 _TOLD = ("policy", "training_steps", "path_efficiency", "median_clearance", "steps_per_arrival")
@@ -131,7 +133,7 @@ def read_run(folder: Path, name: str) -> Run:
     Raises:
         UavrlError: naming the file that is missing or broken.
     """
-    if (folder / "policy.json").is_file():
+    if POLICY.is_in(folder):
         raise UavrlError("It is an exported policy, which has no training to report: give the folder of its run.")
     config = _read(folder / CONFIG, _config)
     choices = {str(group): str(choice) for group, choice in config["choices"].items()}
@@ -148,8 +150,8 @@ def read_run(folder: Path, name: str) -> Run:
         evaluations=[
             row for path in sorted(folder.glob("evaluation*.json")) if (row := _optional(path, _evaluation, notes))
         ],
-        class_sizes=_optional(folder / "artifact/artifact.json", _class_sizes, notes)
-        or _optional(folder / "pretrained/artifact.json", _class_sizes, notes),
+        class_sizes=_optional(folder / names.ARTIFACT / ARTIFACT.json, _class_sizes, notes)
+        or _optional(folder / names.PRETRAINED / ARTIFACT.json, _class_sizes, notes),
         notes=notes,
     )
 

@@ -16,7 +16,7 @@ from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
 
 from uavrl.configs.build import build, resolve
 from uavrl.errors import UavrlError
-from uavrl.files import replacing
+from uavrl.runs.files import replacing
 
 WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value

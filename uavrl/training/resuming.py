@@ -9,14 +9,11 @@ from omegaconf import DictConfig
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.errors import UavrlError
-from uavrl.pretraining.from_run import STATES_FOLDER
-from uavrl.training.checkpoint import CHECKPOINTS, DamagedCheckpoint, all_checkpoints, check_checkpoint
-from uavrl.training.episodes import read_episodes
+from uavrl.runs.checkpoint import DamagedCheckpoint, all_checkpoints, check_checkpoint
+from uavrl.runs.episodes import read_episodes
+from uavrl.runs.names import ANY_CHECKPOINT, BEGUN, EPISODES, SUMMARY
 
 log = logging.getLogger(__name__)
-EPISODES = "episodes.csv"
-SUMMARY = "summary.json"
-BEGUN = ".begun"  # the mark of a run folder: what has it was made by a training, and may be cleared before a checkpoint
 
 
 def never_began(run_dir: Path) -> bool:
@@ -25,9 +22,8 @@ def never_began(run_dir: Path) -> bool:
     return (
         (run_dir / BEGUN).exists()
         and not (run_dir / SUMMARY).exists()
-        and not any((run_dir / CHECKPOINTS).glob("checkpoint*"))
+        and not any(run_dir.glob(ANY_CHECKPOINT))
         and not (episodes.exists() and read_episodes(episodes))
-        and not any(file.stat().st_size for file in (run_dir / STATES_FOLDER).glob("*.f32"))
     )
 
 
@@ -35,9 +31,6 @@ def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:
     """The newest checkpoint that is whole and knows no episode that ``episodes.csv`` has lost.
 
     Newer ones are renamed, so that nothing takes them for the run's, and what happened is logged.
-
-    Raises:
-        UavrlError: when there is none, or one of another configuration; nothing is changed then.
     """
     found = all_checkpoints(run_dir)
     flown = len(read_episodes(run_dir / EPISODES))
@@ -69,7 +62,7 @@ def _set_aside(passed_over: dict[Path, str], saved: int) -> None:
 
 def how_to_go_on(run_dir: Path) -> str:
     """The sentence that a stopped run ends with."""
-    if not any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+    if not any(run_dir.glob(ANY_CHECKPOINT)):
         return f"stopped before the first flight: start it again, or uavrl-train resume={run_dir}."
     try:
         saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]

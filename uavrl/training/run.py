@@ -27,23 +27,17 @@ from uavrl.configs.build import options
 from uavrl.configs.parts import STEPPER, TARGET
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FolderTaken, Stopped, UavrlError, was_interrupted
-from uavrl.files import replacing
 from uavrl.losses import ActorCriticLoss
-from uavrl.pretraining.from_run import STATES_FOLDER
-from uavrl.pretraining.recording import StateRecorder
+from uavrl.runs.checkpoint import restore, rotation
+from uavrl.runs.config import fingerprint, read_config
+from uavrl.runs.episodes import EpisodeLog, read_episodes
+from uavrl.runs.files import replacing
+from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
+from uavrl.runs.provenance import commit
 from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
 from uavrl.training.arithmetic import carried, chosen_products, denormals_flushed, multiplied_by
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.checkpoint import (
-    CHECKPOINTS,
-    CONFIG,
-    fingerprint,
-    read_config,
-    restore,
-    rotation,
-)
 from uavrl.training.claim import locked
-from uavrl.training.episodes import EpisodeLog, read_episodes
 from uavrl.training.factory import (
     collector_class,
     make_backward_reward,
@@ -56,8 +50,7 @@ from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss
 from uavrl.training.loggers import close, cut_back, make_logger
 from uavrl.training.progress import Progress
-from uavrl.training.provenance import commit
-from uavrl.training.resuming import BEGUN, EPISODES, SUMMARY, checkpoint_to_resume, how_to_go_on, never_began
+from uavrl.training.resuming import checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.silence import Silence
 from uavrl.training.spaces import spaces_of
 from uavrl.training.stepper import ActorCriticStepper
@@ -66,7 +59,6 @@ from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
 from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
-ARTIFACT = "artifact"  # a copy of ABR⁺'s classifier: the run can go on without the original
 
 
 def create_run(config: DictConfig) -> Path:
@@ -97,12 +89,12 @@ def create_run(config: DictConfig) -> Path:
 def _refuse_a_run(run_dir: Path) -> None:
     if never_began(run_dir):
         return
-    if any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+    if any(run_dir.glob(ANY_CHECKPOINT)):
         raise FolderTaken(
             f"The run folder {run_dir} holds a run already: "
             f"go on with it by resume={run_dir}, or choose another run_dir."
         )
-    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, STATES_FOLDER, ARTIFACT)):
+    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, ARTIFACT)):
         raise FolderTaken(f"The run folder {run_dir} holds a run already, without checkpoints: choose another run_dir.")
 
 
@@ -198,8 +190,7 @@ def free(run_dir: Path) -> None:
 def _clear(run_dir: Path) -> None:
     """Removes what a run made before its first checkpoint, but for its configuration."""
     (run_dir / EPISODES).unlink(missing_ok=True)
-    for name in (STATES_FOLDER, ARTIFACT):
-        shutil.rmtree(run_dir / name, ignore_errors=True)
+    shutil.rmtree(run_dir / ARTIFACT, ignore_errors=True)
     _drop_unfinished_checkpoints(run_dir)
 
 
@@ -240,7 +231,6 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         loss=loss,
         stepper=_make_stepper(settings, loss),
         backward_reward=backward_reward,
-        recorder=_make_recorder(settings, run_dir, spaces.state),
         replay=_make_replay(settings, buffer),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         progress=Progress(0, 1, enabled=False),
@@ -267,12 +257,6 @@ def _make_replay(settings: TrainConfig, buffer: EpisodeBuffer) -> EpisodeReplay:
     )
 
 
-def _make_recorder(settings: TrainConfig, run_dir: Path, width: int) -> StateRecorder | None:
-    if not settings.trainer.record_states:
-        return None
-    return StateRecorder(run_dir / STATES_FOLDER, width)
-
-
 def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticStepper:
     taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})
     return ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution))
@@ -291,10 +275,8 @@ def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_
 
 def _restore(trainer: EpisodeTrainer, path: Path) -> None:
     checkpoint = trainer._sync_checkpoint_components()
-    last = ["recording", "episode_log"]  # because they cut files back
-    restore(checkpoint, path, [name for name in checkpoint.components if name not in ("logger", *last)])
-    known = Checkpoint.manifest(path)["components"]
-    restore(checkpoint, path, [name for name in last if name in known])
+    restore(checkpoint, path, [name for name in checkpoint.components if name not in ("logger", "episode_log")])
+    restore(checkpoint, path, ["episode_log"])  # last, because it cuts a file back
 
 
 def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:

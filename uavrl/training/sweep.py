@@ -9,11 +9,11 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
+from uavrl.runs.config import fingerprint
+from uavrl.runs.episodes import read_episodes
+from uavrl.runs.names import ANY_CHECKPOINT, CONFIG, EPISODES, SUMMARY
 from uavrl.training.arithmetic import FLOAT32, chosen_products
-from uavrl.training.checkpoint import CHECKPOINTS, CONFIG, fingerprint
-from uavrl.training.episodes import read_episodes
 from uavrl.training.gradients import chosen_execution
-from uavrl.training.resuming import EPISODES, SUMMARY
 from uavrl.training.run import free
 
 NAME_DIGITS = 6
@@ -44,7 +44,7 @@ def is_begun(run_dir: Path) -> bool:
     Raises:
         UavrlError: when what was flown there has lost its checkpoints.
     """
-    if any((run_dir / CHECKPOINTS).glob("checkpoint*")):
+    if any(run_dir.glob(ANY_CHECKPOINT)):
         return True
     if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
         raise UavrlError(

@@ -16,12 +16,11 @@ from torchrl.trainers import Trainer, TrainerHookBase
 
 from uavrl.buffers import BackwardReward, FailureBias
 from uavrl.errors import UavrlError
-from uavrl.files import naming, require_room
 from uavrl.losses import ActorCriticLoss
-from uavrl.pretraining.recording import StateRecorder
+from uavrl.runs.checkpoint import BufferState, RandomState
+from uavrl.runs.episodes import EpisodeLog, split_episodes, summarize
+from uavrl.runs.files import naming, require_room
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.checkpoint import BufferState, RandomState, RecordingState
-from uavrl.training.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.training.progress import Progress
 from uavrl.training.silence import Silence
 from uavrl.training.stepper import ActorCriticStepper
@@ -157,7 +156,6 @@ class EpisodeTrainer(Trainer):
         stepper: the optimisation step.
         replay: where episodes are stored.
         backward_reward: what relabels them on the way there, if anything does.
-        recorder: where their states are kept for pre-training, if they are.
         episode_log: where episodes are recorded.
         progress: what the user sees.
         rotation: where checkpoints go.
@@ -179,7 +177,6 @@ class EpisodeTrainer(Trainer):
         stepper: ActorCriticStepper,
         replay: EpisodeReplay,
         backward_reward: BackwardReward | None,
-        recorder: StateRecorder | None,
         episode_log: EpisodeLog,
         progress: Progress,
         rotation: CheckpointRotation,
@@ -195,7 +192,6 @@ class EpisodeTrainer(Trainer):
         self.episode_log = episode_log
         self.backward_reward = backward_reward
         self.admission = replay.admission
-        self.recorder = recorder
         self._buffer = replay.buffer
         self.progress = progress
         self.run_seed = seed
@@ -222,7 +218,6 @@ class EpisodeTrainer(Trainer):
                 replay_data=BufferState(replay.buffer),
                 episode_log=episode_log,
                 random_state=RandomState(),
-                recording=RecordingState(recorder),
                 **({} if backward_reward is None else {"backward_reward": backward_reward}),
                 format="archive",
                 archive_compression="stored",
@@ -272,8 +267,6 @@ class EpisodeTrainer(Trainer):
             steps += len(trajectory)
             episode = summarize(trajectory, self.episode_log.count + 1, steps)
             self.episode_log.add(episode)
-            if self.recorder is not None:
-                self.recorder.add(trajectory["observation"], episode.outcome)
         rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
         self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
         if self.finished:

@@ -1,9 +1,11 @@
-"""The thesis's two reward functions, as pure functions and as TorchRL transforms."""
+"""The thesis's two reward functions, each a sum of named terms, as pure functions and as TorchRL transforms."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from typing import Any, Literal
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -27,7 +29,27 @@ def fold_degrees(angle_deg: Tensor) -> Tensor:
     return torch.minimum(angle_deg, 360.0 - angle_deg)
 
 
-def traditional_reward(
+def total(terms: Mapping[str, Tensor]) -> Tensor:
+    """The sum of terms, in their order.
+
+    Examples:
+        >>> total({"progress": torch.tensor([0.5, 0.0]), "collision": torch.tensor([0.0, -50.0])}).tolist()
+        [0.5, -50.0]
+    """
+    return reduce(torch.add, terms.values())
+
+
+def _with_ends(
+    terms: dict[str, Tensor], arrived_t: Tensor, collided_t: Tensor, arrived_reward: float, collided_reward: float
+) -> dict[str, Tensor]:
+    """Adds what arriving and colliding give; where a step collides, nothing else counts."""
+    nothing = torch.zeros_like(next(iter(terms.values())))
+    terms = {**terms, "arrival": nothing.masked_fill(arrived_t, arrived_reward)}
+    terms = {name: term.masked_fill(collided_t, 0.0) for name, term in terms.items()}
+    return {**terms, "collision": nothing.masked_fill(collided_t, collided_reward)}
+
+
+def traditional_terms(
     distance_tm1: Tensor,
     distance_t: Tensor,
     arrived_t: Tensor,
@@ -35,7 +57,8 @@ def traditional_reward(
     *,
     arrived_reward: float = 50.0,
     collided_reward: float = -50.0,
-) -> Tensor:
+    time_cost: float = 0.0,
+) -> dict[str, Tensor]:
     """Chansuparp (2022), Eq. 2.15 with Table 4.1: a prize, a punishment, else the progress made.
 
     Args:
@@ -45,6 +68,28 @@ def traditional_reward(
         collided_t: bool ``[*B]``; wins where both are true.
         arrived_reward: r_g.
         collided_reward: r_c.
+        time_cost: of a step that does not collide; the thesis has none, and without it there is no such term.
+
+    Returns:
+        The terms whose sum is the reward, each ``[*B]``: progress, time, arrival, collision.
+
+    Examples:
+        >>> t = torch.tensor
+        >>> terms = traditional_terms(t([5.0, 5.0]), t([4.5, 1.0]), t([False, True]), t([False, False]))
+        >>> {name: term.tolist() for name, term in terms.items()}
+        {'progress': [0.5, 0.0], 'arrival': [0.0, 50.0], 'collision': [0.0, 0.0]}
+    """
+    progress = distance_tm1 - distance_t
+    terms = {"progress": progress.masked_fill(arrived_t, 0.0)}
+    if time_cost:
+        terms["time"] = torch.full_like(progress, -time_cost)
+    return _with_ends(terms, arrived_t, collided_t, arrived_reward, collided_reward)
+
+
+def traditional_reward(
+    distance_tm1: Tensor, distance_t: Tensor, arrived_t: Tensor, collided_t: Tensor, **options: float
+) -> Tensor:
+    """The sum ``[*B]`` of :func:`traditional_terms`, which takes the same arguments.
 
     Examples:
         >>> t = torch.tensor
@@ -53,11 +98,10 @@ def traditional_reward(
         ... ).tolist()
         [0.5, 50.0, -50.0]
     """
-    reward = torch.where(arrived_t, arrived_reward, distance_tm1 - distance_t)
-    return torch.where(collided_t, collided_reward, reward)
+    return total(traditional_terms(distance_tm1, distance_t, arrived_t, collided_t, **options))
 
 
-def navigation_reward(
+def navigation_terms(
     distance_tm1: Tensor,
     distance_t: Tensor,
     altitude_t: Tensor,
@@ -71,7 +115,7 @@ def navigation_reward(
     collided_reward: float = -50.0,
     arrived_reward: float = 0.0,
     altitude_term: AltitudeTerm = "absolute",
-) -> Tensor:
+) -> dict[str, Tensor]:
     """Chansuparp (2022), Eq. 3.6: progress, flight level and two angles to the goal.
 
     A UAV that hovers in front of its goal, facing it, earns up to w_2 + w_3 + w_4 a step for ever, and nothing
@@ -95,52 +139,50 @@ def navigation_reward(
         arrived_reward: added on arrival; 0 is Eq. 3.6.
         altitude_term: ``"absolute"`` or ``"literal"``.
 
+    Returns:
+        The terms whose sum is the reward, each ``[*B]``: progress, altitude, heading, elevation, arrival, collision.
+
     Examples:
         >>> t = torch.tensor
-        >>> navigation_reward(t(5.0), t(4.75), t(3.5), t(90.0), t(0.0), t(False), t(False)).item()
-        3.75
+        >>> terms = navigation_terms(t(5.0), t(4.75), t(3.5), t(90.0), t(0.0), t(False), t(False))
+        >>> [round(term.item(), 2) for term in terms.values()]
+        [2.0, 1.0, 0.25, 0.5, 0.0, 0.0]
     """
     w_distance, w_altitude, w_heading, w_elevation = weights
     deviation = (altitude_t - flight_level) / flight_level
     if altitude_term == "absolute":
         deviation = deviation.abs()
-    reward = (
-        w_distance * (distance_tm1 - distance_t)
-        + w_altitude * (1 - deviation)
-        + w_heading * (1 - fold_degrees(heading_deg_t) / 180)
-        + w_elevation * (1 - fold_degrees(elevation_deg_t) / 180)
-        + arrived_reward * arrived_t
-    )
-    return torch.where(collided_t, collided_reward, reward)
+    terms = {
+        "progress": w_distance * (distance_tm1 - distance_t),
+        "altitude": w_altitude * (1 - deviation),
+        "heading": w_heading * (1 - fold_degrees(heading_deg_t) / 180),
+        "elevation": w_elevation * (1 - fold_degrees(elevation_deg_t) / 180),
+    }
+    return _with_ends(terms, arrived_t, collided_t, arrived_reward, collided_reward)
 
 
-class _RewardTransform(Transform):
-    """Reads quantities before and after a step and writes the reward of the step."""
+def navigation_reward(*quantities: Tensor, **options: Any) -> Tensor:
+    """The sum ``[*B]`` of :func:`navigation_terms`, which takes the same arguments.
 
-    def __init__(self, distance: NestedKey, in_keys: Sequence[NestedKey], out_key: NestedKey) -> None:
-        super().__init__(in_keys=[distance, *in_keys], out_keys=[out_key])
+    Examples:
+        >>> t = torch.tensor
+        >>> navigation_reward(t(5.0), t(4.75), t(3.5), t(90.0), t(0.0), t(False), t(False)).item()
+        3.75
+    """
+    return total(navigation_terms(*quantities, **options))
 
-    def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
-        raise NotImplementedError
 
-    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
-        raise NotImplementedError
+class SumOfTerms(Transform):
+    """Reads quantities before and after a step and writes their reward: the sum of what :meth:`terms` gives."""
 
-    arrived_reward: float
-    collided_reward: float
-
+    @abstractmethod
     def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
-        """The terms that the reward is the sum of, each ``[*B]``, by its name.
+        """The terms that the reward is the sum of, each ``[*B, 1]``, by its name.
 
         Args:
             before: ``[*B]`` with the in-keys before the steps.
             after: ``[*B]`` after them.
         """
-        arrived, collided = (self._get(after, key) for key in self.in_keys[-2:])
-        terms = {**self._terms(before, after), "arrival": self.arrived_reward * arrived.float()}
-        terms = {name: term * ~collided for name, term in terms.items()}
-        terms["collision"] = self.collided_reward * collided.float() + 0.0  # no negative zeros
-        return {name: term.squeeze(-1) for name, term in terms.items()}
 
     def _get(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
         value = tensordict.get(key, None)
@@ -152,8 +194,7 @@ class _RewardTransform(Transform):
         return value
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        next_tensordict.set(self.out_keys[0], self._reward(tensordict, next_tensordict))
-        return next_tensordict
+        return next_tensordict.set(self.out_keys[0], total(self.terms(tensordict, next_tensordict)))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Recomputes the reward of stored transitions (root and ``"next"`` must hold the in-keys)."""
@@ -172,8 +213,8 @@ def with_reward(reward_spec: TensorSpec, key: NestedKey) -> TensorSpec:
     return reward_spec
 
 
-class TraditionalReward(_RewardTransform):
-    """The thesis's "TR" (Chansuparp (2022), Eq. 2.15), see :func:`traditional_reward`.
+class TraditionalReward(SumOfTerms):
+    """The thesis's "TR" (Chansuparp (2022), Eq. 2.15), see :func:`traditional_terms`.
 
     Args:
         arrived_reward: r_g.
@@ -207,31 +248,24 @@ class TraditionalReward(_RewardTransform):
         collided: NestedKey = "collided",
         out_key: NestedKey = "reward",
     ) -> None:
-        super().__init__(distance, [arrived, collided], out_key)
+        super().__init__(in_keys=[distance, arrived, collided], out_keys=[out_key])
         self.arrived_reward = arrived_reward
         self.collided_reward = collided_reward
         self.time_cost = time_cost
 
-    def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
-        distance, arrived, collided = self.in_keys
-        return traditional_reward(
-            self._get(before, distance),
-            self._get(after, distance),
-            self._get(after, arrived),
-            self._get(after, collided),
+    def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        """As :func:`traditional_terms` gives them."""
+        return traditional_terms(
+            self._get(before, self.in_keys[0]),
+            *(self._get(after, key) for key in self.in_keys),
             arrived_reward=self.arrived_reward,
             collided_reward=self.collided_reward,
-        ) - self.time_cost * ~self._get(after, collided)
-
-    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
-        distance, arrived, _ = self.in_keys
-        progress = self._get(before, distance) - self._get(after, distance)
-        time = {"time": torch.full_like(progress, -self.time_cost)} if self.time_cost else {}
-        return {"progress": progress * ~self._get(after, arrived), **time}
+            time_cost=self.time_cost,
+        )
 
 
-class NavigationReward(_RewardTransform):
-    """The thesis's reward for navigation (Chansuparp (2022), Eq. 3.6), see :func:`navigation_reward`.
+class NavigationReward(SumOfTerms):
+    """The thesis's reward for navigation (Chansuparp (2022), Eq. 3.6), see :func:`navigation_terms`.
 
     Args:
         weights: w_1 to w_4.
@@ -279,41 +313,21 @@ class NavigationReward(_RewardTransform):
             raise ValueError(f"NavigationReward takes four weights w_1 to w_4, got {len(weights)}.")
         if altitude_term not in ("absolute", "literal"):
             raise ValueError(f"altitude_term must be 'absolute' or 'literal', got {altitude_term!r}.")
-        super().__init__(distance, [altitude, heading, elevation, arrived, collided], out_key)
+        super().__init__([distance, altitude, heading, elevation, arrived, collided], [out_key])
         self.weights = tuple(weights)
         self.flight_level = flight_level
         self.collided_reward = collided_reward
         self.arrived_reward = arrived_reward
         self.altitude_term: AltitudeTerm = altitude_term
 
-    def _reward(self, before: TensorDictBase, after: TensorDictBase) -> Tensor:
-        distance, *keys = self.in_keys
-        return navigation_reward(
-            self._get(before, distance),
-            self._get(after, distance),
-            *(self._get(after, key) for key in keys),
+    def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        """As :func:`navigation_terms` gives them."""
+        return navigation_terms(
+            self._get(before, self.in_keys[0]),
+            *(self._get(after, key) for key in self.in_keys),
             weights=self.weights,
             flight_level=self.flight_level,
             collided_reward=self.collided_reward,
             arrived_reward=self.arrived_reward,
             altitude_term=self.altitude_term,
         )
-
-    def _terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
-        distance, altitude, heading, elevation, arrived, _ = self.in_keys
-        never = torch.zeros_like(self._get(after, arrived))
-        return {
-            name: navigation_reward(
-                self._get(before, distance),
-                self._get(after, distance),
-                self._get(after, altitude),
-                self._get(after, heading),
-                self._get(after, elevation),
-                never,
-                never,
-                weights=[weight if i == place else 0.0 for i, weight in enumerate(self.weights)],
-                flight_level=self.flight_level,
-                altitude_term=self.altitude_term,
-            )
-            for place, name in enumerate(("progress", "altitude", "heading", "elevation"))
-        }

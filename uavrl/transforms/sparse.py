@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from tensordict import TensorDictBase
-from torchrl.envs.transforms import Transform
+from torch import Tensor
+
+from uavrl.transforms.rewards import SumOfTerms
 
 
-class SparseReward(Transform):
+class SparseReward(SumOfTerms):
     """1 for arriving, -1 for colliding and 0 for every other step: what shaped rewards are compared with.
 
     Args:
@@ -25,11 +27,10 @@ class SparseReward(Transform):
         super().__init__(in_keys=["arrived", "collided"], out_keys=["reward"])
         self.arrived_reward, self.collided_reward = arrived_reward, collided_reward
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        arrived, collided = (next_tensordict[key] for key in self.in_keys)
-        reward = self.arrived_reward * (arrived & ~collided).float() + self.collided_reward * collided.float()
-        return next_tensordict.set(self.out_keys[0], reward)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Pays stored transitions."""
-        return tensordict.set("next", self._step(tensordict, tensordict["next"]))
+    def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
+        """What arriving and colliding give."""
+        arrived, collided = (self._get(after, key) for key in self.in_keys)
+        return {
+            "arrival": self.arrived_reward * (arrived & ~collided).float(),
+            "collision": self.collided_reward * collided.float() + 0.0,  # no negative zeros
+        }

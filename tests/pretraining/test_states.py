@@ -1,4 +1,4 @@
-"""States of a run: its recording, or the replay buffer of its newest checkpoint."""
+"""States of a run, from the replay buffer of its newest checkpoint."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tensordict
 
-from tests.pretraining.synthetic import OUTCOMES, checkpoint_run, record, walk
-from uavrl.buffers import FrameStorage
+from tests.pretraining.synthetic import OUTCOMES, checkpoint_run, walk
 from uavrl.errors import UavrlError
-from uavrl.pretraining.from_run import open_source, read_run
+from uavrl.pretraining import read_states
 
 WIDTH = 6
 
@@ -24,12 +22,12 @@ def episodes(count: int = 7, seed: int = 0) -> list[np.ndarray]:
 def test_the_buffer_of_a_checkpoint_gives_the_states_in_order(tmp_path: Path) -> None:
     written = episodes()
     path = checkpoint_run(tmp_path / "run", written)
-    recording = read_run(tmp_path / "run")
-    assert np.array_equal(recording.states, np.concatenate(written))
-    assert recording.states.dtype == np.float32
-    assert recording.episode.tolist() == [i for i, states in enumerate(written) for _ in states]
-    assert recording.outcomes == [OUTCOMES[i % 3] for i in range(7)]
-    assert recording.name == f"run/{path.name}"
+    found = read_states(tmp_path / "run")
+    assert np.array_equal(found.states, np.concatenate(written))
+    assert found.states.dtype == np.float32
+    assert found.episode.tolist() == [i for i, states in enumerate(written) for _ in states]
+    assert found.outcomes == [OUTCOMES[i % 3] for i in range(7)]
+    assert found.name == f"run/{path.name}"
 
 
 @pytest.mark.parametrize("capacity", range(12, 30))
@@ -38,11 +36,11 @@ def test_of_a_buffer_that_overwrote_its_oldest_transitions_whole_episodes_are_le
 ) -> None:
     written = episodes(9)
     checkpoint_run(tmp_path / "run", written, capacity)
-    recording = read_run(tmp_path / "run")
-    count = len(recording.outcomes)
+    found = read_states(tmp_path / "run")
+    count = len(found.outcomes)
     assert count >= 1
-    assert np.array_equal(recording.states, np.concatenate(written[-count:]))
-    assert recording.outcomes == [OUTCOMES[i % 3] for i in range(9)][-count:]
+    assert np.array_equal(found.states, np.concatenate(written[-count:]))
+    assert found.outcomes == [OUTCOMES[i % 3] for i in range(9)][-count:]
     kept = sum(len(states) for states in written[-count - 1 :])
     assert kept >= capacity or kept == sum(map(len, written))  # one more would not have fitted
 
@@ -51,33 +49,24 @@ def test_the_states_of_a_run_may_be_stacked(tmp_path: Path) -> None:
     flown = [np.arange(10 * i, 10 * i + steps + 3, dtype=np.float32)[:, None] for i, steps in enumerate((5, 1, 8))]
     written = [np.lib.stride_tricks.sliding_window_view(f[:, 0], 3).copy() for f in flown]  # one state more than steps
     checkpoint_run(tmp_path / "run", [states[:-1] for states in written], frames=3)  # each next state is one higher
-    assert np.array_equal(read_run(tmp_path / "run").states, np.concatenate([states[:-1] for states in written]))
+    assert np.array_equal(read_states(tmp_path / "run").states, np.concatenate([states[:-1] for states in written]))
 
 
-def test_checkpoints_that_hold_whole_states_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def dumps(storage: FrameStorage, path: Path) -> None:  # as version 0.1 did
-        tensordict.save(storage.get(slice(0, len(storage))), path)
-
-    monkeypatch.setattr(FrameStorage, "dumps", dumps)
+def test_transitions_of_several_steps_end_where_their_flights_did(tmp_path: Path) -> None:
     written = episodes()
-    checkpoint_run(tmp_path / "run", written)
-    assert np.array_equal(read_run(tmp_path / "run").states, np.concatenate(written))
-
-
-def test_a_recording_is_preferred_to_the_buffer(tmp_path: Path) -> None:
-    checkpoint_run(tmp_path / "run", episodes())
-    written = record(tmp_path / "run" / "states", episodes=3)
-    recording = read_run(tmp_path / "run")
-    assert np.array_equal(recording.states, np.concatenate(written))
-    assert recording.name == "run/states"
+    checkpoint_run(tmp_path / "run", written, n_steps=3)  # the last three of each flight are done
+    found = read_states(tmp_path / "run")
+    assert np.array_equal(found.states, np.concatenate(written))
+    assert np.bincount(found.episode).tolist() == [len(states) for states in written]
+    assert found.outcomes == [OUTCOMES[i % 3] for i in range(7)]
 
 
 def test_a_missing_run_or_checkpoint_is_named(tmp_path: Path) -> None:
     with pytest.raises(UavrlError, match="Expected a run folder at"):
-        read_run(tmp_path / "none")
+        read_states(tmp_path / "none")
     (tmp_path / "empty").mkdir()
     with pytest.raises(UavrlError, match="Expected a checkpoint in"):
-        read_run(tmp_path / "empty")
+        read_states(tmp_path / "empty")
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
@@ -85,23 +74,17 @@ def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
     content = path.read_bytes()
     start = content.index(episodes()[0][0].tobytes())
     path.write_bytes(content[:start] + b"\x07" + content[start + 1 :])
-    with pytest.raises(UavrlError, match=r"cannot be read .*fails its checksum"):
-        read_run(tmp_path / "run")
+    with pytest.raises(UavrlError, match=r"is damaged .*fails its checksum"):
+        read_states(tmp_path / "run")
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(UavrlError, match="damaged"):
-        read_run(tmp_path / "run")
+        read_states(tmp_path / "run")
 
 
 def test_an_empty_buffer_is_refused(tmp_path: Path) -> None:
     checkpoint_run(tmp_path / "run", [])
     with pytest.raises(UavrlError, match="Expected whole episodes"):
-        read_run(tmp_path / "run")
-
-
-@pytest.mark.parametrize(("recording", "run"), [(None, None), ("a", "b")])
-def test_one_source_is_asked_for(recording: str | None, run: str | None) -> None:
-    with pytest.raises(UavrlError, match="Give either run=RUN_FOLDER or recording=FOLDER"):
-        open_source(recording, run)
+        read_states(tmp_path / "run")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -110,4 +93,4 @@ def test_states_that_are_not_finite_are_refused(tmp_path: Path, value: float) ->
     written[3][1, 2] = value
     checkpoint_run(tmp_path / "run", written)
     with pytest.raises(UavrlError, match=r"Expected finite states in .*run"):
-        open_source(None, str(tmp_path / "run"))
+        read_states(tmp_path / "run")

@@ -5,12 +5,14 @@ from __future__ import annotations
 from functools import cache
 
 from omegaconf import DictConfig
+from torchrl.envs import TransformedEnv
 
 from tests.composing import composed
 from uavrl.configs import to_dataclass
-from uavrl.training.baselines import StraightPolicy
-from uavrl.training.flight import Replay
-from uavrl.training.replay import record_flights
+from uavrl.flying.baselines import StraightPolicy
+from uavrl.flying.record import record_flights
+from uavrl.flying.recording import Recording
+from uavrl.training.factory import make_env
 
 STEPS = 12
 SEED = 20_000
@@ -30,10 +32,16 @@ def small_env(planes: int = 0, steps: int = STEPS) -> DictConfig:
     return to_dataclass(composed("config", f"env.max_steps={steps}", *overrides)).env
 
 
+def flying_env(planes: int = 0, reward: DictConfig | None = None, num_uavs: int = 1) -> TransformedEnv:
+    """What a flight is recorded in."""
+    return make_env(small_env(planes), PERCEPTION, reward, num_uavs=num_uavs, measure_clearance=True, keep_cloud=True)
+
+
 @cache
-def small_replay(planes: int = 2, tasks: tuple[int, ...] = (0, 5)) -> Replay:
-    policy = StraightPolicy(3.5)
+def small_recording(planes: int = 2, tasks: tuple[int, ...] = (0, 5)) -> Recording:
     source = {"policy": "straight", "env": "small", "seed": SEED}
-    return record_flights(
-        small_env(planes), PERCEPTION, policy, tasks, seed=SEED, source=source, reward=REWARD, max_points=100_000
-    )
+    env = flying_env(planes, REWARD)
+    try:
+        return record_flights(env, StraightPolicy(3.5), tasks, seed=SEED, source=source, max_points=100_000)
+    finally:
+        env.close()

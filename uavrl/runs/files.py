@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from uavrl.errors import FolderTaken
+from uavrl.errors import FolderTaken, UavrlError
 
 
 @contextmanager
@@ -54,15 +54,32 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
+def writable(path: Path, option: str = "output=FILE") -> Path:
+    """The path itself, found writable before anything is computed for it; its folder is made.
+
+    Examples:
+        >>> writable(getfixture("tmp_path") / "results/table.json").parent.name
+        'results'
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        partial = path.with_name(path.name + ".partial")
+        partial.unlink(missing_ok=True)  # it may be a link to somewhere else
+        partial.touch()
+        partial.unlink()
+    except OSError as error:
+        raise UavrlError(f"{path} cannot be written ({error.strerror}): choose another with {option}.") from error
+    return path
+
+
 def require_room(folder: Path, size: float) -> None:
     """Refuses to write more than the disk has left: what is mapped into memory dies of a full disk without an error.
 
     Args:
         folder: where it is to be written.
         size: bytes.
-
-    Raises:
-        OSError: saying how much is needed and how much is left.
 
     Examples:
         >>> require_room(getfixture("tmp_path"), 1.0)

@@ -64,9 +64,6 @@ def summarize_places(altitudes: np.ndarray, shares: np.ndarray, walls: np.ndarra
         ``p95``; ``height_quarters``: shares of the time, lowest quarter first; ``altitude_histogram``: ``counts`` of
         steps in bins of ``step`` m from ``low`` m on.
 
-    Raises:
-        ValueError: Without places.
-
     Examples:
         >>> found = summarize_places(np.array([1.0, 3.0]), np.array([0.2, 0.6]), np.array([5.0, 7.0]))
         >>> found["altitude"]["p50"], found["height_quarters"], found["wall_distance"]["p50"]

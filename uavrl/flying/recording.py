@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from uavrl.errors import UavrlError
-from uavrl.files import replacing
-from uavrl.training.episodes import OUTCOMES
-from uavrl.training.evaluation import Flight
+from uavrl.flying.flight import Flight
+from uavrl.runs.episodes import OUTCOMES
+from uavrl.runs.files import replacing
 
 FORMAT = "uavrl flights 2"
 MOST_BYTES = 2**32  # of a file, unpacked; some flights take a few million
@@ -25,7 +25,7 @@ class RecordedFlight:
 
     Args:
         summary: Task, outcome, lengths and clearance, as an evaluation gives them.
-        whereabouts: Where it went, as :class:`uavrl.training.whereabouts.Whereabouts` sums it up.
+        whereabouts: Where it went, as :class:`uavrl.flying.whereabouts.Whereabouts` sums it up.
         times: ``[T + 1]`` in s.
         positions: ``[T + 1, 3]``, the airframe's centre in m.
         attitudes: ``[T + 1, 4]``, quaternions (x, y, z, w) from body to world axes.
@@ -103,8 +103,8 @@ class Scenery:
 
 
 @dataclass(frozen=True)
-class Replay:
-    """Flights of one policy.
+class Recording:
+    """Flights of one policy, kept step by step.
 
     Args:
         source: What flew, for a heading: run, checkpoint, seed of the tasks, environment.
@@ -114,7 +114,7 @@ class Replay:
 
     source: dict[str, Any]
     flights: tuple[RecordedFlight, ...]
-    sceneries: dict[int, Scenery]
+    sceneries: dict[int | None, Scenery]
 
     def scenery(self, flight: RecordedFlight) -> Scenery:
         """The valley of one of the flights."""
@@ -144,19 +144,19 @@ def _plain(item: RecordedFlight | Scenery) -> dict[str, Any]:
     return {name: asdict(value) if isinstance(value, Flight) else value for name, value in kept.items()}
 
 
-def save_replay(replay: Replay, path: Path) -> None:
+def save_recording(recording: Recording, path: Path) -> None:
     """Writes flights and valleys into one ``.npz`` file, which holds numbers and text alone, no pickles.
 
     Raises:
         OSError: when the file cannot be written.
     """
-    items: dict[str, RecordedFlight | Scenery] = {f"flight{i}": flight for i, flight in enumerate(replay.flights)}
-    items |= {f"scenery{seed}": scenery for seed, scenery in replay.sceneries.items()}
+    items: dict[str, RecordedFlight | Scenery] = {f"flight{i}": flight for i, flight in enumerate(recording.flights)}
+    items |= {f"scenery{seed}": scenery for seed, scenery in recording.sceneries.items()}
     about = {
         "format": FORMAT,
-        "source": replay.source,
-        "flights": len(replay.flights),
-        "sceneries": list(replay.sceneries),
+        "source": recording.source,
+        "flights": len(recording.flights),
+        "sceneries": list(recording.sceneries),
         "items": {name: _plain(item) for name, item in items.items()},
     }
     arrays = {key: value for name, item in items.items() for key, value in _arrays(item, name).items()}
@@ -164,8 +164,8 @@ def save_replay(replay: Replay, path: Path) -> None:
         np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
 
 
-def load_replay(path: Path) -> Replay:
-    """Reads what :func:`save_replay` wrote. Nothing is unpickled.
+def load_recording(path: Path) -> Recording:
+    """Reads what :func:`save_recording` wrote. Nothing is unpickled.
 
     Raises:
         UavrlError: when the file is missing, damaged or holds something else.
@@ -177,7 +177,7 @@ def load_replay(path: Path) -> Replay:
         about = json.loads(str(arrays.pop("about")))
         if about["format"] != FORMAT:
             raise ValueError(f"its format is {about['format']!r}")
-        return Replay(
+        return Recording(
             about["source"],
             tuple(_flight(arrays, about, f"flight{i}") for i in range(about["flights"])),
             {seed: _scenery(arrays, about, f"scenery{seed}") for seed in about["sceneries"]},
@@ -203,11 +203,11 @@ def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:
 
 def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> RecordedFlight:
     plain = about["items"][name]
-    kinds: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,)}
     summary = Flight(**plain["summary"])
-    if summary.outcome not in OUTCOMES or not all(
-        isinstance(getattr(summary, field.name), kinds[str(field.type)]) for field in fields(summary)
-    ):
+    counts = (summary.task, summary.steps, summary.world_seed)
+    lengths = (summary.straight, summary.flown, summary.clearance)
+    numbers = all(isinstance(c, int) for c in counts) and all(isinstance(m, int | float) for m in lengths)
+    if summary.outcome not in OUTCOMES or not numbers or summary.episode_return is not None:
         raise ValueError(f"its summary is {summary}")
     told = {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
     return RecordedFlight(**{**plain, **told}, **_of(arrays, name))

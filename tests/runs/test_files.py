@@ -11,11 +11,11 @@ from tests.training.test_resume import SMALL
 from uavrl.cli import train as train_command
 from uavrl.cli.errors import one_sentence
 from uavrl.errors import FolderTaken, Stopped
-from uavrl.files import removed_on_failure
+from uavrl.runs.files import removed_on_failure
 
 
 @pytest.mark.parametrize("mistake", [[], ["backward_reward=abr_plus", "backward_reward.artifact=/nowhere"]])
-@pytest.mark.parametrize("name", ["config.yaml", "artifact/weights.bin", "states/notes.txt"])
+@pytest.mark.parametrize("name", ["config.yaml", "artifact/weights.bin"])
 def test_a_folder_that_is_no_run_keeps_its_files(tmp_path: Path, name: str, mistake: list[str]) -> None:
     precious = tmp_path / "mine" / name
     precious.parent.mkdir(parents=True)

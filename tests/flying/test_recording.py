@@ -12,16 +12,14 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from tensordict import TensorDict
 
-from tests.training.flights import PERCEPTION, REWARD, SEED, STEPS, small_env, small_replay
+from tests.flying.flights import PERCEPTION, SEED, STEPS, flying_env, small_env, small_recording
 from uavrl.errors import UavrlError
-from uavrl.training.baselines import StraightPolicy
-from uavrl.training.evaluation import fly
+from uavrl.flying.baselines import StraightPolicy
+from uavrl.flying.flight import fly
+from uavrl.flying.record import record_flight, record_flights
+from uavrl.flying.recording import load_recording, save_recording, thinned
 from uavrl.training.factory import make_env
-from uavrl.training.flight import load_replay, save_replay, thinned
-from uavrl.training.replay import record_flight, record_flights
-from uavrl.transforms import NavigationReward, TraditionalReward
 from uavrl.transforms.functional import truncated_icosahedron
 
 
@@ -36,7 +34,7 @@ def same(a: Any, b: Any) -> None:
 
 
 def test_every_moment_is_kept() -> None:
-    for flight, task in zip(small_replay().flights, (0, 5), strict=True):
+    for flight, task in zip(small_recording().flights, (0, 5), strict=True):
         steps, moments = flight.summary.steps, flight.summary.steps + 1
         assert flight.summary.task == task and 1 <= steps <= STEPS
         shapes = {
@@ -61,7 +59,7 @@ def test_every_moment_is_kept() -> None:
 
 
 def test_positions_are_the_valleys_own_and_agree_with_distances_and_velocities() -> None:
-    replay = small_replay()
+    replay = small_recording()
     assert {f.summary.world_seed for f in replay.flights} == set(replay.sceneries)
     for flight in replay.flights:
         assert (np.abs(flight.positions[:, :2]) < replay.scenery(flight).size / 2).all()
@@ -73,7 +71,7 @@ def test_positions_are_the_valleys_own_and_agree_with_distances_and_velocities()
 
 
 def test_the_cloud_that_is_kept_gives_the_faces_that_are_kept() -> None:
-    flight = small_replay().flights[0]
+    flight = small_recording().flights[0]
     for moment in (0, 3, flight.summary.steps):
         cloud = torch.from_numpy(flight.cloud(moment))
         torch.testing.assert_close(truncated_icosahedron(cloud), torch.from_numpy(flight.faces[moment]))
@@ -81,7 +79,7 @@ def test_the_cloud_that_is_kept_gives_the_faces_that_are_kept() -> None:
 
 
 def test_points_lie_on_the_ground_or_above_it() -> None:
-    replay = small_replay()
+    replay = small_recording()
     flight = replay.flights[0]
     scenery = replay.scenery(flight)
     turn = Rotation.from_quat(flight.attitudes[4])
@@ -92,7 +90,7 @@ def test_points_lie_on_the_ground_or_above_it() -> None:
 
 
 def test_planes_fly_between_the_moments() -> None:
-    for flight in small_replay().flights:
+    for flight in small_recording().flights:
         moved = np.linalg.norm(np.diff(flight.planes[..., :2], axis=0), axis=-1) / 0.1
         assert ((moved > 2.4) & (moved < 4.1)).mean() > 0.9  # but where one enters anew
 
@@ -104,7 +102,7 @@ def test_a_flight_is_that_of_the_evaluation() -> None:
         evaluated = fly(env, StraightPolicy(3.5), len(tasks))
     finally:
         env.close()
-    kept = [flight.summary for flight in small_replay(0, tasks).flights]
+    kept = [flight.summary for flight in small_recording(0, tasks).flights]
     for one, other in zip(kept, evaluated, strict=True):
         assert (one.task, one.world_seed, one.outcome, one.steps) == (
             other.task,
@@ -117,7 +115,7 @@ def test_a_flight_is_that_of_the_evaluation() -> None:
 
 
 def test_a_flight_tells_where_it_went() -> None:
-    flight = small_replay().flights[0]
+    flight = small_recording().flights[0]
     altitudes = flight.positions[1:, 2].astype(float)
     half = np.array(small_env().world.size) / 2
     assert flight.whereabouts["steps"] == flight.summary.steps
@@ -127,16 +125,11 @@ def test_a_flight_tells_where_it_went() -> None:
 
 
 def test_a_flight_does_not_depend_on_those_before_it() -> None:
-    source = small_replay().source
-    alone = record_flights(
-        small_env(2), PERCEPTION, StraightPolicy(3.5), [5], seed=SEED, source=source, reward=REWARD,
-        max_points=100_000,
-    )  # fmt: skip
-    same(alone.flights[0], small_replay().flights[1])
+    same(small_recording(2, (5,)).flights[0], small_recording().flights[1])
 
 
 def test_without_a_reward_its_own_is_kept_and_points_are_thinned() -> None:
-    env = make_env(small_env(), PERCEPTION, seed=0, num_uavs=1, measure_clearance=True, keep_cloud=True)
+    env = flying_env()
     try:
         flight = record_flight(env, StraightPolicy(3.5), 1, seed=SEED, max_points=50)
     finally:
@@ -146,43 +139,21 @@ def test_without_a_reward_its_own_is_kept_and_points_are_thinned() -> None:
     assert np.diff(flight.point_ends, prepend=0).max() == 50
 
 
+def test_the_terms_that_are_kept_are_those_of_the_reward() -> None:
+    flight = small_recording().flights[0]
+    assert flight.reward_names == ("progress", "altitude", "heading", "elevation", "arrival", "collision")
+    np.testing.assert_allclose(flight.rewards[:-1, 0], -8 * np.diff(flight.distances)[:-1], atol=1e-4)
+    altitudes = flight.positions[1:, 2]
+    np.testing.assert_allclose(flight.rewards[:-1, 1], 1 - np.abs(altitudes[:-1] - 3.5) / 3.5, atol=1e-5)
+
+
 def test_more_than_one_vehicle_and_no_tasks_are_refused() -> None:
-    env = make_env(small_env(), PERCEPTION, num_uavs=2, measure_clearance=True, keep_cloud=True)
+    env = flying_env(num_uavs=2)
     with pytest.raises(ValueError, match="num_uavs=1"):
         record_flight(env, StraightPolicy(3.5), 0, seed=0)
     with pytest.raises(ValueError, match="at least one task"):
-        record_flights(small_env(), PERCEPTION, StraightPolicy(3.5), [], seed=0, source={})
-
-
-@pytest.mark.parametrize(
-    "reward",
-    [
-        NavigationReward(arrived_reward=200.0),
-        NavigationReward((3.0, 2.0, 1.0, 0.5), altitude_term="literal", collided_reward=-10.0),
-        TraditionalReward(),
-    ],
-    ids=["prize", "literal", "traditional"],
-)
-def test_the_terms_add_up_to_the_reward(reward: NavigationReward | TraditionalReward) -> None:
-    generator = torch.Generator().manual_seed(0)
-    shape, draw = (200, 1), lambda: torch.rand(200, 1, generator=generator)
-    ended = draw()
-    after = TensorDict(
-        {
-            "distance": 20 * draw(),
-            "altitude": 8 * draw(),
-            "heading_deg": 360 * draw(),
-            "elevation_deg": 360 * draw(),
-            "arrived": ended < 0.4,
-            "collided": ended > 0.3,  # a tenth does both
-        },
-        shape[:1],
-    )
-    steps = TensorDict({"distance": 20 * draw(), "next": after}, shape[:1])
-    terms = reward.terms(steps, after)
-    assert all(term.shape == (200,) for term in terms.values())
-    expected = reward(steps)["next", "reward"][:, 0]
-    torch.testing.assert_close(torch.stack(list(terms.values())).sum(0), expected)
+        record_flights(env, StraightPolicy(3.5), [], seed=0, source={})
+    env.close()
 
 
 def test_thinning_keeps_few_points_and_all_where_there_are_few() -> None:
@@ -196,9 +167,9 @@ def test_thinning_keeps_few_points_and_all_where_there_are_few() -> None:
 
 
 def test_the_file_gives_the_flights_back_without_pickles(tmp_path: Path) -> None:
-    replay = small_replay()
-    save_replay(replay, tmp_path / "flights.npz")
-    loaded = load_replay(tmp_path / "flights.npz")
+    replay = small_recording()
+    save_recording(replay, tmp_path / "flights.npz")
+    loaded = load_recording(tmp_path / "flights.npz")
     assert loaded.source == replay.source
     for one, other in zip(loaded.flights, replay.flights, strict=True):
         same(one, other)
@@ -227,18 +198,18 @@ def archive(**arrays: np.ndarray) -> bytes:
 def test_another_file_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "f.npz").write_bytes(content)
     with pytest.raises(UavrlError, match="holds no flights, or is damaged"):
-        load_replay(tmp_path / "f.npz")
+        load_recording(tmp_path / "f.npz")
 
 
 def test_a_missing_and_a_truncated_file_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UavrlError, match="found no such file"):
-        load_replay(tmp_path / "none.npz")
-    save_replay(small_replay(), tmp_path / "f.npz")
+        load_recording(tmp_path / "none.npz")
+    save_recording(small_recording(), tmp_path / "f.npz")
     data = (tmp_path / "f.npz").read_bytes()
     (tmp_path / "f.npz").write_bytes(data[: len(data) // 2])
     with pytest.raises(UavrlError, match="damaged"):
-        load_replay(tmp_path / "f.npz")
+        load_recording(tmp_path / "f.npz")
     with zipfile.ZipFile(tmp_path / "g.npz", "w") as bad:
         bad.writestr("about.npy", b"broken")
     with pytest.raises(UavrlError, match="damaged"):
-        load_replay(tmp_path / "g.npz")
+        load_recording(tmp_path / "g.npz")

@@ -16,8 +16,10 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from tests.cli.test_bad_input import in_process
 from uavrl.cli import evaluate as evaluate_command
-from uavrl.training.baselines import StraightPolicy
-from uavrl.training.evaluation import Flight, fly, summarize_flights, table
+from uavrl.envs.bipedal import BipedalEnv
+from uavrl.flying.baselines import StraightPolicy
+from uavrl.flying.flight import Flight, fly
+from uavrl.flying.summary import summarize, table
 
 OUTCOMES = ("arrived", "collided", "timed_out")
 
@@ -150,7 +152,7 @@ def test_the_places_after_every_step_of_the_tasks_that_count_are_watched(vehicle
 
 def flights_of(arrived: int, collided: int, timed_out: int) -> list[Flight]:
     outcomes = ["arrived"] * arrived + ["collided"] * collided + ["timed_out"] * timed_out
-    return [Flight(k, 0, o, 10, 5.0, 10.0, 0.5) for k, o in enumerate(outcomes)]
+    return [Flight(k, o, 10, 0, 5.0, 10.0, 0.5) for k, o in enumerate(outcomes)]
 
 
 @pytest.mark.parametrize(
@@ -158,14 +160,14 @@ def flights_of(arrived: int, collided: int, timed_out: int) -> list[Flight]:
     [(5, 10, 0.2366, 0.7634), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (450, 500, 0.8706, 0.9233)],
 )
 def test_wilson_interval(arrived: int, total: int, low: float, high: float) -> None:
-    result = summarize_flights(flights_of(arrived, total - arrived, 0))["success"]
+    result = summarize(flights_of(arrived, total - arrived, 0))["success"]
     assert result["rate"] == arrived / total
     assert (result["low"], result["high"]) == (pytest.approx(low, abs=5e-5), pytest.approx(high, abs=5e-5))
 
 
 @pytest.mark.parametrize("counts", [(3, 2, 2), (0, 0, 4), (1, 0, 0), (0, 7, 3)])
 def test_rates_sum_to_one(counts: tuple[int, int, int]) -> None:
-    result = summarize_flights(flights_of(*counts))
+    result = summarize(flights_of(*counts))
     rates = [result[name]["rate"] for name in ("success", "collision", "time_out")]
     assert sum(rates) == pytest.approx(1.0)
     assert rates == [pytest.approx(c / sum(counts)) for c in counts]
@@ -173,13 +175,13 @@ def test_rates_sum_to_one(counts: tuple[int, int, int]) -> None:
 
 def test_summary_takes_path_and_clearance_over_arrivals_alone() -> None:
     flights = [
-        Flight(0, 0, "arrived", 100, 9.0, 10.0, 0.2),
-        Flight(1, 0, "arrived", 60, 5.0, 10.0, 0.6),
-        Flight(2, 0, "arrived", 80, 10.0, 10.0, 1.0),
-        Flight(3, 0, "collided", 20, 1.0, 10.0, 0.0),
-        Flight(4, 0, "timed_out", 300, 0.0, 10.0, 0.1),
+        Flight(0, "arrived", 100, 0, 9.0, 10.0, 0.2),
+        Flight(1, "arrived", 60, 0, 5.0, 10.0, 0.6),
+        Flight(2, "arrived", 80, 0, 10.0, 10.0, 1.0),
+        Flight(3, "collided", 20, 0, 1.0, 10.0, 0.0),
+        Flight(4, "timed_out", 300, 0, 0.0, 10.0, 0.1),
     ]
-    result = summarize_flights(flights)
+    result = summarize(flights)
     assert result["path_efficiency"] == pytest.approx(0.8)
     assert result["median_clearance"] == pytest.approx(0.6)
     assert result["min_clearance"] == pytest.approx(0.2)
@@ -188,14 +190,14 @@ def test_summary_takes_path_and_clearance_over_arrivals_alone() -> None:
 
 
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
-    result = summarize_flights(flights_of(0, 1, 1))
+    result = summarize(flights_of(0, 1, 1))
     assert result["path_efficiency"] is result["median_clearance"] is result["min_clearance"] is None
     assert sum(line.rstrip().endswith("–") for line in table(result).splitlines()) == 4
 
 
 def test_no_flights_are_refused() -> None:
     with pytest.raises(ValueError, match="at least one flight"):
-        summarize_flights([])
+        summarize([])
 
 
 @pytest.mark.parametrize(
@@ -232,3 +234,23 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
     assert went["steps"] == sum(f["steps"] for f in results[0]["flights"])
     assert 3.3 < went["altitude"]["p5"] <= went["altitude"]["p95"] < 3.7, "it starts at 3.5 m and keeps that height"
     assert "altitude, 5 / 50 / 95 %" in capfd.readouterr().out
+
+
+def test_an_environment_of_one_without_places_tells_its_returns() -> None:
+    pytest.importorskip("Box2D")
+    env = BipedalEnv(max_steps=30, seed=3)
+    flights = fly(env, lambda state: state.set("action", torch.zeros(4)), 3)
+    assert [flight.task for flight in flights] == [0, 1, 2]
+    assert {flight.steps for flight in flights} == {30} and {flight.outcome for flight in flights} == {"timed_out"}
+    env.set_seed(3)
+    expected = []
+    for _ in range(3):
+        state, paid = env.reset(), 0.0
+        for _ in range(30):
+            state = env.step(state.set("action", torch.zeros(4)))["next"]
+            paid += state["reward"].item()
+        expected.append(paid)
+    assert [flight.episode_return for flight in flights] == pytest.approx(expected)
+    result = summarize(flights)
+    assert result["median_return"] == pytest.approx(sorted(expected)[1])
+    assert "path_efficiency" not in result and "return, mean" in table(result)

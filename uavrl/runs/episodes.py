@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavrl.errors import UavrlError
-from uavrl.files import naming, replacing
+from uavrl.runs.files import naming, replacing
 
 if TYPE_CHECKING:  # reports read episodes without torch
     from tensordict import TensorDictBase
@@ -44,14 +44,13 @@ class Episode:
     @staticmethod
     def header() -> list[str]:
         """The column names."""
-        return [f.name for f in fields(Episode)]
+        return [field.name for field in fields(Episode)]
 
     @staticmethod
     def from_row(row: list[str]) -> Episode:
         """Reads one row of ``episodes.csv``."""
         kinds = {"int": int, "float": float, "str": str}
-        values = [kinds[str(f.type)](v) for f, v in zip(fields(Episode), row, strict=True)]
-        return Episode(*values)
+        return Episode(*(kinds[str(field.type)](value) for field, value in zip(fields(Episode), row, strict=True)))
 
 
 def wilson(count: int, total: int) -> dict[str, float]:
@@ -79,9 +78,6 @@ def outcome(last: TensorDictBase) -> str:
 def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
     """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks.
 
-    Raises:
-        ValueError: when the batch ends in the middle of an episode.
-
     Examples:
         >>> import torch
         >>> from tensordict import TensorDict
@@ -107,53 +103,29 @@ def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Epi
         total_steps: steps of training with this episode.
     """
     first, last = trajectory[0], trajectory[-1]["next"]
-    (start_x, start_y, start_z), (goal_x, goal_y, goal_z) = _place(first, "position"), _place(first, "goal")
-    rewards = trajectory["next", "reward"].double().sum()
-    return Episode(
-        episode=episode,
-        total_steps=total_steps,
-        outcome=outcome(last),
-        episode_return=float(last.get("episode_reward", rewards)),
-        steps=len(trajectory),
-        start_x=start_x,
-        start_y=start_y,
-        start_z=start_z,
-        goal_x=goal_x,
-        goal_y=goal_y,
-        goal_z=goal_z,
-        world_seed=int(first.get("world_seed", 0)),
-        task=int(first["task"].item()),
-    )
-
-
-def _place(state: TensorDictBase, key: str) -> list[float]:
-    place = state.get(key, None)
-    return [0.0, 0.0, 0.0] if place is None else place.tolist()
+    paid = float(last.get("episode_reward", trajectory["next", "reward"].double().sum()))
+    places = [first.get(key, None) for key in ("position", "goal")]
+    start, goal = ([0.0] * 3 if place is None else place.tolist() for place in places)
+    where = [*start, *goal, int(first.get("world_seed", 0)), int(first["task"].item())]
+    return Episode(episode, total_steps, outcome(last), paid, len(trajectory), *where)
 
 
 def read_episodes(path: Path) -> list[Episode]:
-    """Reads ``episodes.csv``; a last row cut off by a killed run is left out.
-
-    Raises:
-        UavrlError: when the file is missing or holds something else.
-    """
+    """Reads ``episodes.csv``; a last row cut off by a killed run is left out."""
     if not path.is_file():
         raise UavrlError(f"Expected the episodes of a run in {path} and found no such file: is it a run folder?")
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            text = file.read()
+        text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise UavrlError(f"{path} is damaged: it holds bytes that are no text.") from error
-    lines = text[: text.rfind("\n") + 1].splitlines()
-    rows = list(csv.reader(lines))
+    rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
     if not rows or rows[0] != Episode.header():
         raise UavrlError(
             f"Expected {path} to start with the columns {','.join(Episode.header())}: it holds something else."
         )
     try:
         episodes = [Episode.from_row(row) for row in rows[1:]]
-        unknown = {e.outcome for e in episodes} - set(OUTCOMES)
-        if unknown:
+        if unknown := {e.outcome for e in episodes} - set(OUTCOMES):
             raise ValueError(f"{sorted(unknown)[0]!r} is no outcome of an episode")
     except ValueError as error:
         raise UavrlError(f"{path} is damaged: {error}.") from error

@@ -1,4 +1,4 @@
-"""The artifact comes back as it was saved, and what is damaged or foreign is refused."""
+"""Weights come back as they were saved, and what is damaged or foreign is refused."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import torch
 from uavrl.errors import UavrlError
 from uavrl.models import TrajectoryClassifier
 from uavrl.models import trajectory_classifier as module
-from uavrl.models.trajectory_classifier import packaged_artifact, read_about
-from uavrl.pretraining.artifact import make_output, save_artifact
+from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.runs.weights import ARTIFACT
 
 
 def classifier(k: int = 9) -> TrajectoryClassifier:
@@ -27,8 +27,8 @@ def classifier(k: int = 9) -> TrajectoryClassifier:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    make_output(tmp_path / "artifact")
-    save_artifact(tmp_path / "artifact", classifier(), {"k": 9, "note": "kept"})
+    (tmp_path / "artifact").mkdir()
+    classifier().save(tmp_path / "artifact", {"k": 9, "note": "kept"})
     return tmp_path / "artifact"
 
 
@@ -64,7 +64,7 @@ def test_states_of_another_width_are_refused() -> None:
 
 
 def test_json_tells_sizes_shapes_and_what_was_reported(folder: Path) -> None:
-    about = read_about(folder)
+    about = ARTIFACT.about(folder)
     assert (about["format"], about["version"], about["note"]) == ("uavrl.trajectory_classifier", 1, "kept")
     assert about["sizes"] == {"inputs": 6, "features": 3, "hidden": 8, "classifier_hidden": [7, 5], "k": 9}
     assert about["shapes"]["centres"] == [9, 3] and about["shapes"]["encoder.0.weight"] == [8, 6]
@@ -75,14 +75,14 @@ def test_one_changed_byte_is_found(folder: Path, position: int) -> None:
     content = bytearray((folder / "artifact.safetensors").read_bytes())
     content[position] ^= 1
     (folder / "artifact.safetensors").write_bytes(content)
-    with pytest.raises(UavrlError, match=r"is damaged .artifact.safetensors has another checksum"):
+    with pytest.raises(UavrlError, match=r"artifact.safetensors is damaged .its checksum differs"):
         TrajectoryClassifier.load(folder)
 
 
 def test_truncated_or_missing_weights_are_refused(folder: Path) -> None:
     path = folder / "artifact.safetensors"
     path.write_bytes(path.read_bytes()[:-10])
-    with pytest.raises(UavrlError, match="another checksum"):
+    with pytest.raises(UavrlError, match="its checksum differs"):
         TrajectoryClassifier.load(folder)
     path.unlink()
     with pytest.raises(UavrlError, match="found no such file: copy the whole folder"):
@@ -101,8 +101,8 @@ def test_a_pickle_is_not_opened(folder: Path) -> None:
 
 @pytest.mark.parametrize("sizes", [{"k": 8}, {"inputs": 105}, {"classifier_hidden": [7]}])
 def test_sizes_that_are_not_those_of_the_weights_are_refused(folder: Path, sizes: dict[str, object]) -> None:
-    change(folder, sizes={**read_about(folder)["sizes"], **sizes})
-    with pytest.raises(UavrlError, match=r"is damaged .the shapes of .* are not those"):
+    change(folder, sizes={**ARTIFACT.about(folder)["sizes"], **sizes})
+    with pytest.raises(UavrlError, match=r"is damaged .the sizes that it tells are not those of its weights"):
         TrajectoryClassifier.load(folder)
 
 
@@ -116,16 +116,16 @@ def test_sizes_that_make_no_sense_are_refused(folder: Path, sizes: dict[str, obj
 @pytest.mark.parametrize("text", ["", "[]", "null", '{"format": "other"}', "\x00"])
 def test_foreign_json_is_refused(folder: Path, text: str) -> None:
     (folder / "artifact.json").write_text(text)
-    with pytest.raises(UavrlError, match=r"of the format uavrl.trajectory_classifier"):
+    with pytest.raises(UavrlError, match=r"is not of uavrl.trajectory_classifier 1"):
         TrajectoryClassifier.load(folder)
 
 
 def test_another_version_or_json_without_a_checksum_is_refused(folder: Path) -> None:
     change(folder, version=2)
-    with pytest.raises(UavrlError, match=r"Expected an artifact of version 1 in .*, got version 2"):
+    with pytest.raises(UavrlError, match=r"is not of uavrl.trajectory_classifier 1, which this version"):
         TrajectoryClassifier.load(folder)
     (folder / "artifact.json").write_text(json.dumps({"format": "uavrl.trajectory_classifier", "version": 1}))
-    with pytest.raises(UavrlError, match="does not tell sizes and checksum"):
+    with pytest.raises(UavrlError, match="its checksum differs"):
         TrajectoryClassifier.load(folder)
 
 
@@ -143,14 +143,6 @@ def test_the_packaged_artifact_is_found_beside_the_code(
     (tmp_path / "artifacts").mkdir()
     folder.rename(tmp_path / "artifacts" / "abr_plus_static")
     assert TrajectoryClassifier.load(packaged_artifact()).k == 9
-
-
-def test_an_artifact_is_not_overwritten(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(UavrlError, match="holds an artifact already"):
-        make_output(folder)
-    (tmp_path / "file").touch()
-    with pytest.raises(UavrlError, match="cannot be written"):
-        make_output(tmp_path / "file" / "artifact")
 
 
 def test_loading_needs_neither_scikit_learn_nor_hydra(folder: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from uavrl.training.provenance import commit_of
+from uavrl.runs.provenance import commit_of
 
 
 def git(folder: Path, *arguments: str) -> str:

@@ -1,0 +1,1 @@
+"""Policies in the air without exploration noise: evaluation, recording, yardsticks and the suite of scenarios."""

@@ -1,0 +1,151 @@
+"""Flies fixed, seeded tasks without exploration noise, and keeps how each of them ended."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase, step_mdp
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from tqdm import tqdm
+
+from uavrl.runs.episodes import outcome
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """How one task ended; lengths in metres, None where the environment emits no ``clearance``.
+
+    Attributes:
+        task: its number, from 0.
+        outcome: arrived, collided or timed_out.
+        steps: until then.
+        world_seed: of the valley.
+        straight: the line from start to end.
+        flown: the path between them.
+        clearance: the least distance between the hull and the nearest thing.
+        episode_return: as the environment gives it, where lengths are None.
+    """
+
+    task: int
+    outcome: str
+    steps: int
+    world_seed: int | None = None
+    straight: float | None = None
+    flown: float | None = None
+    clearance: float | None = None
+    episode_return: float | None = None
+
+    @property
+    def path_efficiency(self) -> float:
+        """Straight line from start to end over the length flown, in (0, 1]."""
+        return (self.straight or 0.0) / max(self.flown or 0.0, 1e-9)
+
+
+@torch.no_grad()
+def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[TensorDictBase]:
+    """Steps of an environment from a state on, each with its ``"next"``, without exploration noise and end.
+
+    Whoever is done begins the next task when the step after is asked for.
+
+    Args:
+        env: of any batch size.
+        policy: reads the environment's output, writes ``action``.
+        state: what ``env.reset()`` gave.
+    """
+    while True:
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            stepped = env.step(policy(state))
+        yield stepped
+        state = env.maybe_reset(step_mdp(stepped))
+
+
+class FlightMeter:
+    """Follows every vehicle of a batch from reset to done.
+
+    Args:
+        count: of vehicles.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._steps = np.zeros(count, dtype=int)
+        self._return, self._flown = np.zeros(count), np.zeros(count)
+        self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
+
+    def step(self, stepped: TensorDictBase) -> list[Flight]:
+        """Takes in one step of all vehicles; returns the flights that it ended."""
+        before, after = stepped.reshape(-1), stepped["next"].reshape(-1)
+        if after.get("clearance", None) is not None:
+            self._measure(before, after)
+        new = self._steps == 0
+        self._return = np.where(new, 0.0, self._return) + after["reward"].double().numpy()[:, 0]
+        self._steps += 1
+        ended = np.flatnonzero(after["done"].numpy()[:, 0]).tolist()
+        flights = [self._flight(i, after[i]) for i in ended]
+        self._steps[ended] = 0
+        return flights
+
+    def _measure(self, before: TensorDictBase, after: TensorDictBase) -> None:
+        position, next_position = before["position"].double().numpy(), after["position"].double().numpy()
+        new = self._steps == 0
+        self._start[new] = position[new]
+        self._clearance[new] = before["clearance"].numpy()[new, 0]
+        self._clearance = np.minimum(self._clearance, after["clearance"].numpy()[:, 0])
+        self._flown = np.where(new, 0.0, self._flown) + np.linalg.norm(next_position - position, axis=1)
+
+    def _flight(self, i: int, last: TensorDictBase) -> Flight:
+        flight = Flight(int(last["task"].item()), outcome(last), int(self._steps[i]))
+        if last.get("clearance", None) is None:
+            return replace(flight, episode_return=float(last.get("episode_reward", self._return[i])))
+        return replace(
+            flight,
+            world_seed=int(last["world_seed"].item()),
+            straight=float(np.linalg.norm(last["position"].double().numpy() - self._start[i])),
+            flown=float(self._flown[i]),
+            clearance=max(float(self._clearance[i]), 0.0),
+        )
+
+
+def fly(
+    env: EnvBase,
+    policy: Policy,
+    episodes: int,
+    *,
+    watch: Callable[[np.ndarray], None] | None = None,
+    progress: bool = False,
+) -> list[Flight]:
+    """Flies tasks 0 to ``episodes - 1`` of the environment's seed, each once, to its end.
+
+    Args:
+        env: any that emits ``arrived``, ``collided`` and ``task``.
+        policy: reads the environment's output, writes ``action``.
+        episodes: number of tasks.
+        watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
+        progress: show a progress line.
+
+    Returns:
+        One flight per task, in the order of the tasks.
+
+    Raises:
+        ValueError: when the environment has given out its first tasks already.
+    """
+    meter, flights = FlightMeter(env.batch_size.numel()), dict[int, Flight]()
+    state = env.reset()
+    if state["task"].min() != 0:
+        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before flying again.")
+    with tqdm(total=episodes, disable=not progress, unit="ep") as bar:
+        for stepped in rollout(env, policy, state):
+            if watch is not None:
+                after = stepped["next"]
+                watch(after["position"][after["task"][:, 0] < episodes].numpy())
+            ended = [flight for flight in meter.step(stepped) if flight.task < episodes]
+            flights |= {flight.task: flight for flight in ended}
+            bar.update(len(ended))
+            if len(flights) == episodes:
+                break
+    return [flights[task] for task in range(episodes)]

@@ -1,0 +1,74 @@
+"""What some flights come to, as numbers and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from uavrl.flying.flight import Flight
+from uavrl.flying.whereabouts import whereabouts_lines
+from uavrl.runs.episodes import RATES, wilson
+
+LABELS = {
+    "path_efficiency": "path efficiency (straight / flown, arrivals)",
+    "median_clearance": "minimum clearance, median over arrivals [m]",
+    "min_clearance": "minimum clearance, least of all arrivals [m]",
+    "mean_return": "return, mean",
+    "sd_return": "return, standard deviation",
+    "median_return": "return, median",
+    "steps_per_episode": "steps per episode",
+    "steps_per_arrival": "steps per arrival",
+}
+
+
+def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
+    """Rates with Wilson 95 % intervals, path efficiency and clearance, or returns, and steps.
+
+    Path efficiency is the mean over arrivals; the minimum clearance (hull to nearest thing) is given
+    as the median over arrivals and as the least of them. What has no value without arrivals is ``None``.
+
+    Examples:
+        >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
+        >>> result = summarize(flights)
+        >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"]
+        (0.5, 0.9, 75.0)
+        >>> walks = [Flight(0, "arrived", 900, episode_return=310.0), Flight(1, "collided", 100, episode_return=-90.0)]
+        >>> summarize(walks)["mean_return"]
+        110.0
+    """
+    if not flights:
+        raise ValueError("Expected at least one flight to summarise, got none.")
+    outcomes = [flight.outcome for flight in flights]
+    result: dict[str, Any] = {"episodes": len(flights)}
+    result |= {name: wilson(outcomes.count(ending), len(flights)) for name, ending in RATES.items()}
+    arrived = [flight for flight in flights if flight.outcome == "arrived"]
+    returns = [flight.episode_return for flight in flights if flight.episode_return is not None]
+    if returns:
+        result["mean_return"] = float(np.mean(returns))
+        result["sd_return"] = float(np.std(returns))
+        result["median_return"] = float(np.median(returns))
+    else:
+        clearances = [flight.clearance for flight in arrived if flight.clearance is not None]
+        result["path_efficiency"] = float(np.mean([f.path_efficiency for f in arrived])) if arrived else None
+        result["median_clearance"] = float(np.median(clearances)) if arrived else None
+        result["min_clearance"] = min(clearances) if arrived else None
+    result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
+    result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
+    return result
+
+
+def number(value: float | None, form: str) -> str:
+    """A value as text, a dash where there is none."""
+    return "–" if value is None else format(value, form)
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """A summary as text for a person."""
+    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {result['episodes']} episodes"]
+    for name in RATES:
+        rate = result[name]
+        lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
+    lines += [f"{label:<46}{number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
+    return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])

@@ -1,0 +1,118 @@
+"""The states of a training run, out of the replay buffer of its newest checkpoint."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torchrl.checkpoint import Checkpoint
+
+from uavrl.buffers import FrameStorage
+from uavrl.errors import UavrlError
+from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
+from uavrl.runs.config import read_config
+from uavrl.trust import check_links
+
+_PART = 100_000  # states that are read at a time
+
+
+@dataclass(frozen=True)
+class States:
+    """States of whole episodes, end to end.
+
+    Attributes:
+        states: ``[N, width]`` float32.
+        episode: ``[N]``, the index of the episode that each state belongs to, from 0.
+        outcomes: of each episode: arrived, collided or timed_out.
+        name: where they come from, for people to read.
+    """
+
+    states: np.ndarray
+    episode: np.ndarray
+    outcomes: list[str]
+    name: str
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def sha256(self) -> str:
+        """The checksum of the states as float32, little endian.
+
+        Examples:
+            >>> States(np.zeros((2, 3)), np.zeros(2, int), ["arrived"], "run").sha256()[:12]
+            '9d908ecfb6b2'
+        """
+        digest = hashlib.sha256()
+        for start in range(0, len(self), _PART):
+            digest.update(np.ascontiguousarray(self.states[start : start + _PART], "<f4").tobytes())
+        return digest.hexdigest()
+
+
+class _StoredTransitions(BufferState):
+    """The transitions of a checkpoint's replay buffer, whatever sampler it has."""
+
+    def __init__(self) -> None:
+        self.storage = FrameStorage(1)
+        self.next_place = 0  # where the next transition would have gone
+
+    def load(self, path: Path) -> None:
+        """Reads what a :class:`~uavrl.runs.checkpoint.BufferState` wrote."""
+        if json.loads((path / "length.json").read_text()):
+            self.storage = FrameStorage.saved_at(path / "storage")
+            self.next_place = int(json.loads((path / "writer/metadata.json").read_text())["cursor"])
+
+
+def read_states(run_dir: Path) -> States:
+    """The states of a run's whole episodes, in the order in which they were flown.
+
+    A full buffer has begun to overwrite its oldest transitions; what is left of the episode cut into is left out.
+
+    Args:
+        run_dir: the run's folder.
+
+    Raises:
+        UavrlError: when there is no run, its checkpoint is damaged, or it holds no whole episode of finite states.
+    """
+    check_links(run_dir)
+    path = latest_checkpoint(run_dir)
+    config = read_config(run_dir)
+    check_checkpoint(path, config)
+    stored = _StoredTransitions()
+    restore(Checkpoint(replay_data=stored), path, ["replay_data"])
+    full = len(stored.storage) >= int(config.buffer.capacity)
+    steps = _in_order(stored.storage, stored.next_place if full else 0)
+    last = steps["last"].nonzero().flatten()
+    first = int(last[0]) + 1 if full and len(last) else 0
+    last = last[last >= first]
+    if not len(last):
+        raise UavrlError(f"Expected whole episodes in the replay buffer of {path} and found none: let it fly longer.")
+    states = steps["observation"][first : int(last[-1]) + 1].float()
+    if not states.isfinite().all():
+        raise UavrlError(f"Expected finite states in {run_dir}, found NaN or infinity: train a run anew.")
+    episode = torch.arange(len(last)).repeat_interleave(last.diff(prepend=torch.tensor([first - 1])))
+    ends = steps[last]
+    outcomes = [
+        "arrived" if arrived else "collided" if terminated else "timed_out"
+        for arrived, terminated in zip(ends["arrived"].tolist(), ends["terminated"].tolist(), strict=True)
+    ]
+    return States(states.numpy(), episode.numpy(), outcomes, f"{run_dir.name}/{path.name}")
+
+
+def _in_order(storage: FrameStorage, oldest: int) -> TensorDict:
+    """What is read of each stored step ``[N]``, from the place of the oldest on."""
+    if not len(storage):
+        return TensorDict({"last": torch.zeros(0, dtype=torch.bool)}, [0])
+    parts = []
+    for places in torch.arange(len(storage)).roll(-oldest).split(_PART):  # in parts: next states are read too
+        found = storage.get(places)
+        flags = {key: found["next", key].flatten() for key in ("done", "terminated", "arrived")}
+        last = flags.pop("done")
+        if (ahead := found.get("steps_to_next_obs", None)) is not None:  # n-step transitions are done before the end
+            last = last & (ahead.flatten() == 1)
+        parts.append(TensorDict({"observation": found["observation"], "last": last, **flags}, [len(places)]))
+    return torch.cat(parts)

@@ -1,0 +1,91 @@
+"""The ``config.yaml`` of a run or a policy, which somebody else may have written, and its fingerprint."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from pathlib import Path
+
+import yaml
+from omegaconf import DictConfig, OmegaConf
+
+from uavrl.errors import UavrlError
+from uavrl.runs.names import CONFIG
+
+# What may differ between a run and its continuation: none of it changes what is learned.
+FREE_KEYS = (
+    "run_dir",
+    "resume",
+    "logger",
+    "choices",
+    "packages",
+    "trainer.episodes",
+    "trainer.until_success",
+    "trainer.progress",
+    "trainer.keep_checkpoints",
+)
+# What may differ between two seeds of one experiment: beside that, what bears on the last digits alone.
+HOW_IT_RUNS = (*FREE_KEYS, "device", "trainer.execution", "trainer.threads", "trainer.window")
+_MOST_BYTES = 1_000_000  # a configuration is of some 4,000
+
+
+def fingerprint(config: DictConfig) -> str:
+    """A hash of everything in a resolved configuration that changes what is learned.
+
+    Examples:
+        >>> one, other = (OmegaConf.create({"seed": 0, "trainer": {"episodes": n}}) for n in (60, 90))
+        >>> fingerprint(one) == fingerprint(other)
+        True
+    """
+    plain = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
+    for key in FREE_KEYS:
+        parent, _, leaf = key.rpartition(".")
+        node = OmegaConf.select(plain, parent) if parent else plain
+        if isinstance(node, DictConfig) and leaf in node:
+            del node[leaf]
+    text = json.dumps(OmegaConf.to_container(plain), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_config(run_dir: Path) -> DictConfig:
+    """The resolved configuration of a run or a policy."""
+    require_folder(run_dir)
+    path = run_dir / CONFIG
+    if not path.is_file():
+        raise UavrlError(f"The folder {run_dir} holds no run, for want of {CONFIG}: give one that uavrl-train printed.")
+    try:
+        config = load_config(path)
+    except Exception as error:
+        raise UavrlError(f"{path} is damaged: {' '.join(str(error).split())[:300]}.") from error
+    if "algo" not in config:
+        raise UavrlError(f"Expected the configuration of a run in {path}, it holds something else.")
+    return config
+
+
+def require_folder(run_dir: Path) -> None:
+    """Refuses what is no folder."""
+    if not run_dir.is_dir():
+        raise UavrlError(
+            f"Expected a run folder at {run_dir} and found none: give the folder that uavrl-train printed."
+        )
+
+
+def load_config(path: Path) -> DictConfig:
+    """Reads a configuration that a run has written: plain values, with nothing left to work out.
+
+    An interpolation could tell what the reader's environment holds (``${oc.env:TOKEN}``), and would stand in every
+    result; an alias of an alias of an alias can fill the memory. Runs write neither.
+    """
+    if path.stat().st_size > _MOST_BYTES:
+        raise ValueError(f"expected at most {_MOST_BYTES:,} bytes, found {path.stat().st_size:,}")
+    text = path.read_text()
+    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError("it holds an alias, which no run writes")
+        if isinstance(event, yaml.ScalarEvent) and "${" in event.value:
+            raise ValueError(f"it holds {event.value[:80]!r} to work out, and runs write plain values")
+    loaded = OmegaConf.load(io.StringIO(text))
+    if not isinstance(loaded, DictConfig):
+        raise ValueError("it holds no configuration")
+    return loaded

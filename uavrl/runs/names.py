@@ -1,0 +1,10 @@
+"""The names in a run folder."""
+
+CONFIG = "config.yaml"  # the resolved configuration
+EPISODES = "episodes.csv"  # a row for each flight
+SUMMARY = "summary.json"  # what the run came to, once it has ended
+CHECKPOINTS = "checkpoints"  # a folder
+ANY_CHECKPOINT = f"{CHECKPOINTS}/checkpoint*"  # from the first one on there is something to go on from
+ARTIFACT = "artifact"  # a folder: a copy of ABR⁺'s classifier, so that the run can go on without the original
+PRETRAINED = "pretrained"  # a folder: the artifact that uavrl-pretrain made of the run's states
+BEGUN = ".begun"  # the mark of a run folder: what has it was made by a training, and may be cleared before a checkpoint

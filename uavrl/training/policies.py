@@ -1,0 +1,138 @@
+"""The policy of a run, or one on its own, ready to fly or to be given away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.checkpoint import Checkpoint
+
+from uavrl.configs import to_dataclass
+from uavrl.configs.train import TrainConfig
+from uavrl.errors import UavrlError
+from uavrl.losses import LifeGuard
+from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
+from uavrl.runs.config import read_config
+from uavrl.runs.files import replacing, writable
+from uavrl.runs.names import CONFIG
+from uavrl.runs.weights import POLICY
+from uavrl.training.factory import make_env
+from uavrl.training.learner import make_actor, make_loss
+from uavrl.training.spaces import Spaces, spaces_of
+
+TOLD = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
+
+
+def load_actor(
+    folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
+) -> tuple[DictConfig, TensorDictModuleBase, dict[str, Any]]:
+    """The policy's module, from the checkpoint named, else from a policy on its own, else from the newest checkpoint.
+
+    Returns:
+        The run's configuration, the module, and where it comes from.
+    """
+    config = read_config(folder)
+    config.packages = list(packages)
+    settings = to_dataclass(config)
+    actor = make_actor(settings, _spaces(settings), device)
+    if checkpoint is None and POLICY.is_in(folder):
+        about, weights = POLICY.load(folder)
+        try:
+            actor.load_state_dict(weights)
+        except RuntimeError as error:
+            other = f"The weights in {folder} are of another policy than its {CONFIG} describes"
+            raise UavrlError(f"{other}: {POLICY.remedy}.") from error
+        return config, actor, about
+    path = checkpoint_path(folder, checkpoint)
+    metadata = check_checkpoint(path, config)
+    restore(Checkpoint(policy=actor), path, ["policy"])
+    steps, episodes = metadata["collected_frames"], metadata["episodes"]
+    return config, actor, dict(zip(TOLD, (path.name, steps, episodes, metadata.get("commit")), strict=True))
+
+
+def load_policy(
+    folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
+) -> tuple[DictConfig, Callable[[TensorDictBase], TensorDictBase], dict[str, Any]]:
+    """What :func:`load_actor` loads, as a policy of an environment on the CPU.
+
+    Returns:
+        The run's configuration, the policy, and what a result says about them.
+    """
+    config, actor, about = load_actor(folder, checkpoint, device, packages)
+
+    def policy(tensordict: TensorDictBase) -> TensorDictBase:
+        acted = actor(tensordict.select("observation").to(device))
+        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
+
+    return config, policy, {"run": str(folder), **{key: about[key] for key in TOLD if key in about}}
+
+
+def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
+    """The file of the checkpoint named, or of the run's newest."""
+    path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
+    if not path.is_file():
+        raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
+    return path
+
+
+def load_risk(
+    settings: TrainConfig, checkpoint: Path, device: torch.device
+) -> Callable[[Tensor, Tensor], Tensor] | None:
+    """What the LifeGuard of a run has learned, or None where the run has none.
+
+    Args:
+        settings: the run's.
+        checkpoint: a checkpoint that was found good.
+        device: where to compute.
+
+    Returns:
+        From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
+    """
+    if settings.lifeguard._target_ is None:
+        return None
+    spaces = _spaces(settings)
+    loss = make_loss(settings, make_actor(settings, spaces, device), spaces, device)
+    restore(Checkpoint(loss_module=loss), checkpoint, ["loss_module"])
+    guard = next((part for part in getattr(loss, "enhancers", []) if isinstance(part, LifeGuard)), None)
+    if guard is None:
+        return None
+
+    def risk(observations: Tensor, actions: Tensor) -> Tensor:
+        features = torch.cat([observations[..., -guard.observations :], actions], -1).to(device)
+        with torch.no_grad():
+            return guard.classifier(guard.scaler(features)).sigmoid().cpu()
+
+    return risk
+
+
+def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[str, Any], output: Path) -> None:
+    """Writes a policy on its own: ``config.yaml``, the weights and then ``policy.json``, without which nothing loads.
+
+    Args:
+        actor: the policy.
+        config: the run's configuration; where its run lay is left out.
+        about: what else ``policy.json`` tells: run, steps, commit.
+        output: the folder, made if need be.
+    """
+    if POLICY.is_in(output) or (output / CONFIG).exists():
+        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with --output FOLDER.")
+    writable(output / POLICY.json, "--output FOLDER")
+    config = config.copy()
+    config.run_dir = Path(str(config.run_dir)).name
+    with replacing(output / CONFIG) as partial:
+        partial.write_text(OmegaConf.to_yaml(config))
+    POLICY.save(output, actor.state_dict(), about)
+
+
+def _spaces(settings: TrainConfig) -> Spaces:
+    env = make_env(settings.env, settings.perception, packages=settings.packages, num_uavs=1)
+    try:
+        return spaces_of(env)
+    finally:
+        env.close()
