@@ -33,7 +33,7 @@ from torchrl.objectives import TD3Loss as StockTD3Loss
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.training.arithmetic import Products, multiplied_by, multiply_by
-from uavrl.training.gradients import Execution
+from uavrl.training.compiled_updates import Execution
 from uavrl.training.stepper import ActorCriticStepper
 
 STATE, ACTION, BATCH, HIDDEN = 105, 4, 100, (400, 300)

@@ -32,7 +32,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     from uavrl.envs.bipedal import BipedalEnv
     from uavrl.training import run
     from uavrl.training.stepper import ActorCriticStepper
-    from uavrl.training.trainer import EpisodeReplay
+    from uavrl.training.trainer import EpisodeTrainer
 
     watch, marks = Stopwatch("collector, policy, bookkeeping"), []
 
@@ -49,7 +49,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     places = {
         "environment": [(BipedalEnv, "_step"), (BipedalEnv, "_reset")],
         "LifeGuard's own training": [(ActorCriticStepper, "observe")],
-        "updates": [(ActorCriticStepper, "step"), (EpisodeReplay, "sample")],
+        "updates": [(EpisodeTrainer, "learn")],
     }
     with tempfile.TemporaryDirectory() as folder, watch.watching(places):
         config = compose(

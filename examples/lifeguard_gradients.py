@@ -35,9 +35,9 @@ def samples(count: int) -> TensorDict:
 def push(loss: LifeGuard, side: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
     """Minus the penalty's gradient in the action, ``[*B, 2]``."""
     action = action.clone().requires_grad_()
-    term, _ = loss.actor_term(TensorDict({"observation": side, "action": action}, action.shape[:-1]))
-    if term is None:
+    if not loss.active:
         raise SystemExit("The classifier is not trusted.")
+    term, _ = loss.actor_term(TensorDict({"observation": side, "action": action}, action.shape[:-1]))
     (gradient,) = torch.autograd.grad(term.sum(), action)
     return -gradient
 

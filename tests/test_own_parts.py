@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from torchrl.checkpoint import Checkpoint
 
 from tests.cli.test_bad_input import in_process, refused
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
+from uavrl.runs.checkpoint import restore, rotation
 from uavrl.training.stepper import ActorCriticStepper
 
 __all__ = ["refused"]  # a fixture
@@ -58,6 +61,31 @@ def test_they_are_trained_from_the_command_line(run_dir: Path, monkeypatch: pyte
     assert json.loads((run_dir / "evaluation_episodes=2.json").read_text())["env"] == "corridor"
 
 
+class Optimisers:
+    """Takes what a checkpoint has of the stepper."""
+
+    def state_dict(self) -> dict[str, Any]:
+        return {}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        self.found = state_dict
+
+
+@pytest.mark.parametrize("execution", ["eager", "captured"])
+def test_a_model_that_uavrl_knows_nothing_of_is_trained_and_goes_on_with_its_run(
+    execution: str, tmp_path: Path
+) -> None:
+    chosen = [*CHOSEN[:2], "enhancer=wary", *SMALL, f"trainer.execution={execution}", f"run_dir={tmp_path / 'run'}"]
+    assert in_process(train_command.main, *CONFIG_DIR, TRUSTED, *chosen) == 0
+    assert in_process(train_command.main, f"resume={tmp_path / 'run'}", TRUSTED, "trainer.episodes=9") == 0
+    optimisers = Optimisers()
+    restore(Checkpoint(stepper=optimisers), rotation(tmp_path / "run").latest(), ["stepper"])
+    updates = json.loads((tmp_path / "run/summary.json").read_text())["updates"]
+    adam = optimisers.found["model_optimizer_0"]
+    assert updates > 0 and [float(state["step"]) for state in adam["state"].values()] == [updates] * 4
+    assert adam["param_groups"][0]["lr"] == 1e-3
+
+
 def test_a_run_that_names_them_does_not_make_them_trusted(run_dir: Path, refused: Callable[..., str]) -> None:
     written = (run_dir / "config.yaml").read_text()
     assert yaml.safe_load(written)["packages"] == ["own_parts"]
@@ -87,7 +115,7 @@ def test_their_mistakes_are_one_sentence_too(
 
 
 def test_each_is_small() -> None:
-    for name in ("reward", "enhancer", "env"):
+    for name in ("reward", "enhancer", "wary", "env"):
         source = (OWN / f"own_parts/{name}.py").read_text()
         body = source[source.index("class ") :]
         assert len(body.splitlines()) < 40

@@ -84,18 +84,10 @@ def test_rows_are_those_of_the_index() -> None:
     assert found.batch_size == torch.Size([3]) and (found == stored[index]).all()
 
 
-def test_values_are_cached_until_the_loss_resets_them() -> None:
-    class Counted:
-        calls = 0
-
-        @upstream.cache_values
-        def value(self) -> int:
-            self.calls += 1
-            return self.calls
-
-    counted = Counted()
-    assert [counted.value(), counted.value()] == [1, 1]
-    assert list(counted.__dict__["_cache"]) == ["value"], "where TorchRL's losses empty it"
+def test_a_number_is_added_to_all() -> None:
+    values = [torch.tensor(3.0), torch.tensor([1.0, 2.0])]
+    upstream.add(values, 1)
+    assert [value.tolist() for value in values] == [4.0, [2.0, 3.0]]
 
 
 def test_a_transform_tolerates_missing_keys_inside() -> None:

@@ -16,11 +16,10 @@ from torch import Tensor
 from torch.fx import GraphModule
 from torchrl.checkpoint._checkpoint import _decode_state_dict_value as decode_state_dict
 from torchrl.envs.transforms.utils import _set_missing_tolerance as missing_tolerance
-from torchrl.objectives.utils import _cache_values as cache_values
 
 __all__ = [
     "ATTRIBUTES",
-    "cache_values",
+    "add",
     "compile_graph",
     "decode_state_dict",
     "fused_adam",
@@ -31,6 +30,7 @@ __all__ = [
 
 fused_adam = torch._fused_adam_
 lerp = torch._foreach_lerp_
+add = torch._foreach_add_
 
 
 def compile_graph(graph: GraphModule, inputs: list[Any], **options: Any) -> Callable[..., Any]:
@@ -70,7 +70,6 @@ ATTRIBUTES: dict[str, tuple[str, ...]] = {
     "torchrl.data.LazyTensorStorage": ("_storage", "_empty"),
     "torchrl.data.TensorDictRoundRobinWriter": ("_cursor",),
     "torchrl.collectors.Collector": ("_weight_sync_schemes", "_frames", "_iter"),
-    "torchrl.trainers.Trainer": ("_save_trainer", "_sync_checkpoint_components"),
     "tensordict.TensorDict": ("_fast_apply",),
     "tensordict.nn.TensorDictModule": ("_kwargs",),
     "torch.nn.Module": ("_modules", "_load_from_state_dict"),

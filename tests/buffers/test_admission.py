@@ -3,10 +3,9 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.data import LazyTensorStorage, ReplayBuffer
 
-from uavrl.buffers import FailureBias, is_admitted
-from uavrl.training.trainer import EpisodeReplay
+from uavrl.buffers import FailureBias, FailureBiasedBuffer, is_admitted
+from uavrl.training.experience import Experience
 
 
 def walk(fell: bool, value: float, steps: int = 4) -> TensorDict:
@@ -68,32 +67,17 @@ def test_a_missing_return_is_refused() -> None:
         FailureBias().admits(walk(True, 0.0).exclude(("next", "episode_reward")))
 
 
-class FakeTrainer:
-    """What EpisodeReplay reads and writes of a trainer."""
-
-    class Stepper:
-        actor_learns = True
-
-    def __init__(self) -> None:
-        self.optimization_stepper, self.optim_steps_per_batch = self.Stepper(), -1
-
-
-def test_after_an_episode_that_is_left_out_come_a_few_updates_without_the_actor() -> None:
-    buffer = ReplayBuffer(storage=LazyTensorStorage(100))
-    replay = EpisodeReplay(buffer, 2, admission=FailureBias(), updates_when_left_out=7)
-    replay._trainer = trainer = FakeTrainer()
+def test_after_an_episode_that_is_left_out_come_a_few_updates() -> None:
+    experience = Experience(FailureBiasedBuffer(100, updates_when_left_out=7), 2)
     told = []
     for episode in (walk(True, -90.0, 5), walk(False, 300.0, 9), walk(False, 20.0, 3)):
-        replay.admission.falls = 0
-        replay.extend(episode)
-        told.append((len(buffer), trainer.optim_steps_per_batch, trainer.optimization_stepper.actor_learns))
-    assert told == [(5, 5, True), (5, 7, False), (8, 3, True)]
+        experience.buffer.admission.falls = 0
+        stored = experience.admitted(episode)
+        updates = experience.store(stored)
+        told.append((len(stored), len(experience.buffer), updates, sum(1 for _ in experience.batches(updates))))
+    assert told == [(5, 5, 5, 5), (0, 5, 7, 7), (3, 8, 3, 3)]
 
 
 def test_nothing_is_learned_from_an_empty_buffer() -> None:
-    replay = EpisodeReplay(
-        ReplayBuffer(storage=LazyTensorStorage(9)), 2, admission=FailureBias(), updates_when_left_out=7
-    )
-    replay._trainer = FakeTrainer()
-    replay.extend(walk(False, 300.0))
-    assert replay._trainer.optim_steps_per_batch == 0
+    experience = Experience(FailureBiasedBuffer(9, updates_when_left_out=7), 2)
+    assert experience.store(experience.admitted(walk(False, 300.0))) == 0

@@ -132,7 +132,7 @@ def outcome(overrides: list[str]) -> tuple[str, str, float]:
 @contextlib.contextmanager
 def a_few_flights() -> Iterator[None]:
     """A run that has flown a little has started."""
-    train, record, step = EpisodeTrainer.train, EpisodeTrainer._record, NavigationEnv._step
+    train, record, step = EpisodeTrainer.train, EpisodeTrainer.record, NavigationEnv._step
     clock: dict[str, float] = {}
 
     def begin(trainer: EpisodeTrainer) -> None:
@@ -152,7 +152,7 @@ def a_few_flights() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(EpisodeTrainer, "train", begin)
-        patch.setattr(EpisodeTrainer, "_record", counted)
+        patch.setattr(EpisodeTrainer, "record", counted)
         patch.setattr(NavigationEnv, "_step", timed)
         yield
 

@@ -33,13 +33,13 @@ COMPONENTS = [
     "backward_reward",
     "collector",
     "episode_log",
-    "logger",
+    "experience",
+    "log",
     "loss_module",
     "policy",
     "random_state",
-    "trainer_module.episode_replay",
-    "trainer_module.optimization_stepper",
-    "trainer_state",
+    "stepper",
+    "trainer",
 ]
 STORAGES = ["storage", "storage/transitions", "storage/transitions/next", "sampler", "writer"]
 Members = dict[str, bytes]

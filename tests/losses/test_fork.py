@@ -116,11 +116,11 @@ class TestForkOnSAC(ForkContract):
 def test_new_models_have_yet_to_be_trusted() -> None:
     """What was observed of the world stays."""
     loss = TestLifeGuardOnFork().make_loss()
-    assert loss.mode == (True, True, "probability")
+    assert loss.active and loss.base.active
     seen, highest = len(loss.collisions), loss.base.observed_high.clone()
     loss.reset_parameters_recursive()
-    assert loss.mode == (False, False, "probability")
-    assert not loss.classifier.weight.any()
+    assert not loss.active and not loss.base.active
+    assert not loss.classifier.model.weight.any()
     assert len(loss.collisions) == seen > 0
     assert torch.equal(loss.base.observed_high, highest)
 
@@ -266,6 +266,19 @@ def test_bipedal_actor_ascends_the_target_critic_with_the_gate_closed_too() -> N
     assert small("bipedal").actor_loss(states(1.0))[0].item() == pytest.approx(-10.0)
 
 
+@pytest.mark.parametrize("outside", [False, True])
+def test_the_bipedal_variant_leaves_the_loss_that_it_wraps_as_it_was(outside: bool) -> None:
+    """Q1 = s + 3 a = 7 where it stands alone; within the variant, whatever stands between, the target's 5 a = 10."""
+    loss = small("bipedal")
+    base = loss.base
+    if outside:
+        loss = Push(loss)
+    else:
+        loss.base = Push(base)
+    assert base.actor_loss(states(1.0))[0].item() == pytest.approx(-7.0)
+    assert loss.actor_loss(states(1.0))[0].item() == pytest.approx(-10.0 + 4.0)  # and Push's a²
+
+
 @pytest.mark.parametrize("make", [td3, ddpg, sac])
 def test_closed_gate_leaves_the_bases_loss(make: object) -> None:
     base = make()
@@ -352,7 +365,7 @@ def test_returns_are_those_that_reward_sum_counted_before_rewards_were_scaled() 
         walk["next", "episode_reward"] = torch.tensor(counted)[:, None]
     loss = small()
     loss.observe(torch.cat(walks))
-    assert loss.returns.stored.tolist() == [3.0, -97.0]
+    assert list(loss.returns) == [3.0, -97.0]
 
 
 def test_several_episodes_at_once_are_as_good_as_one_after_the_other() -> None:
@@ -361,25 +374,25 @@ def test_several_episodes_at_once_are_as_good_as_one_after_the_other() -> None:
     together.observe(torch.cat(flights))
     for flight in flights:
         alone.observe(flight)
-    assert together.returns.stored.tolist() == alone.returns.stored.tolist() == [3.0, 3.0, 1.5]
+    assert list(together.returns) == list(alone.returns) == [3.0, 3.0, 1.5]
     assert together.weight == alone.weight
 
 
 def test_gate_opens_below_the_threshold_only() -> None:
     loss = small(threshold=0.1)
-    assert not loss.gate_open
-    modes: list[object] = []
+    assert not loss.active
+    gates: list[bool] = []
     for system_loss in (0.05, torch.tensor(0.1), torch.tensor(0.099), float("nan")):
         loss.update_gate(system_loss)
-        modes.append((loss.gate_open, loss.mode))
-    assert modes == [(True, (True,)), (False, (False,)), (True, (True,)), (False, (False,))]
+        gates.append(loss.active)
+    assert gates == [True, False, True, False]
 
 
 def test_forward_updates_the_gate_before_the_actor() -> None:
     loss = fork(td3(), threshold=1e9)
     data = TestForkOnTD3().make_data()
     losses = loss(data)
-    assert loss.gate_open
+    assert loss.active
     torch.testing.assert_close(losses["loss_actor"], loss.actor_loss(data)[0])
     torch.testing.assert_close(losses["loss_system"], loss.system_loss(data)[0])
     torch.testing.assert_close(losses["loss_reward"], loss.reward_loss(data)[0])
@@ -398,10 +411,9 @@ def test_state_dict_restores_gate_weight_returns_and_range() -> None:
     loss.observe(episode([1.0, 2.0], torch.tensor([[-1.0], [4.0], [0.0]])))
     loss.update_gate(0.001, 0.5)
     other.load_state_dict(copy.deepcopy(loss.state_dict()))
-    assert other.gate_open
-    assert other.mode == loss.mode
+    assert other.active
     assert other.weight == loss.weight
-    assert other.returns.stored.tolist() == [3.0]
+    assert list(other.returns) == [3.0]
     assert (other.observed_low.item(), other.observed_high.item()) == (-1.0, 4.0)
     assert torch.equal(other.actor_loss(states(1.0))[0], loss.actor_loss(states(1.0))[0])
     assert other.diagnostics() == loss.diagnostics()
@@ -422,11 +434,11 @@ def test_enhancers_nest_either_way() -> None:
     for one in (inner, nested):
         one.update_gate(0.0)
     torch.testing.assert_close(inner.actor_loss(data)[0], outer.actor_loss(data)[0])
-    assert inner.mode == outer.mode == (True,)
+    assert inner.active and nested.active
     assert outer.enhancers == [outer, nested]
     assert outer.unenhanced is base
     outer.observe(episode([1.0], width=6))
-    assert nested.returns.stored.tolist() == [1.0]
+    assert list(nested.returns) == [1.0]
     assert outer.diagnostics().keys() == inner.diagnostics().keys()
     assert {"loss_system", "loss_reward"} <= set(outer(data).keys())
 

@@ -164,9 +164,9 @@ class TestActorTerm:
     def test_literal_value(self) -> None:
         """Scaled features (0.5, 0, 0, 1, 0), w = (4, 0, 0, -2, 0), j = 0: the logit is 0 and c is a half."""
         loss = lifeguard(penalty_weight=8.0)
-        loss.scaler.low.copy_(torch.tensor([0.0, 5.0, 0.0, -2.0, -2.0]))
-        loss.scaler.high.copy_(torch.tensor([2.0, 5.0, 1.0, 2.0, 2.0]))
-        loss.classifier.weight.copy_(torch.tensor([4.0, 0.0, 0.0, -2.0, 0.0]))
+        loss.classifier.scaler.low.copy_(torch.tensor([0.0, 5.0, 0.0, -2.0, -2.0]))
+        loss.classifier.scaler.high.copy_(torch.tensor([2.0, 5.0, 1.0, 2.0, 2.0]))
+        loss.classifier.model.weight.copy_(torch.tensor([4.0, 0.0, 0.0, -2.0, 0.0]))
         loss._active = True
         state = torch.tensor([[9.0, 9.0, 9.0, 1.0, 5.0, 0.0]])
         action = torch.tensor([[2.0, -2.0]], requires_grad=True)
@@ -179,10 +179,10 @@ class TestActorTerm:
         base = td3()
         loss = lifeguard(base)
         data = episodes(2)
-        assert loss.actor_term(data) == (None, {})
+        assert not loss.active
         assert torch.equal(loss.actor_loss(data)[0], base.actor_loss(data)[0])
-        assert loss.mode == (False, "probability")
-        assert trained(loss).mode == (True, "probability")
+        assert trained(loss).active
+        assert not torch.equal(loss.actor_loss(data)[0], base.actor_loss(data)[0])
 
     @pytest.mark.parametrize("penalty", ["probability", "label"])
     @pytest.mark.parametrize("model", ["linear", "mlp"])
@@ -212,7 +212,17 @@ class TestObserve:
         crashes, others = episodes(3), episodes(2, collided=False)
         loss.observe(torch.cat([others, crashes, others]))
         expected = torch.cat([crashes["observation"][4::5, 3:], crashes["action"][4::5]], -1)
-        assert torch.equal(loss.collisions.stored, expected)
+        assert torch.equal(loss.collisions[:], expected)
+
+    def test_equal_stores_are_saved_as_equal_bytes(self) -> None:
+        """Also where nothing was stored yet."""
+        data = episodes(3)
+        loss, other = lifeguard(capacity=1000), lifeguard(capacity=1000)
+        for one in (loss, other):
+            one.observe(data)
+        saved = [one.get_extra_state()["collisions"]["_storage"]["_storage"] for one in (loss, other)]
+        assert torch.equal(*saved)
+        assert saved[0].shape == (1000, 5) and not saved[0][3:].any()
 
     def test_the_store_is_bounded(self) -> None:
         loss = lifeguard(capacity=7)
@@ -220,7 +230,7 @@ class TestObserve:
         last = episodes(5)
         loss.observe(last)
         assert len(loss.collisions) == 7
-        stored = {tuple(row) for row in loss.collisions.stored.tolist()}
+        stored = {tuple(row) for row in loss.collisions[:].tolist()}
         assert {
             tuple(row) for row in torch.cat([last["observation"][:, 3:], last["action"]], -1)[4::5].tolist()
         } < stored
@@ -249,7 +259,7 @@ class TestObserve:
         for old, new in (("collided", "crash"), ("arrived", "won")):
             data["next", new] = data["next"].pop(old)
         renamed.observe(data)
-        assert torch.equal(loss.collisions.stored, renamed.collisions.stored)
+        assert torch.equal(loss.collisions[:], renamed.collisions[:])
         assert ("next", "crash") in renamed.in_keys
         with pytest.raises(ValueError, match="Expected keys out of"):
             loss.set_keys(colided="crash")
@@ -262,7 +272,7 @@ class TestObserve:
         with pytest.raises(ValueError, match="Expected finite states and actions"):
             loss.observe(data)
         assert len(loss.collisions) == 0
-        assert loss.scaler.low.isinf().all()
+        assert loss.classifier.scaler.low.isinf().all()
 
     def test_part_of_an_episode_is_refused(self) -> None:
         with pytest.raises(ValueError, match="Expected whole episodes"):
@@ -274,11 +284,11 @@ class TestFit:
     def test_without_collisions_nothing_happens(self, model: str) -> None:
         loss = lifeguard(model=model)
         data = episodes(20, collided=False)
-        before = copy.deepcopy(loss.classifier.state_dict())
+        before = copy.deepcopy(loss.classifier.model.state_dict())
         loss.observe(data)
         loss.fit(sampler(data), 5, loss.make_optimizer())
-        assert not loss.needs_training
-        assert all(torch.equal(value, before[name]) for name, value in loss.classifier.state_dict().items())
+        assert loss.evaluated == 0
+        assert all(torch.equal(value, before[name]) for name, value in loss.classifier.model.state_dict().items())
         assert loss.diagnostics() == {
             "lifeguard_active": 0.0,
             "lifeguard_true_positive_rate": 0.0,
@@ -296,10 +306,10 @@ class TestFit:
         data = episodes(4)
         loss.observe(data)
         loss.fit(sampler(data), 1)
-        assert int(loss.classifier.t) == 0
+        assert int(loss.classifier.model.t) == 0
         loss.observe(episodes(1))
         loss.fit(sampler(data), 3)
-        assert int(loss.classifier.t) == 3 * 20
+        assert int(loss.classifier.model.t) == 3 * 20
 
     def test_batches_are_balanced_and_shuffled(self) -> None:
         loss = lifeguard()
@@ -309,12 +319,12 @@ class TestFit:
 
         def partial_fit(x: torch.Tensor, y: torch.Tensor) -> None:
             assert (x.amin() >= 0) & (x.amax() <= 1)
-            scaled = loss.scaler(loss.collisions.stored)
+            scaled = loss.classifier.scaler(loss.collisions[:])
             is_stored = (x[:, None] == scaled).all(-1).any(-1)
             assert torch.equal(is_stored, y)
             seen.append(y)
 
-        loss.classifier.partial_fit = partial_fit
+        loss.classifier.model.partial_fit = partial_fit
         loss.fit(sampler(data), 30)
         labels = seen[0].unflatten(0, (30, 20))
         assert (labels.sum(-1) == 10).all()
@@ -326,9 +336,9 @@ class TestFit:
         data = episodes(10)
         loss.observe(data)
         loss.fit(sampler(data), 50)
-        assert loss.evaluations.stored.tolist() == [[0, 0, 10, 10]]
+        assert list(loss.evaluations) == [[0, 0, 10, 10]]
         loss.evaluate(data[torch.arange(10)])
-        assert int(loss.evaluations.seen) == 2
+        assert loss.evaluated == 2
         with pytest.raises(ValueError, match="Expected 10 transitions"):
             loss.evaluate(data)
 
@@ -352,7 +362,7 @@ class TestFit:
         for _ in range(3):
             loss.evaluate(others)
         assert loss.active
-        loss.classifier.intercept.fill_(1.0)
+        loss.classifier.model.intercept.fill_(1.0)
         loss.evaluate(others)
         assert not loss.active
         assert loss.diagnostics()["lifeguard_false_positive_rate"] == pytest.approx(1 / 3)
@@ -410,7 +420,10 @@ class TestFit:
             loss.observe(data)
             loss.fit(sampler(data), 20, optimizer)
         states = one.state_dict(), other.state_dict()
+        extra = [state.pop("_extra_state") for state in states]
         assert all(torch.equal(value, states[1][name]) for name, value in states[0].items())
+        assert torch.equal(one.collisions[:], other.collisions[:])
+        assert torch.equal(extra[0]["evaluations"], extra[1]["evaluations"])
         assert one.diagnostics() == other.diagnostics()
         assert torch.equal(one.actor_loss(data)[0], other.actor_loss(data)[0])
 
@@ -440,7 +453,7 @@ def test_one_lifeguard_on_another() -> None:
     data = episodes(10)
     torch.testing.assert_close(outer.actor_loss(data)[0], inner.actor_loss(data)[0])
     trained(outer)
-    assert outer.mode == (True, "probability", True, "probability")
+    assert [one.active for one in outer.enhancers] == [True, True]
     assert len(inner.collisions) == 160  # the outer one passes on what it observes
     assert outer.actor_loss(data)[0] > inner.actor_loss(data)[0]
 

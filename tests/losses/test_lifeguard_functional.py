@@ -3,14 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from uavrl.losses.lifeguard_functional import (
-    annealed_weight,
-    confusion_counts,
-    confusion_rates,
-    is_trusted,
-    lifeguard_penalty,
-)
-from uavrl.losses.ring import Ring
+from uavrl.losses.lifeguard_functional import annealed_weight, is_trusted, lifeguard_penalty
+from uavrl.models.collision_classifier import confusion_counts, confusion_rates
 
 
 def test_penalty_of_equation_3_11() -> None:
@@ -45,34 +39,3 @@ def test_trust(false_positives: int, evaluations: int, expected: bool) -> None:
     """Of 100 negatives: a rate of 0.97 is enough, 0.96 is not; 20 evaluations are not enough, 21 are."""
     counts = torch.tensor([[0, false_positives, 100 - false_positives, 100]])
     assert is_trusted(counts[: evaluations or 0], evaluations, 20, 0.96) is expected
-
-
-class TestRing:
-    def test_keeps_the_last_rows(self) -> None:
-        ring = Ring(4, (2,))
-        assert ring.stored.shape == (0, 2)
-        for first in (0, 3, 6):
-            ring.push(torch.arange(first, first + 3.0)[:, None].expand(3, 2))
-        assert sorted(ring.stored[:, 0].tolist()) == [5.0, 6.0, 7.0, 8.0]
-        assert int(ring.seen) == 9
-
-    def test_more_rows_than_it_holds(self) -> None:
-        ring = Ring(3)
-        ring.push(torch.arange(2.0))
-        ring.push(torch.arange(10.0))
-        assert sorted(ring.stored.tolist()) == [7.0, 8.0, 9.0]
-        ring.push(torch.zeros(0))
-        ring.push(torch.tensor([10.0]))
-        assert sorted(ring.stored.tolist()) == [8.0, 9.0, 10.0]
-
-    def test_state_dict_round_trip(self) -> None:
-        one, other = Ring(3), Ring(3)
-        one.push(torch.arange(5.0))
-        other.load_state_dict(one.state_dict())
-        for ring in (one, other):
-            ring.push(torch.tensor([9.0]))
-        assert torch.equal(one.rows, other.rows)
-
-    def test_no_room_is_refused(self) -> None:
-        with pytest.raises(ValueError, match="at least one row"):
-            Ring(0)

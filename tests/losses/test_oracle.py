@@ -19,7 +19,7 @@ from tests.losses import oracle
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
 from uavrl.models.classifiers import LinearClassifier
-from uavrl.training.gradients import Execution
+from uavrl.training.compiled_updates import Execution
 from uavrl.training.stepper import ActorCriticStepper
 
 FRAME, STATE, ACTIONS = 3, 6, 2  # the state is two frames, the last one at its end

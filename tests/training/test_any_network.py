@@ -19,7 +19,7 @@ from tests.losses import oracle
 from tests.losses.test_oracle import ACTIONS, STATE, batch_number, cast, plain
 from uavrl.losses import ActorCriticLoss, SACLoss, TD3Loss
 from uavrl.models import Critic
-from uavrl.training.gradients import Execution
+from uavrl.training.compiled_updates import Execution
 from uavrl.training.stepper import ActorCriticStepper
 
 UPDATES = 50

@@ -24,9 +24,10 @@ from uavrl.buffers import GatheringStorage
 from uavrl.cli import train as train_command
 from uavrl.errors import UavrlError
 from uavrl.pretraining import read_states
-from uavrl.runs.checkpoint import rotation
+from uavrl.runs.checkpoint import RandomState, rotation
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, train
+from uavrl.training.trainer import EpisodeTrainer
 
 SMALL = [
     "env.num_uavs=2",
@@ -242,6 +243,22 @@ def test_states_kept_frame_by_frame_teach_the_same(tmp_path: Path, monkeypatch: 
     learned = [name for name in frames if "/storage/" not in name]
     assert len(learned) > 30
     assert not [name for name in learned if frames[name] != whole[name]]
+
+
+def test_a_run_of_another_version_is_told_so_and_left_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=2")
+    train(config, create_run(config))
+    before = (tmp_path / "run/episodes.csv").read_bytes()
+    built = EpisodeTrainer.__post_init__
+
+    def knows_more(trainer: EpisodeTrainer) -> None:
+        built(trainer)
+        trainer.checkpoint.register("newer", RandomState())
+
+    monkeypatch.setattr(EpisodeTrainer, "__post_init__", knows_more)
+    with pytest.raises(UavrlError, match="was written by another version of uavrl"):
+        train(small_config(tmp_path / "run", "trainer.episodes=3"), tmp_path / "run", resume=True)
+    assert (tmp_path / "run/episodes.csv").read_bytes() == before
 
 
 def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from tests.losses.test_sac import critics, stochastic_actor
 from uavrl.buffers import PrioritizedBuffer
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic
-from uavrl.training.gradients import Execution, LossGradients
+from uavrl.training.compiled_updates import Execution, LossGradients
 from uavrl.training.stepper import ActorCriticStepper
 
 
@@ -58,7 +58,7 @@ def batch() -> TensorDict:
 
 
 def parameters(loss: torch.nn.Module) -> dict[str, torch.Tensor]:
-    return {key: value.detach().cpu().clone() for key, value in loss.state_dict().items() if value is not None}
+    return {key: value.detach().cpu().clone() for key, value in loss.state_dict().items() if isinstance(value, Tensor)}
 
 
 def moved(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor], part: str) -> bool:
@@ -129,7 +129,7 @@ OPTIMISERS = {
     "td3": {"actor_optimizer", "critic_optimizer"},
     "ddpg": {"actor_optimizer", "critic_optimizer"},
     "sac": {"actor_optimizer", "critic_optimizer", "temperature_optimizer"},
-    "td3_fork_lg": {"actor_optimizer", "critic_optimizer", "fork_optimizer_0", "lifeguard_optimizer_0"},
+    "td3_fork_lg": {"actor_optimizer", "critic_optimizer", "model_optimizer_0", "fit_optimizer_0"},
 }
 
 
@@ -143,7 +143,7 @@ def test_a_restored_stepper_goes_on_the_same(name: str) -> None:
     assert {key for key in state if "optimizer" in key} == OPTIMISERS[name]
     assert all(state[key]["state"] for key in OPTIMISERS[name])  # each has made a step
     if name == "td3_fork_lg":
-        assert loss.mode == (True, True, "probability")
+        assert [enhancer.active for enhancer in loss.enhancers] == [True, True]
     other_loss = make_any(name)
     other = ActorCriticStepper(other_loss, policy_delay=5)
     other_loss.load_state_dict(copy.deepcopy(loss.state_dict()))
@@ -159,7 +159,7 @@ def test_a_restored_stepper_goes_on_the_same(name: str) -> None:
     )
 
 
-def test_the_actors_loss_is_recorded_once_for_each_mode() -> None:
+def test_the_actors_loss_is_recorded_once_for_each_set_of_terms() -> None:
     """The gate of FORK and the trust in LifeGuard change the loss; a recording of another mode would be wrong."""
     torch.manual_seed(0)
     loss = make_enhanced()
@@ -171,22 +171,22 @@ def test_the_actors_loss_is_recorded_once_for_each_mode() -> None:
     recordings: list[object] = []
 
     def counted(tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        recordings.append(loss.mode)
+        recordings.append((loss.base.active, loss.active))
         return loss.actor_loss(tensordict)
 
     stepper.actor.gradients.loss_method = counted
-    eager = LossGradients(loss.actor_loss, stepper.actor.gradients.parameters, [], "eager")
+    eager = LossGradients(loss.actor_loss, stepper.actor.gradients.parameters, "eager")
     modes = [(gate, heard) for gate in (False, True) for heard in (False, True)]
     for gate, heard in modes + modes[::-1]:
         loss.base.update_gate(0.0 if gate else 1e10)
         loss.min_true_negative_rate = -1.0 if heard else 1.0
         loss.evaluate(others)
-        assert loss.mode == (gate, heard, "probability")
+        assert (loss.base.active, loss.active) == (gate, heard)
         expected, said = eager(batch()), stepper.actor(batch())
         assert torch.equal(said.loss, expected.loss)
         assert all(map(torch.equal, said.gradients, expected.gradients))
         assert ("fork_term" in said.metadata, "lifeguard_penalty" in said.metadata) == (gate, heard)
-    assert recordings == [(gate, heard, "probability") for gate, heard in modes]
+    assert recordings == modes
 
 
 @pytest.mark.parametrize("execution", ["eager", "captured"])

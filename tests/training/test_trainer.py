@@ -33,7 +33,7 @@ class Run:
 
     @property
     def stored(self) -> TensorDictBase:
-        buffer = self.trainer._modules["episode_replay"].buffer
+        buffer = self.trainer.experience.buffer
         return buffer.storage.get(slice(0, len(buffer)))
 
     def stored_episodes(self) -> list[TensorDictBase]:
@@ -53,11 +53,12 @@ def flown(run_dir: Path, *overrides: str, lift: float | None = None) -> Run:
     if lift is not None:
         with torch.no_grad():
             trainer.checkpoint.components["policy"].module.net[-1].bias[2] = math.atanh(lift / 2)
-    updates: list[int] = []
-    trainer.register_op("post_steps_log", lambda _: updates.append(trainer.optimization_stepper.updates))
-    trainer.save_trainer(force_save=True)
+    updates: list[int] = []  # known when the next episode is recorded
+    record = trainer.record
+    trainer.record = lambda batch: (updates.append(trainer.stepper.updates), record(batch))  # type: ignore[method-assign]
+    trainer.save()
     trainer.train()
-    return Run(trainer, read_episodes(run_dir / "episodes.csv"), updates)
+    return Run(trainer, read_episodes(run_dir / "episodes.csv"), [*updates[1:], trainer.stepper.updates])
 
 
 def policy_of(run: Run, observation: torch.Tensor) -> torch.Tensor:
@@ -239,17 +240,17 @@ def test_a_barrier_restarts_the_environment_at_task_0_with_a_seed_of_its_own(tmp
 
 def test_a_loss_that_is_no_number_ends_the_run_and_leaves_the_checkpoints(tmp_path: Path) -> None:
     trainer = built(tmp_path / "run", "trainer.episodes=10", "trainer.checkpoint_interval=100000")
-    trainer.save_trainer(force_save=True)
+    trainer.save()
     before = {p: p.read_bytes() for p in (tmp_path / "run/checkpoints").iterdir()}
     assert before
     with torch.no_grad():
-        for value in trainer.loss_module.critic_network_params.values(True, True):
+        for value in trainer.loss.critic_network_params.values(True, True):
             value.fill_(math.nan)
     try:
         with pytest.raises(UavrlError, match=r"critic's loss became nan after \d+ updates"):
             trainer.train()
     finally:
-        trainer.shutdown()
+        trainer.collector.shutdown()
     assert {p: p.read_bytes() for p in (tmp_path / "run/checkpoints").iterdir()} == before
 
 

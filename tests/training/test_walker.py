@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 from pathlib import Path
 
+import pytest
 from omegaconf import DictConfig
 
 from tests.training.test_resume import assert_same_run, small_config
+from uavrl.buffers import FailureBias
 from uavrl.runs.checkpoint import rotation
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, train
+from uavrl.training.stepper import ActorCriticStepper
 
 WALKER = [
     "env=bipedal_hardcore",
@@ -62,3 +66,18 @@ def test_a_resumed_run_with_both_enhancers_is_bit_identical(tmp_path: Path) -> N
         assert max(float(line.split(",")[-1]) for line in logged[said]) > 0, said
     outcomes = {episode.outcome for episode in read_episodes(whole / "episodes.csv")}
     assert outcomes == {"collided", "timed_out"}
+
+
+def test_the_actor_waits_after_a_walk_that_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The walks from the fifth on are left out: three updates come after each, of the critics alone."""
+    config = walker_config(
+        tmp_path / "run", "trainer.episodes=8", "buffer=failure_biased", "buffer.updates_when_left_out=3"
+    )
+    walks, actor_learns = itertools.count(1), []
+    step = ActorCriticStepper.step
+    monkeypatch.setattr(FailureBias, "admits", lambda *_: next(walks) < 5)
+    monkeypatch.setattr(
+        ActorCriticStepper, "step", lambda self, *batch: actor_learns.append(self.actor_learns) or step(self, *batch)
+    )
+    train(config, create_run(config))
+    assert actor_learns[0] and actor_learns[-13:] == [True] + [False] * 12

@@ -1,26 +1,22 @@
-"""What actor–critic losses have in common, and how an enhancer attaches to one."""
+"""What actor–critic losses have in common."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from tensordict import TensorDictBase, TensorDictParams
-from tensordict.nn import TensorDictModule, TensorDictModuleBase, dispatch
-from tensordict.utils import NestedKey
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded
-from torchrl.objectives import LossModule
-from torchrl.objectives.value import ValueEstimatorBase
-
-from uavrl.losses.functional import deterministic_policy_objective
 
 # At run time a mixin: TorchRL's metaclass gives every subclass of LossModule a forward of its own,
 # which would hide that of the loss it is mixed into.
 if TYPE_CHECKING:
     from torchrl.objectives import LossModule as _LossModule
+
+    from uavrl.losses.enhancer import Enhancer
 else:
     _LossModule = ABC
 
@@ -29,16 +25,13 @@ class ActorCriticLoss(_LossModule):
     """The interface of a deterministic or reparameterised actor–critic loss.
 
     A subclass says how it acts and what it wants of an action; the actor's loss follows. An
-    :class:`Enhancer` reads the same three methods, so that it attaches to any of them.
+    :class:`~uavrl.losses.Enhancer` reads the same three methods, so that it attaches to any of them.
     """
 
     actor_network_params: TensorDictParams
 
     out_keys = TensorDictModuleBase.out_keys  # TorchRL's lists hold for all instances: no key could be selected
     """What :meth:`forward` writes."""
-
-    actor_reads_target = False
-    """Whether the actor ascends the target critics in place of the online ones."""
 
     num_critics: ClassVar[int] = 2
     """How many critics :meth:`of_networks` takes."""
@@ -73,9 +66,25 @@ class ActorCriticLoss(_LossModule):
         return self
 
     @property
-    def mode(self) -> tuple[Hashable, ...]:
-        """Names the branches that the losses would take now: a recorded or compiled graph holds for one mode."""
-        return ()
+    def enhancers(self) -> list[Enhancer]:
+        """The enhancers around the loss, the outermost first: here, none."""
+        return []
+
+    @property
+    def alpha_params(self) -> list[Tensor]:
+        """The parameters of a temperature, which :meth:`alpha_loss` moves after each step of the actor: here, none."""
+        return []
+
+    def alpha_loss(self, log_prob: Tensor) -> Tensor:
+        """The temperature's reduced loss, of the ``log_prob [*B]`` in the metadata of :meth:`actor_loss`."""
+        raise NotImplementedError
+
+    def observe(self, episodes: TensorDictBase) -> None:
+        """Takes in whole new episodes ``[T]``, end to end: only enhancers learn from them."""
+
+    def diagnostics(self) -> dict[str, float]:
+        """Numbers worth logging: here, none."""
+        return {}
 
     def _accepted_keys(self) -> set[str]:
         """The names that :meth:`set_keys` takes."""
@@ -128,10 +137,15 @@ class ActorCriticLoss(_LossModule):
             target: ask the target critics.
         """
 
-    def actor_objective(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """What the actor minimises for each sample, ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``)."""
-        value = self.action_value(acted, target=self.actor_reads_target)
-        return deterministic_policy_objective(value), {"state_action_value_actor": value.detach()}
+    def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
+        """What the actor minimises for each sample, ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``).
+
+        Args:
+            acted: ``[*B]`` with the state and the actor's action.
+            target: ascend the target critics in place of the online ones.
+        """
+        value = self.action_value(acted, target=target)
+        return -value, {"state_action_value_actor": value.detach()}
 
     if TYPE_CHECKING:  # TorchRL's losses bring it
 
@@ -151,172 +165,3 @@ class ActorCriticLoss(_LossModule):
         weights = self._maybe_get_priority_weight(tensordict)
         objective, metadata = self.actor_objective(self.act(tensordict))
         return self._reduce_loss(objective, tensordict=tensordict, weights=weights), metadata
-
-
-class Enhancer(ActorCriticLoss, LossModule):
-    """Adds a term to the actor's objective of another loss, and trains the models that the term needs.
-
-    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change it asks of ``base``, whose
-    networks it shows as its own: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``.
-
-    Args:
-        base: the loss to enhance, or another enhancer.
-    """
-
-    @dataclass
-    class _AcceptedKeys:
-        """The keys that :meth:`set_keys` renames, besides those of the base."""
-
-        priority_weight: NestedKey = "priority_weight"
-
-    default_keys = _AcceptedKeys
-
-    def __init__(self, base: ActorCriticLoss) -> None:
-        super().__init__()
-        self.base = base
-        self._has_update_associated = base._has_update_associated  # one updater serves both
-        self.reduction = base.reduction
-        self.use_prioritized_weights = base.use_prioritized_weights
-        self.loss_mask_key = base.loss_mask_key
-        self.out_keys = list(base.out_keys)
-        for keys in (base.unenhanced.tensor_keys, base.tensor_keys):
-            for name in self._AcceptedKeys.__dataclass_fields__:
-                if hasattr(keys, name):
-                    setattr(self.tensor_keys, name, getattr(keys, name))
-
-    # ------------------------------------------------------------------ what a subclass gives
-
-    @abstractmethod
-    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor | None, dict[str, Tensor]]:
-        """What is added to the objective of each sample ``[*B]``, or None while it has nothing to say."""
-
-    def observe(self, episodes: TensorDictBase) -> None:
-        """Takes in whole new episodes ``[T]``, end to end. Call it once for each episode flown."""
-        if isinstance(self.base, Enhancer):
-            self.base.observe(episodes)
-
-    def diagnostics(self) -> dict[str, float]:
-        """Numbers worth logging."""
-        return self.base.diagnostics() if isinstance(self.base, Enhancer) else {}
-
-    def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """The losses ``loss_*`` of the models that the term needs, for :meth:`forward`."""
-        return {}
-
-    # ------------------------------------------------------------------ what TorchRL asks of a loss
-
-    @property
-    def in_keys(self) -> list[NestedKey]:
-        """What :meth:`forward` reads."""
-        return self.base.in_keys
-
-    def _accepted_keys(self) -> set[str]:
-        return super()._accepted_keys() | self.base._accepted_keys()
-
-    def set_keys(self, **kwargs: NestedKey | None) -> None:
-        """Renames keys here and in the base, wherever they are known; None restores a default.
-
-        Raises:
-            ValueError: for a key that none of the losses knows.
-        """
-        accepted = self._accepted_keys()
-        if unknown := set(kwargs) - accepted:
-            raise ValueError(f"Expected keys out of {sorted(accepted)}, got {sorted(unknown)}.")
-        inner, own = self.base._accepted_keys(), super()._accepted_keys()
-        self.base.set_keys(**{name: key for name, key in kwargs.items() if name in inner})
-        super().set_keys(**{name: key for name, key in kwargs.items() if name in own})
-
-    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
-        """The base has told its own."""
-
-    @dispatch
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The base's losses, the enhanced ``loss_actor``, and the losses of the models.
-
-        Args:
-            tensordict: ``[*B]`` transitions; the base writes its priority into them.
-        """
-        losses = self.base(tensordict)
-        losses.update(self.model_losses(tensordict))  # first: the actor's term may depend on how good they are
-        loss_actor, metadata = self.actor_loss(tensordict)
-        return losses.update({"loss_actor": loss_actor, **metadata})
-
-    def named_children(self) -> Iterator[tuple[str, nn.Module]]:
-        """Its modules, and the base's target networks: TorchRL's updaters look for them here."""
-        yield from super().named_children()
-        yield from (pair for pair in self.base.named_children() if pair[0].startswith("target_"))
-
-    def children(self) -> Iterator[nn.Module]:
-        """Its modules."""
-        return (module for _, module in super().named_children())
-
-    def __getattr__(self, name: str) -> Any:
-        """The base's networks and their parameters, where there is nothing of that name here."""
-        modules = self.__dict__.get("_modules", {})
-        if "_network" in name and name.removeprefix("target_") not in modules and "base" in modules:
-            return getattr(modules["base"], name)
-        return super().__getattr__(name)
-
-    def reset_parameters_recursive(self) -> None:
-        """Draws the weights of all networks anew, the base's and its own; what was observed stays."""
-        self.base.reset_parameters_recursive()
-        super().reset_parameters_recursive()
-
-    # ------------------------------------------------------------------ what is asked of the base
-
-    @property
-    def mode(self) -> tuple[Hashable, ...]:
-        """The base's branches; a term that branches adds its own."""
-        return self.base.mode
-
-    @property
-    def enhancers(self) -> list[Enhancer]:
-        """This enhancer and those below it, the outermost first."""
-        return [self, *(self.base.enhancers if isinstance(self.base, Enhancer) else [])]
-
-    @property
-    def unenhanced(self) -> ActorCriticLoss:
-        """The loss below all enhancers."""
-        return self.base.unenhanced
-
-    @property
-    def actor_network_params(self) -> TensorDictParams:
-        """The parameters that the actor's optimiser moves."""
-        return self.base.actor_network_params
-
-    @property
-    def critic_network_params(self) -> TensorDictParams:
-        """The parameters that the critic's optimiser moves."""
-        return self.base.critic_network_params
-
-    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The base's action."""
-        return self.base.act(tensordict)
-
-    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
-        """The base's value."""
-        return self.base.action_value(acted, target=target)
-
-    def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
-        """The base's; the γ of FORK's predicted steps is an argument of its own."""
-        self.base.make_value_estimator(value_type, **hyperparams)
-        return self
-
-    @property
-    def value_estimator(self) -> ValueEstimatorBase:
-        """The base's."""
-        return self.base.value_estimator
-
-    def set_vmap_randomness(self, value: str) -> None:
-        """The base's: what its critics do with random layers."""
-        self.base.set_vmap_randomness(value)
-
-    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The base's critic loss."""
-        return self.base.value_loss(tensordict)
-
-    def actor_objective(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The base's objective and the term."""
-        objective, metadata = self.base.actor_objective(acted)
-        term, own = self.actor_term(acted)
-        return objective if term is None else objective + term, metadata | own

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +13,8 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import unravel_key
 from torch import Tensor, nn
 
-from uavrl.losses.actor_critic import ActorCriticLoss, Enhancer
+from uavrl.losses.actor_critic import ActorCriticLoss
+from uavrl.losses.enhancer import Enhancer, Model
 from uavrl.losses.functional import (
     bipedal_fork_objective,
     clamped_smooth_l1,
@@ -20,9 +22,7 @@ from uavrl.losses.functional import (
     fork_weight,
     masked_mse,
 )
-from uavrl.losses.ring import Ring
 from uavrl.ranges import Count, Discount, NonNegative, Positive
-from uavrl.upstream import cache_values
 
 Variant = Literal["fork", "bipedal"]
 
@@ -140,13 +140,11 @@ class Fork(Enhancer):
         self.model_lr = model_lr
         self.max_reward = 300.0 if max_reward is None else max_reward
         self.base_weight = {"fork": 0.6, "bipedal": 1.0}[variant] if base_weight is None else base_weight
-        if variant == "bipedal":
-            self.unenhanced.actor_reads_target = True
         device = self.system_network_params.device or next(self.parameters()).device
         self.register_buffer("weight", torch.tensor(float(self.base_weight), device=device))
         self.register_buffer("observed_low", torch.full((observations,), -math.inf, device=device))
         self.register_buffer("observed_high", torch.full((observations,), math.inf, device=device))
-        self.returns = Ring(return_window).to(device)
+        self.returns: deque[float] = deque(maxlen=return_window)
         self.out_keys = [*self.out_keys, "loss_system", *(["loss_reward"] if variant == "fork" else [])]
         self._gate_open = False
         self._last_losses = (math.nan, math.nan)
@@ -176,14 +174,21 @@ class Fork(Enhancer):
 
     # ------------------------------------------------------------------ the actor
 
-    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor | None, dict[str, Tensor]]:
-        """The term of each sample ``[*B]`` (Eq. 2.14), or None while the gate is closed.
+    @property
+    def active(self) -> bool:
+        """Whether the gate is open: the last system loss was under the threshold."""
+        return self._gate_open
+
+    def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
+        """The base's objective, and the term while the gate is open; the bipedal variant asks the target critics."""
+        return super().actor_objective(acted, target=target or self.variant == "bipedal")
+
+    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The term of each sample ``[*B]`` (Eq. 2.14).
 
         Args:
             acted: ``[*B]`` with the state and the actor's action.
         """
-        if not self._gate_open:
-            return None, {}
         first = self._advance(acted)
         second = self._advance(first)
         if self.variant == "bipedal":
@@ -197,24 +202,14 @@ class Fork(Enhancer):
     def _advance(self, acted: TensorDictBase) -> TensorDictBase:
         """The state that the system network predicts, with the actor's action there."""
         with torch.set_grad_enabled(self.backprop_through_model and torch.is_grad_enabled()):
-            prediction = _call(self.system_network, self._cached_detached_system_params, acted)
+            prediction = _call(self.system_network, self.system_network_params.detach(), acted)
             state = prediction.clamp(self.observed_low, self.observed_high)
         return self.act(TensorDict({self.tensor_keys.observation: state}, acted.batch_size, device=acted.device))
 
     def _predict_reward(self, acted: TensorDictBase, following: TensorDictBase) -> Tensor:
         key = self.tensor_keys.observation
         step = acted.select(key, self.tensor_keys.action).set(unravel_key(("next", key)), following.get(key))
-        return _call(self.reward_network, self._cached_detached_reward_params, step).reshape(acted.batch_size)
-
-    @property
-    @cache_values
-    def _cached_detached_system_params(self) -> TensorDictBase:
-        return self.system_network_params.detach()
-
-    @property
-    @cache_values
-    def _cached_detached_reward_params(self) -> TensorDictBase:
-        return self.reward_network_params.detach()
+        return _call(self.reward_network, self.reward_network_params.detach(), step).reshape(acted.batch_size)
 
     # ------------------------------------------------------------------ the models
 
@@ -223,6 +218,12 @@ class Fork(Enhancer):
         """The parameters that the models' optimiser moves."""
         groups = [self.system_network_params] + ([self.reward_network_params] if self.variant == "fork" else [])
         return [leaf for group in groups for leaf in group.values(True, True) if isinstance(leaf, nn.Parameter)]
+
+    @property
+    def models(self) -> list[Model]:
+        """Both networks, trained at each update; their loss moves the gate."""
+        learned = lambda metadata: self.update_gate(**metadata)  # noqa: E731
+        return [Model(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
 
     def system_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Smooth-L1 of the predicted next state, clamped to the observed range (bipedal: masked squared error).
@@ -288,16 +289,6 @@ class Fork(Enhancer):
 
     # ------------------------------------------------------------------ gate and weight
 
-    @property
-    def gate_open(self) -> bool:
-        """Whether the actor's objective has the term."""
-        return self._gate_open
-
-    @property
-    def mode(self) -> tuple[object, ...]:
-        """The base's branches and the gate."""
-        return (*self.base.mode, self._gate_open)
-
     def update_gate(self, system_loss: Tensor | float, reward_loss: Tensor | float = math.nan) -> None:
         """Opens the gate if the system loss is under the threshold, else closes it.
 
@@ -332,8 +323,9 @@ class Fork(Enhancer):
             first = len(self.returns) == 0
             self.observed_low.copy_(low if first else torch.minimum(self.observed_low, low))
             self.observed_high.copy_(high if first else torch.maximum(self.observed_high, high))
-        self.returns.push(self._episode_returns(episodes, rewards, done))
-        self.weight.copy_(fork_weight(self.returns.stored, self.max_reward, self.base_weight))
+        self.returns.extend(self._episode_returns(episodes, rewards, done).tolist())
+        returns = torch.tensor(self.returns, dtype=self.weight.dtype)
+        self.weight.copy_(fork_weight(returns, self.max_reward, self.base_weight))
 
     def _episode_returns(self, episodes: TensorDictBase, rewards: Tensor, done: Tensor) -> Tensor:
         """``[E]``: what ``RewardSum`` counted, or the sums of the rewards."""
@@ -368,16 +360,18 @@ class Fork(Enhancer):
         }
 
     def get_extra_state(self) -> Tensor:
-        """What the state dict holds beside parameters and buffers: the gate and what diagnostics count."""
-        state = [self._gate_open, *self._last_losses, self._openings, self._updates]
+        """What the state dict holds beside tensors: the gate, what diagnostics count, and the returns."""
+        state = [self._gate_open, *self._last_losses, self._openings, self._updates, *self.returns]
         return torch.tensor(state, dtype=torch.float64)
 
     def set_extra_state(self, state: Tensor) -> None:
         """Restores what :meth:`get_extra_state` gave."""
-        gate, system_loss, reward_loss, openings, updates = state.tolist()
+        gate, system_loss, reward_loss, openings, updates, *returns = state.tolist()
         self._gate_open = bool(gate)
         self._last_losses = (system_loss, reward_loss)
         self._openings, self._updates = int(openings), int(updates)
+        self.returns.clear()
+        self.returns.extend(returns)
 
 
 def _call(network: TensorDictModuleBase, params: TensorDictBase, inputs: TensorDictBase) -> Tensor:

@@ -1,4 +1,4 @@
-"""The losses' equations as pure tensor functions (Chansuparp (2022), Eq. 2.7–2.14; Wei & Ying (2020))."""
+"""FORK's equations as pure tensor functions (Chansuparp (2022), Eq. 2.14; Wei & Ying (2020))."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ from torch import Tensor
 __all__ = [
     "bipedal_fork_objective",
     "clamped_smooth_l1",
-    "deterministic_policy_objective",
     "fork_objective",
     "fork_weight",
     "masked_mse",
-    "squared_error",
-    "target_action",
-    "td_target",
 ]
 
 
@@ -23,95 +19,6 @@ def _same_shape(**tensors: Tensor) -> None:
     if len({tensor.shape for tensor in tensors.values()}) > 1:
         shapes = ", ".join(f"{name} {tuple(tensor.shape)}" for name, tensor in tensors.items())
         raise ValueError(f"Expected tensors of one shape, got {shapes}: reshape them to match.")
-
-
-# ---------------------------------------------------------------------- DDPG and TD3
-
-
-def target_action(action_t: Tensor, noise_t: Tensor, clip: float | Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """The smoothed target action (Eq. 2.10): ``clip(μ'(s_t) + clip(ε, -c, c), a_low, a_high)``.
-
-    Args:
-        action_t: ``[*B, A]``, the target actor's action at the next state.
-        noise_t: ``[*B, A]``, ε, drawn from N(0, σ).
-        clip: c, a number or ``[A]``.
-        low: smallest action, broadcast to ``[*B, A]``.
-        high: largest action, broadcast to ``[*B, A]``.
-
-    Returns:
-        ``[*B, A]``.
-
-    Raises:
-        ValueError: when action and noise differ in shape.
-
-    Examples:
-        >>> bound = torch.tensor(2.0)
-        >>> target_action(torch.tensor([1.9, 0.0]), torch.tensor([0.3, -9.0]), 0.5, -bound, bound)
-        tensor([ 2.0000, -0.5000])
-    """
-    _same_shape(action_t=action_t, noise_t=noise_t)
-    limit = torch.as_tensor(clip, dtype=noise_t.dtype, device=noise_t.device)
-    return (action_t + noise_t.clamp(-limit, limit)).clamp(low, high)
-
-
-def td_target(r_t: Tensor, terminated_t: Tensor, q_t: Tensor, gamma: float) -> Tensor:
-    """The target of the critics (Eq. 2.11; with one critic Eq. 2.7): ``r + γ (1 - d) min_j Q'_j(s_t, a'_t)``.
-
-    Args:
-        r_t: ``[*B]``, reward of the transition.
-        terminated_t: ``[*B]`` boolean, d: the episode ended there, other than by a time-out.
-        q_t: ``[K, *B]``, the K target critics' values at the next state.
-        gamma: discount γ.
-
-    Returns:
-        ``[*B]``, without gradient.
-
-    Raises:
-        ValueError: when the shapes do not match.
-
-    Examples:
-        >>> q_t = torch.tensor([[1.0, 5.0], [3.0, 4.0]])
-        >>> td_target(torch.tensor([1.0, 2.0]), torch.tensor([False, True]), q_t, 0.5)
-        tensor([1.5000, 2.0000])
-    """
-    _same_shape(r_t=r_t, terminated_t=terminated_t, each_of_q_t=q_t[0])
-    return (r_t + gamma * torch.where(terminated_t, 0.0, q_t.amin(0))).detach()
-
-
-def squared_error(q_tm1: Tensor, target: Tensor) -> Tensor:
-    """The critics' loss for each sample (Eq. 2.8, 2.12): ``Σ_j (y - Q_j(s_tm1, a_tm1))²``.
-
-    Args:
-        q_tm1: ``[K, *B]``, the K critics' values.
-        target: ``[*B]``, y.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: when the shapes do not match.
-
-    Examples:
-        >>> squared_error(torch.tensor([[1.0], [4.0]]), torch.tensor([2.0]))
-        tensor([5.])
-    """
-    _same_shape(each_of_q_tm1=q_tm1[0], target=target)
-    return (target - q_tm1).square().sum(0)
-
-
-def deterministic_policy_objective(q: Tensor) -> Tensor:
-    """What the actor minimises for each sample (Eq. 2.13): ``-Q(s, μ(s))``.
-
-    Args:
-        q: ``[*B]``, the critic's value of the actor's action.
-
-    Returns:
-        ``[*B]``.
-    """
-    return -q
-
-
-# ---------------------------------------------------------------------- FORK
 
 
 def fork_objective(g_t: Tensor, g_tp1: Tensor, q_tp2: Tensor, weight: float | Tensor, gamma: float) -> Tensor:

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections import deque
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torch.func import functional_call
+from torchrl.data import LazyTensorStorage, ReplayBuffer
 
-from uavrl.losses.actor_critic import ActorCriticLoss, Enhancer
-from uavrl.losses.lifeguard_functional import (
-    annealed_weight,
-    confusion_counts,
-    confusion_rates,
-    is_trusted,
-    lifeguard_penalty,
-)
-from uavrl.losses.ring import Ring
-from uavrl.models.classifiers import LinearClassifier, MinMaxScaler, MLPClassifier
-from uavrl.models.linear_sgd import logistic_loss, regularized_error
+from uavrl.losses.actor_critic import ActorCriticLoss
+from uavrl.losses.enhancer import Enhancer, Model, Sample
+from uavrl.losses.lifeguard_functional import annealed_weight, is_trusted, lifeguard_penalty
+from uavrl.models.collision_classifier import CollisionClassifier, confusion_rates
 from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
-Sample = Callable[[int], TensorDictBase]
 _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes each
 
 
@@ -53,7 +46,7 @@ class LifeGuard(Enhancer):
         min_evaluations: the actor listens after more than these.
         evaluation_window: evaluations over which the true-negative rate runs.
         min_true_negative_rate: the actor listens while the rate exceeds this.
-        model_lr: Adam's step for a model with parameters; see :meth:`make_optimizer`.
+        model_lr: Adam's step for a model with parameters.
         alpha: α of Eq. 3.8.
         stacked: observations that are stacked in the state; the classifier reads the last one.
 
@@ -124,68 +117,56 @@ class LifeGuard(Enhancer):
         self.batch_size = batch_size
         self.min_collisions, self.min_evaluations = min_collisions, min_evaluations
         self.min_true_negative_rate = min_true_negative_rate
-        self.model_lr, self.alpha = model_lr, alpha
-        features = self.observations + actions
-        self.classifier = _make_classifier(model, features, alpha)
-        self.scaler = MinMaxScaler(features)
-        self.collisions = Ring(capacity, (features,))
-        self.evaluations = Ring(evaluation_window, (4,), torch.int64)
-        self.successes = Ring(success_window) if success_window is not None else None
+        self.model_lr = model_lr
+        self.classifier = CollisionClassifier(self.observations + actions, model, alpha)
+        self.collisions = ReplayBuffer(storage=LazyTensorStorage(capacity, device="cpu"))
+        self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # what is not filled is saved, too
+        self.collisions.empty()
+        self.evaluations: deque[list[int]] = deque(maxlen=evaluation_window)  # confusion counts of the last ones
+        self.evaluated = 0  # how many there ever were
+        self.successes = None if success_window is None else deque[float](maxlen=success_window)
         self.register_buffer("weight", torch.tensor(float(penalty_weight)))
         self.out_keys = [*self.out_keys, "loss_lifeguard"]
         self._active = False
         self._last_episode: Tensor | None = None
-        self.register_load_state_dict_post_hook(_after_loading)
         states = base.unenhanced.actor_network.in_keys
         if len(states) == 1:
             self.tensor_keys.observation = states[0]
         self.to(next(iter(base.actor_network_params.values(True, True))).device)
 
-    # ------------------------------------------------------------------ state
+    # ------------------------------------------------------------------ the term and its trust
 
     @property
     def active(self) -> bool:
         """Whether the actor listens."""
         return self._active
 
-    @property
-    def needs_training(self) -> bool:
-        """Whether there are collisions enough to train on."""
-        return len(self.collisions) > self.min_collisions
-
-    @property
-    def mode(self) -> tuple[Hashable, ...]:
-        """What :meth:`actor_term` branches on: a graph traced in one mode serves until it changes."""
-        return (*super().mode, self._active, self.penalty)
-
-    @property
-    def model_params(self) -> list[nn.Parameter]:
-        """The classifier's parameters for an optimiser; none for the linear one, which trains itself."""
-        return list(self.classifier.parameters())
-
-    def make_optimizer(self) -> torch.optim.Optimizer | None:
-        """Adam for the classifier, or None where it needs none. Keep it, and save it in your checkpoints."""
-        return torch.optim.Adam(self.model_params, lr=self.model_lr, fused=True) if self.model_params else None
-
     def _refresh(self) -> None:
         """Computes the flag that the actor's loss branches on: reading it there would break a traced graph."""
-        counts, evaluations = self.evaluations.stored, int(self.evaluations.seen)
-        self._active = is_trusted(counts, evaluations, self.min_evaluations, self.min_true_negative_rate)
+        self._active = is_trusted(self._counts(), self.evaluated, self.min_evaluations, self.min_true_negative_rate)
 
-    def reset_parameters_recursive(self) -> None:
-        """As :meth:`Enhancer.reset_parameters_recursive`; nothing is known yet of how good the new classifier is."""
-        super().reset_parameters_recursive()
-        for module in reversed(list(self.classifier.modules())):  # the parts first, as TorchRL does
-            reset = getattr(module, "reset_parameters", None)
-            if callable(reset):
-                reset()
-        self.evaluations.clear()
-        self._refresh()
+    def _counts(self) -> Tensor:
+        """``[E, 4]`` of the last evaluations."""
+        return torch.tensor([*self.evaluations], dtype=torch.int64).reshape(len(self.evaluations), 4)
 
-    # ------------------------------------------------------------------ the actor
+    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Eq. 3.11: ``p_cp c(o, μ(s))``.
+
+        Args:
+            acted: ``[*B]`` with the state and the actor's action.
+        """
+        term = self._charge(self._features(acted))
+        return term, {"lifeguard_penalty": term.detach()}
+
+    def _charge(self, features: Tensor) -> Tensor:
+        """``p_cp c`` for features ``[*B, F]``; the classifier is constant."""
+        constants = {name: p.detach() for name, p in self.classifier.named_parameters()}
+        logit = functional_call(self.classifier, constants, (features,))
+        c = (logit > 0).to(logit.dtype) if self.penalty == "label" else logit.sigmoid()
+        return lifeguard_penalty(c, self.weight)
 
     def _features(self, tensordict: TensorDictBase) -> Tensor:
-        """``[*B, observations + actions]``, unscaled."""
+        """``[*B, observations + actions]``: the last observation of the state, and the action."""
         keys = self.tensor_keys
         state, action = (tensordict.get(key, None) for key in (keys.observation, keys.action))
         if state is None or action is None:
@@ -200,26 +181,6 @@ class LifeGuard(Enhancer):
             )
         return torch.cat([state[..., -self.observations :], action], -1)
 
-    def _charge(self, features: Tensor) -> Tensor:
-        """``p_cp c`` for unscaled features ``[*B, F]``; classifier and scaler are constant."""
-        constants = {name: p.detach() for name, p in self.classifier.named_parameters()}
-        logit = functional_call(self.classifier, constants, (self.scaler(features),))
-        c = (logit > 0).to(logit.dtype) if self.penalty == "label" else logit.sigmoid()
-        return lifeguard_penalty(c, self.weight)
-
-    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor | None, dict[str, Tensor]]:
-        """Eq. 3.11: ``p_cp c(o, μ(s))``, or None while the classifier is not trusted.
-
-        Args:
-            acted: ``[*B]`` with the state and the actor's action.
-        """
-        if not self._active:
-            return None, {}
-        term = self._charge(self._features(acted))
-        return term, {"lifeguard_penalty": term.detach()}
-
-    # ------------------------------------------------------------------ the classifier
-
     def _next(self, tensordict: TensorDictBase, name: str) -> Tensor:
         """The flag ``("next", name)`` as bool ``[*B]``."""
         key = getattr(self.tensor_keys, name)
@@ -231,38 +192,18 @@ class LifeGuard(Enhancer):
             )
         return flag.reshape(tensordict.batch_size).bool()
 
-    def _error(self, features: Tensor, collided: Tensor) -> Tensor:
-        """The summands of Eq. 3.8 for scaled features ``[B, F]``."""
-        loss = logistic_loss(self.classifier(features), collided)
-        return regularized_error(loss, _regularized(self.classifier), self.alpha)
+    def reset_parameters_recursive(self) -> None:
+        """As :meth:`Enhancer.reset_parameters_recursive`; nothing is known yet of how good the new classifier is."""
+        super().reset_parameters_recursive()
+        for module in reversed(list(self.classifier.modules())):  # the parts first, as TorchRL does
+            reset = getattr(module, "reset_parameters", None)
+            if callable(reset):
+                reset()
+        self.evaluations.clear()
+        self.evaluated = 0
+        self._refresh()
 
-    def lifeguard_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The classifier's regularised training error (Eq. 3.8-3.9) on transitions; it reaches the classifier only.
-
-        Args:
-            tensordict: ``[*B]`` with the state, the action and ``("next", "collided")``.
-
-        Returns:
-            The reduced loss and detached metadata.
-
-        Raises:
-            KeyError: when ``("next", "collided")`` is missing.
-        """
-        collided = self._next(tensordict, "collided")
-        error = self._error(self.scaler(self._features(tensordict).detach()), collided)
-        weights = self._maybe_get_priority_weight(tensordict)
-        loss = self._reduce_loss(error, tensordict=tensordict, weights=weights)
-        return loss, {"lifeguard_collided": collided.float().mean()}
-
-    @property
-    def in_keys(self) -> list[NestedKey]:
-        """What :meth:`forward` reads."""
-        keys = self.tensor_keys
-        return list(dict.fromkeys([*self.base.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
-
-    def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """The classifier's loss."""
-        return {"loss_lifeguard": self.lifeguard_loss(tensordict)[0]}
+    # ------------------------------------------------------------------ what it learns from
 
     @torch.no_grad()
     def observe(self, episodes: TensorDictBase) -> None:
@@ -281,38 +222,59 @@ class LifeGuard(Enhancer):
             raise ValueError(
                 f"Expected whole episodes [T], end to end, got {tuple(episodes.shape)} steps, the last ending none."
             )
-        features = self._features(episodes).detach().to(self.collisions.rows)
+        features = self._known(episodes)
         if not features.isfinite().all():
             raise ValueError("Expected finite states and actions, got a NaN or an infinity: end the episode before it.")
         last = episodes[ends]
         collided = self._next(last, "collided")
         arrived = self._next(last, "arrived") if self.successes is not None else None
-        self.scaler.update(features)
-        self.collisions.push(features[ends[collided]])
+        self.classifier.scaler.update(features)
+        if collided.any():
+            self.collisions.extend(features[ends[collided]])
         self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
         if self.successes is not None and arrived is not None:
-            self.successes.push(arrived.to(self.successes.rows))
-            self.weight.fill_(annealed_weight(self.penalty_weight, self.successes.stored))
+            self.successes.extend(arrived.float().tolist())
+            self.weight.fill_(annealed_weight(self.penalty_weight, torch.tensor(self.successes)))
 
-    def evaluate(self, others: TensorDictBase) -> None:
-        """Counts what the classifier says of stored collisions, drawn at random, and of as many other transitions.
+    def _known(self, transitions: TensorDictBase) -> Tensor:
+        """The features of transitions, constant, where and of what type the classifier is."""
+        return self._features(transitions).detach().to(self.classifier.scaler.low)
 
-        Args:
-            others: ``[batch_size / 2]`` transitions that did not collide.
+    def _draw_collisions(self, count: int) -> Tensor:
+        """``[count, F]`` features of stored collisions, drawn with replacement."""
+        if not len(self.collisions):
+            raise ValueError("Expected stored collisions, found none: call observe() with episodes that collided.")
+        return self.collisions.sample(count).to(self.classifier.scaler.low)
 
-        Raises:
-            ValueError: for another number of transitions, or without a stored collision.
-        """
-        if tuple(others.batch_size) != (self.batch_size // 2,):
-            raise ValueError(f"Expected {self.batch_size // 2} transitions, got {tuple(others.batch_size)}.")
-        self._evaluate(self._features(others).detach().to(self.collisions.rows))
+    def _draw_others(self, sample: Sample, count: int) -> Tensor:
+        """``[count, F]`` features of random transitions that did not collide."""
+        drawn: list[Tensor] = []
+        missing = count
+        for _ in range(10 + 10 * count // _CHUNK):
+            batch = sample(min(missing + missing // 8 + 8, _CHUNK))
+            drawn.append(self._known(batch)[~self._next(batch, "collided")][:missing])
+            missing -= len(drawn[-1])
+            if not missing:
+                return torch.cat(drawn)
+        raise ValueError(
+            f"Expected {count} transitions that did not collide, found {count - missing} after many draws."
+        )
 
-    @torch.no_grad()
-    def _evaluate(self, others: Tensor) -> None:
-        half = len(others)
-        logit = self.classifier(self.scaler(torch.cat([self._draw_collisions(half), others])))
-        self.evaluations.push(confusion_counts(logit > 0, torch.arange(2 * half, device=logit.device) < half)[None])
-        self._refresh()
+    # ------------------------------------------------------------------ the classifier's training
+
+    @property
+    def model_params(self) -> list[Tensor]:
+        """The classifier's parameters; none for the linear one, which has a rule of its own."""
+        return list(self.classifier.parameters())
+
+    @property
+    def models(self) -> list[Model]:
+        """The classifier, trained after each episode."""
+        return [Model(parameters=self.model_params, lr=self.model_lr, fit=self.fit)]
+
+    def make_optimizer(self) -> torch.optim.Optimizer | None:
+        """Adam for the classifier, or None where it needs none. Keep it, and save it in your checkpoints."""
+        return torch.optim.Adam(self.model_params, lr=self.model_lr, fused=True) if self.model_params else None
 
     def fit(self, sample: Sample, steps: int, optimizer: torch.optim.Optimizer | None = None) -> None:
         """Evaluates the classifier once, then trains it: call it once for each episode, after :meth:`observe`.
@@ -327,52 +289,68 @@ class LifeGuard(Enhancer):
         Raises:
             ValueError: when a model with parameters gets no optimiser, or nearly all transitions collided.
         """
-        if optimizer is None and not isinstance(self.classifier, LinearClassifier):
+        if optimizer is None and self.model_params:
             raise ValueError("Expected an optimiser for the classifier's parameters, got None: see make_optimizer().")
-        if not self.needs_training or steps < 1:
+        if len(self.collisions) <= self.min_collisions or steps < 1:
             return
         half = self.batch_size // 2
         others = self._draw_others(sample, (steps + 1) * half)
         self._evaluate(others[:half])
-        features, collided = self._balanced_batches(others[half:].unflatten(0, (steps, half)))
-        if isinstance(self.classifier, LinearClassifier):
-            self.classifier.partial_fit(features.flatten(0, 1), collided.flatten())
-        elif optimizer is not None:
-            for x, y in zip(features, collided, strict=True):
-                optimizer.zero_grad(set_to_none=True)
-                self._error(x, y).mean().backward()
-                optimizer.step()
-
-    def _draw_collisions(self, *size: int) -> Tensor:
-        stored = self.collisions.stored
-        if not len(stored):
-            raise ValueError("Expected stored collisions, found none: call observe() with episodes that collided.")
-        return stored[torch.randint(len(stored), size).to(stored.device)]
-
-    def _draw_others(self, sample: Sample, count: int) -> Tensor:
-        """``[count, F]`` unscaled features of random transitions that did not collide."""
-        drawn: list[Tensor] = []
-        missing = count
-        for _ in range(10 + 10 * count // _CHUNK):
-            batch = sample(min(missing + missing // 8 + 8, _CHUNK))
-            others = self._features(batch)[~self._next(batch, "collided")].detach()[:missing]
-            drawn.append(others.to(self.collisions.rows))
-            missing -= len(others)
-            if not missing:
-                return torch.cat(drawn)
-        raise ValueError(
-            f"Expected {count} transitions that did not collide, found {count - missing} after many draws."
-        )
-
-    def _balanced_batches(self, others: Tensor) -> tuple[Tensor, Tensor]:
-        """Shuffled batches, half collisions: scaled features ``[S, batch_size, F]`` and labels ``[S, batch_size]``."""
-        steps, half, _ = others.shape
-        rows = torch.cat([self._draw_collisions(steps, half), others], 1)
+        collisions = self._draw_collisions(steps * half).unflatten(0, (steps, half))
+        rows = torch.cat([collisions, others[half:].unflatten(0, (steps, half))], 1)
         order = torch.rand(steps, 2 * half).argsort(-1).to(rows.device)
-        shuffled = rows.gather(1, order[..., None].expand_as(rows))
-        return self.scaler(shuffled), order < half
+        self.classifier.fit(rows.gather(1, order[..., None].expand_as(rows)), order < half, optimizer)
 
-    # ------------------------------------------------------------------ numbers worth logging
+    def evaluate(self, others: TensorDictBase) -> None:
+        """Counts what the classifier says of stored collisions, drawn at random, and of as many other transitions.
+
+        Args:
+            others: ``[batch_size / 2]`` transitions that did not collide.
+
+        Raises:
+            ValueError: for another number of transitions, or without a stored collision.
+        """
+        if tuple(others.batch_size) != (self.batch_size // 2,):
+            raise ValueError(f"Expected {self.batch_size // 2} transitions, got {tuple(others.batch_size)}.")
+        self._evaluate(self._known(others))
+
+    def _evaluate(self, others: Tensor) -> None:
+        half = len(others)
+        features = torch.cat([self._draw_collisions(half), others])
+        counts = self.classifier.evaluate(features, torch.arange(2 * half, device=features.device) < half)
+        self.evaluations.append(counts.tolist())
+        self.evaluated += 1
+        self._refresh()
+
+    def lifeguard_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The classifier's regularised training error (Eq. 3.8-3.9) on transitions; it reaches the classifier only.
+
+        Args:
+            tensordict: ``[*B]`` with the state, the action and ``("next", "collided")``.
+
+        Returns:
+            The reduced loss and detached metadata.
+
+        Raises:
+            KeyError: when ``("next", "collided")`` is missing.
+        """
+        collided = self._next(tensordict, "collided")
+        error = self.classifier.error(self._features(tensordict).detach(), collided)
+        weights = self._maybe_get_priority_weight(tensordict)
+        loss = self._reduce_loss(error, tensordict=tensordict, weights=weights)
+        return loss, {"lifeguard_collided": collided.float().mean()}
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What :meth:`forward` reads."""
+        keys = self.tensor_keys
+        return list(dict.fromkeys([*self.base.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
+
+    def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """The classifier's loss."""
+        return {"loss_lifeguard": self.lifeguard_loss(tensordict)[0]}
+
+    # ------------------------------------------------------------------ what is logged and what is saved
 
     def diagnostics(self) -> dict[str, float]:
         """The base's, and LifeGuard's: whether it is heard, how well it knows, and what it charges.
@@ -381,7 +359,7 @@ class LifeGuard(Enhancer):
         ``p_cp c`` over the steps of the last episode observed, ``lifeguard_gradient`` the mean norm of its gradient
         in the action; both are 0 while the actor does not listen.
         """
-        rates = confusion_rates(self.evaluations.stored)
+        rates = confusion_rates(self._counts())
         penalty, gradient = self._last_charge()
         return super().diagnostics() | {
             "lifeguard_active": float(self._active),
@@ -404,24 +382,21 @@ class LifeGuard(Enhancer):
             (gradient,) = torch.autograd.grad(charge.sum(), features)
         return mean, float(gradient[:, -self.actions :].norm(dim=-1).mean())
 
+    def get_extra_state(self) -> dict[str, Any]:
+        """What the state dict holds beside the classifier: the collisions, evaluations and successes."""
+        return {
+            "collisions": self.collisions.state_dict(),
+            "evaluations": self._counts(),
+            "evaluated": self.evaluated,
+            "successes": torch.tensor(self.successes or [], dtype=torch.float64),
+        }
 
-def _after_loading(loss: LifeGuard, _: object) -> None:
-    loss._refresh()
-    loss._last_episode = None
-
-
-def _make_classifier(model: str | nn.Module, features: int, alpha: float) -> nn.Module:
-    if isinstance(model, nn.Module):
-        return model
-    if model == "linear":
-        return LinearClassifier(features, alpha)
-    if model == "mlp":
-        return MLPClassifier(features)
-    raise ValueError(f'model must be "linear", "mlp" or a module, got {model!r}.')
-
-
-def _regularized(classifier: nn.Module) -> list[Tensor]:
-    """What Eq. 3.8 regularises: the linear model's w, or the matrices of a network."""
-    if isinstance(classifier, LinearClassifier):
-        return [classifier.weight]
-    return [p for p in classifier.parameters() if p.ndim > 1]
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restores what :meth:`get_extra_state` gave."""
+        self.collisions.load_state_dict(state["collisions"])
+        self.evaluations = deque(state["evaluations"].tolist(), self.evaluations.maxlen)
+        self.evaluated = int(state["evaluated"])
+        if self.successes is not None:
+            self.successes = deque(state["successes"].tolist(), self.successes.maxlen)
+        self._last_episode = None
+        self._refresh()

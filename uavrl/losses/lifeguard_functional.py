@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import torch
 from torch import Tensor
+
+from uavrl.models.collision_classifier import confusion_rates
 
 
 def lifeguard_penalty(probability: Tensor, weight: Tensor | float) -> Tensor:
@@ -45,62 +44,11 @@ def annealed_weight(penalty_weight: float, successes: Tensor) -> float:
     return penalty_weight * (1.0 - min(max(rate, 0.0), 1.0))
 
 
-def confusion_counts(predicted: Tensor, actual: Tensor) -> Tensor:
-    """Counts true positives, false positives, true negatives and false negatives; a collision is positive.
-
-    Args:
-        predicted: bool ``[N]``.
-        actual: bool ``[N]``.
-
-    Returns:
-        int64 ``[4]``.
-
-    Raises:
-        ValueError: for other shapes or types.
-
-    Examples:
-        >>> t = torch.tensor
-        >>> confusion_counts(t([True, True, False, False, False]), t([True, False, False, False, True])).tolist()
-        [1, 1, 2, 1]
-    """
-    if predicted.shape != actual.shape or predicted.ndim != 1 or {predicted.dtype, actual.dtype} != {torch.bool}:
-        raise ValueError(
-            f"Expected two bool vectors of one length, got {tuple(predicted.shape)} {predicted.dtype} and "
-            f"{tuple(actual.shape)} {actual.dtype}."
-        )
-    cells = (predicted & actual, predicted & ~actual, ~predicted & ~actual, ~predicted & actual)
-    return torch.stack([cell.sum() for cell in cells])
-
-
-class ConfusionRates(NamedTuple):
-    """Shares of the actual positives or negatives; 0 where there are none."""
-
-    true_positive: float
-    false_positive: float
-    true_negative: float
-    false_negative: float
-
-
-def confusion_rates(counts: Tensor) -> ConfusionRates:
-    """Rates over several evaluations.
-
-    Args:
-        counts: ``[E, 4]``, rows of `confusion_counts`.
-
-    Examples:
-        >>> [round(rate, 2) for rate in confusion_rates(torch.tensor([[1, 1, 2, 1], [3, 0, 1, 1]]))]
-        [0.67, 0.25, 0.75, 0.33]
-    """
-    tp, fp, tn, fn = counts.sum(0).tolist()
-    positives, negatives = max(tp + fn, 1), max(tn + fp, 1)
-    return ConfusionRates(tp / positives, fp / negatives, tn / negatives, fn / positives)
-
-
 def is_trusted(counts: Tensor, evaluations: int, min_evaluations: int, min_true_negative_rate: float) -> bool:
     """The actor listens after more than ``min_evaluations`` evaluations, while the true-negative rate exceeds a limit.
 
     Args:
-        counts: ``[E, 4]``, `confusion_counts` of the last evaluations.
+        counts: ``[E, 4]``, rows of :func:`~uavrl.models.collision_classifier.confusion_counts`.
         evaluations: how many there ever were.
         min_evaluations: how many are not enough.
         min_true_negative_rate: the rate that is not enough.

@@ -172,9 +172,9 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         critics = self.target_qvalue_network_params if target else self._cached_detached_qvalue_params
         return self._values(acted, critics).amin(0)
 
-    def actor_objective(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+    def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
         """What the actor minimises for each sample, ``[*B]``: ``α log π(a|s) - min_j Q_j(s, a)``."""
-        objective, metadata = super().actor_objective(acted)
+        objective, metadata = super().actor_objective(acted, target=target)
         log_prob = acted.get(self.tensor_keys.log_prob)
         return self._alpha * log_prob + objective, metadata | {"log_prob": log_prob.detach()}
 

@@ -2,6 +2,7 @@
 
 from uavrl.models.actor_critic import Actor, Critic, GaussianActor, mlp
 from uavrl.models.classifiers import LinearClassifier, MinMaxScaler, MLPClassifier
+from uavrl.models.collision_classifier import CollisionClassifier
 from uavrl.models.dynamics import RewardNet, SystemNet
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import PSAE
@@ -10,6 +11,7 @@ from uavrl.models.trajectory_classifier import TrajectoryClassifier
 __all__ = [
     "PSAE",
     "Actor",
+    "CollisionClassifier",
     "Critic",
     "GaussianActor",
     "LinearClassifier",

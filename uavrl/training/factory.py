@@ -114,9 +114,7 @@ def make_backward_reward(settings: TrainConfig, spaces: Spaces, kept: Path) -> B
     )
 
 
-def make_buffer(
-    settings: TrainConfig, env: EnvBase, spaces: Spaces, device: torch.device, backward_reward: BackwardReward | None
-) -> EpisodeBuffer:
+def make_buffer(settings: TrainConfig, env: EnvBase, spaces: Spaces, device: torch.device) -> EpisodeBuffer:
     """The replay buffer of states that stacked frames make.
 
     The next state of an n-step transition shares no frames with its state: both are kept whole.
@@ -125,7 +123,7 @@ def make_buffer(
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
     multi_step = MultiStep(algo.n_steps, algo.gamma) if algo.n_steps > 1 else None
     mirror = Mirror() if settings.buffer.get("mirror") else None
-    chain = (multi_step, backward_reward, mirror, move)  # writes pass from the right, samples from the left
+    chain = (multi_step, mirror, move)  # writes pass from the right, samples from the left
     transforms = [transform for transform in chain if transform is not None]
     buffer = build(
         settings.buffer,

@@ -6,7 +6,7 @@ import importlib
 import os
 import re
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -88,13 +88,43 @@ class OneRunWandbLogger(WandbLogger):
             super().log_scalar(name, value, step, *args, **kwargs)
 
 
+class IntervalLog:
+    """Hands values to a logger, each once in so many steps.
+
+    Args:
+        logger: TorchRL's, or None.
+        interval: steps that must lie between two values of one name.
+    """
+
+    def __init__(self, logger: Logger | None, interval: int) -> None:
+        self.logger = logger
+        self.interval = interval
+        self._logged_at: dict[str, int] = {}
+
+    def add(self, values: Mapping[str, Any], step: int) -> None:
+        """Logs what has not been logged for long."""
+        for name, value in values.items():
+            if step - self._logged_at.get(name, 0) > self.interval:
+                self._logged_at[name] = step
+                if self.logger is not None:
+                    self.logger.log_scalar(name, float(value), step=step)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The steps at which each name was last logged."""
+        return {"logged_at": self._logged_at}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self._logged_at = dict(state_dict["logged_at"])
+
+
 def close(logger: Logger | None) -> None:
     """Ends wandb's run, so that the next training in this process gets its own."""
     if isinstance(logger, OneRunWandbLogger):
         logger.experiment.finish()
 
 
-def cut_back(logger: Logger, run_dir: Path, steps: int, reached: int) -> None:
+def truncate_logs(logger: Logger, run_dir: Path, steps: int, reached: int) -> None:
     """Drops what was logged after the steps of a checkpoint, by a process that went on until ``reached``.
 
     Whoever goes on from a checkpoint logs the steps after it again.
@@ -104,10 +134,10 @@ def cut_back(logger: Logger, run_dir: Path, steps: int, reached: int) -> None:
     if isinstance(logger, TensorboardLogger):
         logger.experiment.close()
         logger.experiment.purge_step = steps + 1  # the next value opens a file that begins with it
-    _cut_back_csv(run_dir, steps)
+    _truncate_csv(run_dir, steps)
 
 
-def _cut_back_csv(run_dir: Path, steps: int) -> None:
+def _truncate_csv(run_dir: Path, steps: int) -> None:
     """Rewrites the CSV logger's files; one that is not the logger's is left alone."""
     for path in (run_dir / "logs").glob("*/scalars/*.csv"):
         rows = path.read_text().splitlines(keepends=True)

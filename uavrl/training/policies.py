@@ -106,7 +106,7 @@ def load_risk(
     def risk(observations: Tensor, actions: Tensor) -> Tensor:
         features = torch.cat([observations[..., -guard.observations :], actions], -1).to(device)
         with torch.no_grad():
-            return guard.classifier(guard.scaler(features)).sigmoid().cpu()
+            return guard.classifier(features).sigmoid().cpu()
 
     return risk
 

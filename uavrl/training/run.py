@@ -21,13 +21,11 @@ from torchrl.envs import EnvBase
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 import uavrl
-from uavrl.buffers import EpisodeBuffer
 from uavrl.configs import learner, to_dataclass
 from uavrl.configs.build import options
 from uavrl.configs.parts import STEPPER, TARGET
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FolderTaken, Stopped, UavrlError, was_interrupted
-from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint, read_config
 from uavrl.runs.episodes import EpisodeLog, read_episodes
@@ -38,6 +36,8 @@ from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
 from uavrl.training.arithmetic import carried, chosen_products, denormals_flushed, multiplied_by
 from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.claim import locked
+from uavrl.training.compiled_updates import chosen_execution
+from uavrl.training.experience import Experience
 from uavrl.training.factory import (
     collector_class,
     make_backward_reward,
@@ -46,16 +46,15 @@ from uavrl.training.factory import (
     make_device,
     make_env,
 )
-from uavrl.training.gradients import chosen_execution
 from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.loggers import close, cut_back, make_logger
+from uavrl.training.loggers import IntervalLog, close, make_logger, truncate_logs
 from uavrl.training.progress import Progress
 from uavrl.training.resuming import checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.silence import Silence
 from uavrl.training.spaces import spaces_of
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop, stoppable
-from uavrl.training.trainer import EpisodeReplay, EpisodeTrainer, barrier_seed
+from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
@@ -156,7 +155,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
         if checkpoint is not None:
             _take_up(trainer, checkpoint, config, run_dir)
         else:
-            trainer.save_trainer(force_save=True)
+            trainer.save()
         trainer.progress = Progress(
             settings.trainer.episodes,
             settings.trainer.window,
@@ -174,8 +173,8 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
     finally:
         stop.ending()
         trainer.progress.close()
-        trainer.shutdown()
-        close(trainer.logger)
+        trainer.collector.shutdown()
+        close(trainer.log.logger)
 
 
 def free(run_dir: Path) -> None:
@@ -222,18 +221,19 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
     actor = make_actor(settings, spaces, device)
     loss = make_loss(settings, actor, spaces, device)
     backward_reward = make_backward_reward(settings, spaces, run_dir / ARTIFACT)
-    buffer = make_buffer(settings, env, spaces, device, backward_reward)
+    buffer = make_buffer(settings, env, spaces, device)
     flown: EnvBase | Callable[[], EnvBase] = env
     if issubclass(collector_class(settings), AsyncCollector):
         env.close()  # another process makes its own
         flown = carried(new_env)
+    taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})
+    logger = make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages)
     return EpisodeTrainer(
         loss=loss,
-        stepper=_make_stepper(settings, loss),
+        stepper=ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution)),
         backward_reward=backward_reward,
-        replay=_make_replay(settings, buffer),
+        experience=Experience(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
-        progress=Progress(0, 1, enabled=False),
         rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
         metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
         policy=actor,
@@ -241,25 +241,9 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         until_success=settings.trainer.until_success,
         seed=settings.seed,
         checkpoint_interval=settings.trainer.checkpoint_interval,
-        logger=make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages),
-        log_interval=settings.logger.interval,
+        log=IntervalLog(logger, settings.logger.interval),
         collector=make_collector(settings, flown, actor, spaces, device),  # last: it may have begun a process
     )
-
-
-def _make_replay(settings: TrainConfig, buffer: EpisodeBuffer) -> EpisodeReplay:
-    return EpisodeReplay(
-        buffer,
-        settings.algo.batch_size,
-        settings.trainer.updates_per_step,
-        admission=buffer.admission,
-        updates_when_left_out=buffer.updates_when_left_out,
-    )
-
-
-def _make_stepper(settings: TrainConfig, loss: ActorCriticLoss) -> ActorCriticStepper:
-    taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})
-    return ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution))
 
 
 def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
@@ -267,27 +251,32 @@ def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_
     flown = read_episodes(run_dir / EPISODES)
     _restore(trainer, checkpoint)
     trainer.seconds_before = Checkpoint.manifest(checkpoint)["metadata"].get("seconds", 0.0)
-    cut_back(trainer.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
+    truncate_logs(trainer.log.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
     _write(config, run_dir)
     log.info("Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames)
     trainer.barrier()
 
 
 def _restore(trainer: EpisodeTrainer, path: Path) -> None:
-    checkpoint = trainer._sync_checkpoint_components()
-    restore(checkpoint, path, [name for name in checkpoint.components if name not in ("logger", "episode_log")])
+    checkpoint = trainer.checkpoint
+    if checkpoint.components.keys() - Checkpoint.manifest(path)["components"].keys():
+        raise UavrlError(
+            f"{path} was written by another version of uavrl, whose runs this one cannot go on with: evaluate its "
+            f"policy, or train anew."
+        )
+    restore(checkpoint, path, [name for name in checkpoint.components if name != "episode_log"])
     restore(checkpoint, path, ["episode_log"])  # last, because it cuts a file back
 
 
 def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
-    summary = {
+    summary: dict[str, Any] = {
         **{name: settings.choices.get(name, "") for name in ("algo", "env", "reward")},
         "learner": learner(settings.choices),
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
-        "steps": trainer.collected_frames,  # of whole episodes, which is what is learned from
-        "steps_flown": trainer.steps_flown,  # with those dropped while others ended
-        "updates": trainer.optimization_stepper.updates,
+        "steps": trainer.collected_frames,
+        "steps_flown": trainer.steps_flown,
+        "updates": trainer.stepper.updates,
         "minutes": trainer.seconds / 60,
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),

@@ -2,66 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.objectives import SoftUpdate
 from torchrl.trainers import OptimizationStepper, Trainer
 
-from uavrl.losses import ActorCriticLoss, Enhancer, Fork, LifeGuard, SACLoss
+from uavrl.losses import ActorCriticLoss
+from uavrl.losses.enhancer import Sample
 from uavrl.ranges import Count, Positive, Share
-from uavrl.training.adam import DirectAdam
-from uavrl.training.gradients import Execution, Gradients, LossGradients, LossMethod
-from uavrl.upstream import lerp
-
-
-class FusedSoftUpdate(SoftUpdate):
-    """TorchRL's soft update (Eq. 2.9: ``θ' ← τ θ + (1 - τ) θ'``) of all parameters in one call."""
-
-    def step(self) -> None:
-        """Moves the targets."""
-        if self._pairs is None:
-            self._pairs = [
-                (source.data, self._targets[(f"target_{key[0]}", *key[1:])].data)
-                for key, source in self._sources.items(True, True)
-            ]
-        sources, targets = zip(*self._pairs, strict=True)
-        lerp(list(targets), list(sources), 1 - self.eps)
-
-    _pairs: list[tuple[Tensor, Tensor]] | None = None
-
-
-class Descent:
-    """Adam on what a loss method says about some parameters.
-
-    Args:
-        gradients: the loss and its gradients.
-        lr: Adam's step.
-    """
-
-    def __init__(self, gradients: LossGradients, lr: float) -> None:
-        self.gradients = gradients
-        self.optimizer = DirectAdam(gradients.parameters, lr=lr)
-
-    def __call__(self, batch: TensorDictBase) -> Gradients:
-        """One step; returns what it was based on."""
-        result = self.gradients(batch)
-        for parameter, gradient in zip(self.gradients.parameters, result.gradients, strict=True):
-            parameter.grad = gradient  # for whoever wants to look
-        self.optimizer.descend(result.gradients)
-        return result
+from uavrl.training.compiled_updates import Execution, FusedSoftUpdate, Minimizer
 
 
 class ActorCriticStepper(OptimizationStepper):
-    """Critic and models every step; actor and target networks every ``policy_delay`` steps (Algorithm 3.1).
+    """Critics and models every step; actor and target networks every ``policy_delay`` steps (Algorithm 3.1).
 
     While ``actor_learns`` is false, actor and targets stay as they are.
 
     Args:
-        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; may be enhanced by FORK and LifeGuard.
+        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its enhancers say what else is trained.
         actor_lr: Adam's step for the actor.
         critic_lr: Adam's step for the critics.
         temperature_lr: Adam's step for SAC's temperature.
@@ -88,24 +48,26 @@ class ActorCriticStepper(OptimizationStepper):
         self.policy_delay = policy_delay
         keys = (loss.unenhanced.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
         in_keys = [*loss.in_keys, *keys]
-
-        def descent(method: LossMethod, parameters: Iterable[Any], lr: float, mode: Callable = tuple) -> Descent:
-            leaves = [p for p in parameters if isinstance(p, Tensor) and p.requires_grad]  # no buffers
-            return Descent(LossGradients(method, leaves, in_keys, execution, mode), lr)
-
-        self.critic = descent(self._value_loss, loss.critic_network_params.values(True, True), critic_lr)
-        actor_params = loss.actor_network_params.values(True, True)
-        self.actor = descent(loss.actor_loss, actor_params, actor_lr, lambda: loss.mode)
+        critics, actor = (
+            [value for value in params.values(True, True) if isinstance(value, Tensor)]
+            for params in (loss.critic_network_params, loss.actor_network_params)
+        )
+        self.critic = Minimizer(self._value_loss, critics, critic_lr, execution, in_keys)
+        self.actor = Minimizer(loss.actor_loss, actor, actor_lr, execution, in_keys, self._active)
         self.targets = FusedSoftUpdate(loss.unenhanced, tau=tau)
-        enhancers = loss.enhancers if isinstance(loss, Enhancer) else []
-        self.forks = [
-            (fork, descent(fork.model_loss, fork.model_params, fork.model_lr))
-            for fork in enhancers
-            if isinstance(fork, Fork)
-        ]
-        self.lifeguards = [(guard, guard.make_optimizer()) for guard in enhancers if isinstance(guard, LifeGuard)]
-        temperature = getattr(loss.unenhanced, "alpha_params", [])
+        temperature = loss.unenhanced.alpha_params
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
+        models = [model for enhancer in loss.enhancers for model in enhancer.models]
+        self.models = [
+            (Minimizer(model.loss, model.parameters, model.lr, execution), model.learned)
+            for model in models
+            if model.loss is not None
+        ]
+        self.fits = [
+            (model.fit, torch.optim.Adam(model.parameters, lr=model.lr, fused=True) if model.parameters else None)
+            for model in models
+            if model.fit is not None
+        ]
         self.actor_learns = True
         self.updates = 0
         self._actor_loss = torch.zeros(())
@@ -118,22 +80,18 @@ class ActorCriticStepper(OptimizationStepper):
         """
         value = self.critic(sub_batch)
         sub_batch.set(self.loss.unenhanced.tensor_keys.priority, value.metadata["priority"])
-        for fork, models in self.forks:
-            fork.update_gate(**models(sub_batch).metadata)
+        for model, learned in self.models:
+            learned(model(sub_batch).metadata)
         self.updates += 1
         if self.actor_learns and self.updates % self.policy_delay == 0:
             actor = self.actor(sub_batch)
             self._actor_loss = actor.loss
             if self.temperature is not None:
-                self._step_temperature(actor.metadata["log_prob"])
+                self.temperature.zero_grad(set_to_none=True)
+                self.loss.unenhanced.alpha_loss(actor.metadata["log_prob"]).backward()
+                self.temperature.step()
             self.targets.step()
-        return TensorDict(
-            {
-                "loss_value": value.loss,
-                "loss_actor": self._actor_loss,
-                "value": value.metadata["value"],
-            }
-        )
+        return TensorDict({"loss_value": value.loss, "loss_actor": self._actor_loss, "value": value.metadata["value"]})
 
     def _value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The critics' loss, with the mean value and the priority (Eq. 2.17: the absolute error) beside it."""
@@ -142,36 +100,32 @@ class ActorCriticStepper(OptimizationStepper):
         squared_error = squared_error.amax(0) if squared_error.ndim > 1 else squared_error
         return loss, {"priority": squared_error.sqrt(), "value": metadata["pred_value"].mean()}
 
-    def _step_temperature(self, log_prob: Tensor) -> None:
-        assert self.temperature is not None and isinstance(self.loss.unenhanced, SACLoss)
-        self.temperature.zero_grad(set_to_none=True)
-        self.loss.unenhanced.alpha_loss(log_prob).backward()
-        self.temperature.step()
+    def _active(self) -> tuple[bool, ...]:
+        """Which terms the actor's loss has now: what its recording holds for."""
+        return tuple(enhancer.active for enhancer in self.loss.enhancers)
 
-    def observe(self, episodes: TensorDictBase, sample: Callable[[int], TensorDictBase]) -> None:
-        """Shows whole new episodes ``[T]`` to the enhancers, and trains LifeGuard for as many steps.
+    def observe(self, episodes: TensorDictBase, sample: Sample) -> None:
+        """Shows whole new episodes ``[T]`` to the enhancers, and trains the models that learn after each episode.
 
         Args:
             episodes: end to end, with every key that the environment emits.
             sample: gives n random stored transitions.
         """
-        if not isinstance(self.loss, Enhancer):
-            return
         self.loss.observe(episodes)
-        for lifeguard, optimizer in self.lifeguards:
-            lifeguard.fit(sample, len(episodes), optimizer)
+        for fit, optimizer in self.fits:
+            fit(sample, len(episodes), optimizer)
 
     def diagnostics(self) -> dict[str, float]:
         """What the enhancers have to say of themselves."""
-        return self.loss.diagnostics() if isinstance(self.loss, Enhancer) else {}
+        return self.loss.diagnostics()
 
     def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
         optimizers: dict[str, torch.optim.Optimizer | None] = {
             "actor_optimizer": self.actor.optimizer,
             "critic_optimizer": self.critic.optimizer,
-            **{f"fork_optimizer_{i}": models.optimizer for i, (_, models) in enumerate(self.forks)},
-            **{f"lifeguard_optimizer_{i}": optimizer for i, (_, optimizer) in enumerate(self.lifeguards)},
             "temperature_optimizer": self.temperature,
+            **{f"model_optimizer_{i}": model.optimizer for i, (model, _) in enumerate(self.models)},
+            **{f"fit_optimizer_{i}": optimizer for i, (_, optimizer) in enumerate(self.fits)},
         }
         return {name: optimizer for name, optimizer in optimizers.items() if optimizer is not None}
 

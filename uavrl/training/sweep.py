@@ -13,7 +13,7 @@ from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, CONFIG, EPISODES, SUMMARY
 from uavrl.training.arithmetic import FLOAT32, chosen_products
-from uavrl.training.gradients import chosen_execution
+from uavrl.training.compiled_updates import chosen_execution
 from uavrl.training.run import free
 
 NAME_DIGITS = 6

@@ -1,43 +1,31 @@
-"""TorchRL's Trainer, fed with whole episodes and able to resume bit by bit."""
+"""The loop of a run: Algorithm 3.1, able to stop at any checkpoint and to go on bit by bit."""
 
 from __future__ import annotations
 
 import math
 import time
-from typing import Any, cast
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
-from torchrl.data import ReplayBuffer
-from torchrl.record.loggers import Logger
-from torchrl.trainers import Trainer, TrainerHookBase
 
-from uavrl.buffers import BackwardReward, FailureBias
+from uavrl.buffers import BackwardReward
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
 from uavrl.runs.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.runs.files import naming, require_room
 from uavrl.training.async_collector import AsyncCollector
+from uavrl.training.experience import Experience
+from uavrl.training.loggers import IntervalLog
 from uavrl.training.progress import Progress
 from uavrl.training.silence import Silence
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop
 from uavrl.training.sync_collector import SyncCollector
-
-# What a learner reads; everything else that the environment emits is for metrics.
-STORED_KEYS = (
-    "observation",
-    "action",
-    ("next", "observation"),
-    ("next", "reward"),
-    ("next", "done"),
-    ("next", "terminated"),
-    ("next", "arrived"),
-    ("next", "collided"),
-)
 
 WAITED_FOR = (
     "No episode has ended for a while: flights go on for up to env.max_steps steps, or the updates after one are being "
@@ -50,186 +38,114 @@ def barrier_seed(seed: int, episodes: int) -> int:
     return int(np.random.SeedSequence([seed, episodes]).generate_state(1)[0])
 
 
-class EpisodeReplay(TrainerHookBase):
-    """Stores whole episodes and samples batches: after an episode of T steps come T updates.
-
-    Where every transition is as likely as the next, ``BATCHES_AT_ONCE`` batches are drawn in one call.
-
-    Args:
-        buffer: where transitions are stored.
-        batch_size: transitions in a batch.
-        updates_per_step: updates for each environment step.
-        admission: what decides which episodes are stored; None stores all.
-        updates_when_left_out: updates of all but actor and targets after an episode that is not stored.
-    """
-
-    BATCHES_AT_ONCE = 32
-
-    def __init__(
-        self,
-        buffer: ReplayBuffer,
-        batch_size: int,
-        updates_per_step: float = 1.0,
-        *,
-        admission: FailureBias | None = None,
-        updates_when_left_out: int = 0,
-    ) -> None:
-        self.buffer = buffer
-        self.batch_size = batch_size
-        self.updates_per_step = updates_per_step
-        self.admission = admission
-        self.updates_when_left_out = updates_when_left_out
-        self._trainer: Trainer | None = None
-        self._owed = 0.0
-        self._drawn: list[TensorDictBase] = []
-        self._to_draw = 0
-
-    def extend(self, batch: TensorDictBase) -> None:
-        """Writes the episodes and sets how many updates follow."""
-        assert self._trainer is not None
-        if self.admission is not None:
-            stored = [episode for episode in split_episodes(batch) if self.admission.admits(episode)]
-            cast(ActorCriticStepper, self._trainer.optimization_stepper).actor_learns = bool(stored)
-            batch = torch.cat(stored) if stored else batch[:0]
-        if len(batch):
-            self.buffer.extend(batch.select(*STORED_KEYS))
-            self._owed += len(batch) * self.updates_per_step
-        elif len(self.buffer):
-            self._owed += self.updates_when_left_out
-        self._trainer.optim_steps_per_batch = self._to_draw = int(self._owed)
-        self._owed -= int(self._owed)
-
-    def sample(self, batch: TensorDictBase) -> TensorDictBase:
-        """One batch of transitions."""
-        if self.prioritized:  # each update changes what the next one should draw
-            return self.buffer.sample(self.batch_size)
-        if not self._drawn:
-            count = min(self.BATCHES_AT_ONCE, self._to_draw)
-            self._drawn = list(self.buffer.sample(count * self.batch_size).split(self.batch_size))[::-1]
-        self._to_draw -= 1
-        return self._drawn.pop()
-
-    @property
-    def prioritized(self) -> bool:
-        """Whether the buffer's sampler follows priorities."""
-        return hasattr(self.buffer.sampler, "alpha")
-
-    def draw(self, count: int) -> TensorDictBase:
-        """``count`` transitions, each as likely as the next whatever the sampler."""
-        return self.buffer[torch.randint(len(self.buffer), (count,))]
-
-    def update_priority(self, batch: TensorDictBase) -> None:
-        """Hands the new priorities to a prioritised sampler."""
-        self.buffer.update_tensordict_priority(batch)
-
-    def state_dict(self) -> dict[str, Any]:
-        """The fraction of an update still owed, and what the admission counts."""
-        return {"owed": self._owed} | ({} if self.admission is None else {"admission": self.admission.state_dict()})
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Restores what :meth:`state_dict` gave."""
-        self._owed = state_dict["owed"]
-        if self.admission is not None:
-            self.admission.load_state_dict(state_dict["admission"])
-
-    def register(self, trainer: Trainer, name: str = "episode_replay") -> None:
-        """Hooks extending, sampling and priorities into the trainer."""
-        self._trainer = trainer
-        trainer.register_module(name, self)
-        trainer.register_op("batch_process", self.extend)
-        trainer.register_op("process_optim_batch", self.sample)
-        if self.prioritized:
-            trainer.register_op("post_optim_log", self.update_priority)
-
-
-class EpisodeTrainer(Trainer):
+@dataclass(kw_only=True, eq=False)
+class EpisodeTrainer:
     """Trains until ``episodes`` are flown, or enough of the last ones arrive; every checkpoint is a barrier.
 
     When a checkpoint is due, the open flights end and are learned from; what begins meanwhile is dropped whatever its
     end. Then no flight is open that counts, and the environment is built anew from a seed that depends on the run's
     seed and the number of episodes alone. A resumed process passes the same barrier, so that its run is bit-identical
     to one that was never stopped.
-
-    Args:
-        collector: yields one whole episode a batch, and knows when those that count have ended.
-        loss: the loss module.
-        stepper: the optimisation step.
-        replay: where episodes are stored.
-        backward_reward: what relabels them on the way there, if anything does.
-        episode_log: where episodes are recorded.
-        progress: what the user sees.
-        rotation: where checkpoints go.
-        metadata: goes into each checkpoint's manifest.
-        policy: the actor, kept as a component of its own for evaluation.
-        episodes: when to stop.
-        until_success: the share of the last ``episode_log.window`` flights that ends the training before; None: never.
-        seed: the run's seed.
-        checkpoint_interval: steps of whole episodes after which a checkpoint is due.
-        logger: TorchRL logger.
-        log_interval: steps between logged values.
     """
 
-    def __init__(
-        self,
-        *,
-        collector: SyncCollector | AsyncCollector,
-        loss: ActorCriticLoss,
-        stepper: ActorCriticStepper,
-        replay: EpisodeReplay,
-        backward_reward: BackwardReward | None,
-        episode_log: EpisodeLog,
-        progress: Progress,
-        rotation: CheckpointRotation,
-        metadata: dict[str, Any],
-        policy: torch.nn.Module,
-        episodes: int,
-        until_success: float | None = None,
-        seed: int,
-        checkpoint_interval: int,
-        logger: Logger | None,
-        log_interval: int,
-    ) -> None:
-        self.episode_log = episode_log
-        self.backward_reward = backward_reward
-        self.admission = replay.admission
-        self._buffer = replay.buffer
-        self.progress = progress
-        self.run_seed = seed
+    collector: SyncCollector | AsyncCollector  # yields one whole episode a batch
+    policy: torch.nn.Module  # the actor, kept as a component of its own for evaluation
+    loss: ActorCriticLoss
+    stepper: ActorCriticStepper
+    experience: Experience
+    backward_reward: BackwardReward | None
+    episode_log: EpisodeLog
+    log: IntervalLog
+    rotation: CheckpointRotation  # where checkpoints go
+    metadata: dict[str, Any]  # goes into each checkpoint's manifest
+    episodes: int
+    until_success: float | None  # the share of the last ``episode_log.window`` flights that ends the training before
+    seed: int
+    checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
+    progress: Progress = field(default_factory=lambda: Progress(0, 1, enabled=False))
+    stop: Stop = field(default_factory=Stop)
+    collected_frames: int = 0  # steps of whole episodes, which is what is learned from
+    steps_flown: int = 0  # with those dropped while others ended
+    seconds_before: float = 0.0  # that earlier processes of this run have trained
+
+    def __post_init__(self) -> None:
+        """Sets out what a checkpoint holds."""
         self._last_save = 0
-        self.steps_flown = 0
-        self.stop = Stop()
-        self.episodes = episodes
-        self.until_success = until_success
-        self.seconds_before = 0.0  # that earlier processes of this run have trained
         self._began = time.monotonic()
-        super().__init__(
-            collector=collector,
-            total_frames=2**62,
-            frame_skip=1,
-            optim_steps_per_batch=0,
-            loss_module=loss,
-            optimization_stepper=stepper,
-            logger=logger,
-            progress_bar=False,
-            save_trainer_interval=checkpoint_interval,
-            log_interval=log_interval,
-            checkpoint=Checkpoint(
-                policy=policy,
-                replay_data=BufferState(replay.buffer),
-                episode_log=episode_log,
-                random_state=RandomState(),
-                **({} if backward_reward is None else {"backward_reward": backward_reward}),
-                format="archive",
-                archive_compression="stored",
-            ),
-            checkpoint_rotation=rotation,
-            checkpoint_metadata=lambda _: {**metadata, "episodes": episode_log.count, "seconds": self.seconds},
-        )
-        replay.register(self)
         self._silence = Silence(WAITED_FOR)
-        self.register_op("batch_process", lambda batch: stepper.observe(batch, replay.draw))
-        self.register_op("pre_steps_log", self._record)
-        self.register_op("post_optim_complete_log", self._check_losses)
+        relabelling = {} if self.backward_reward is None else {"backward_reward": self.backward_reward}
+        self.checkpoint = Checkpoint(
+            policy=self.policy,
+            loss_module=self.loss,
+            stepper=self.stepper,
+            collector=self.collector,
+            experience=self.experience,
+            replay_data=BufferState(self.experience.buffer),
+            **relabelling,
+            episode_log=self.episode_log,
+            log=self.log,
+            trainer=self,
+            random_state=RandomState(),
+            format="archive",
+            archive_compression="stored",
+        )
+
+    def train(self) -> None:
+        """Chansuparp (2022), Algorithm 3.1, for whole episodes: those of N vehicles end one after the other."""
+        with self._silence:  # says what is waited for where no episode ends for long
+            for episode in self.collector:  # a_t = clip(μ(s_t) + ε, a_low, a_high) until d_t
+                self.collected_frames += len(episode)
+                stored = self.experience.admitted(episode)
+                if self.backward_reward is not None:
+                    stored = self.backward_reward.inv(stored)  # r += m P_addReward, where it arrived
+                updates = self.experience.store(stored)
+                self.stepper.observe(episode, self.experience.draw)  # the classifier c learns
+                self.record(episode)
+                if self.collected_frames >= self.collector.init_random_frames:
+                    self.learn(updates, actor=len(stored) > 0)
+                if self.finished:
+                    self.save()
+                    break
+                self.save_if_due()
+
+    def learn(self, updates: int, *, actor: bool) -> None:
+        """Updates critics and models, and every so many times the actor and the targets, on random batches."""
+        self.stepper.actor_learns = actor
+        losses: TensorDictBase | None = None
+        for done, batch in enumerate(self.experience.batches(updates)):
+            new = self.stepper.step(None, batch)
+            self.experience.update_priority(batch)
+            losses = new if losses is None else _mean(losses, new, done)
+        if losses is not None:
+            self._check(losses)
+            self.log.add({"optim_steps": self.stepper.updates, **losses}, self.collected_frames)
+
+    def record(self, batch: TensorDictBase) -> None:
+        """Writes the episodes of a batch down, shows progress, and logs what is worth it."""
+        self._silence.heard()
+        steps = self.collected_frames - len(batch)
+        for trajectory in split_episodes(batch):
+            steps += len(trajectory)
+            episode = summarize(trajectory, self.episode_log.count + 1, steps)
+            self.episode_log.add(episode)
+        rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
+        self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
+        values = {
+            "minutes": self.seconds / 60,
+            **{f"rate_{name}": rate for name, rate in rates.items()},
+            "return": mean_return,
+            "episodes": self.episode_log.count,
+        }
+        for part in (self.stepper, self.backward_reward, self.experience):
+            values |= {} if part is None else part.diagnostics()
+        self.log.add(values, self.collected_frames)
+
+    def _check(self, losses: TensorDictBase) -> None:
+        if not math.isfinite(value := losses["loss_value"].item()):
+            raise UavrlError(
+                f"The critic's loss became {value} after {self.stepper.updates} updates: lower the learning rates; the "
+                f"last checkpoint is untouched."
+            )
 
     @property
     def seconds(self) -> float:
@@ -243,71 +159,60 @@ class EpisodeTrainer(Trainer):
         trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
         return log.count >= self.episodes or (trained and log.count >= log.window)
 
-    def train(self) -> None:
-        """Trains, and says what is waited for where no episode ends for long."""
-        with self._silence:
-            super().train()
+    # ------------------------------------------------------------------ checkpoints
 
-    def _save_trainer(self) -> None:
-        folder = self.checkpoint_rotation.directory
-        with naming(folder):
-            require_room(folder.parent, 2 * self._checkpoint_size())  # files, then the archive of them
-            super()._save_trainer()
-
-    def _checkpoint_size(self) -> float:
-        """About how many bytes a checkpoint takes: the networks, Adam's moments of them, and the transitions."""
-        networks = sum(getattr(value, "nbytes", 0) for value in self.loss_module.state_dict().values())
-        return 3 * networks + self._buffer.storage.frame_bytes + 80 * len(self._buffer)
-
-    def _record(self, batch: TensorDictBase) -> dict[str, float]:
-        """Writes the episodes of a batch, shows progress and ends the training when enough are flown."""
-        self._silence.heard()
-        steps = self.collected_frames - len(batch)
-        for trajectory in split_episodes(batch):
-            steps += len(trajectory)
-            episode = summarize(trajectory, self.episode_log.count + 1, steps)
-            self.episode_log.add(episode)
-        rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
-        self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
-        if self.finished:
-            self.request_stop(f"{self.episode_log.count} episodes are flown")
-        return {
-            "minutes": self.seconds / 60,
-            **{f"rate_{k}": v for k, v in rates.items()},
-            "return": mean_return,
-            "episodes": self.episode_log.count,
-            **self.optimization_stepper.diagnostics(),
-            **(self.backward_reward.diagnostics() if self.backward_reward is not None else {}),
-            **(self.admission.diagnostics() if self.admission is not None else {}),
-        }
-
-    @staticmethod
-    def _check_losses(updates: int, losses: TensorDictBase | None) -> None:
-        if losses is not None and not math.isfinite(losses["loss_value"].item()):
-            raise UavrlError(
-                f"The critic's loss became {losses['loss_value'].item()} after {updates} updates: "
-                f"lower the learning rates; the last checkpoint is untouched."
-            )
-
-    def barrier(self) -> None:
-        """Builds the environment anew; flights in a process of their own go on."""
-        count = self.episode_log.count
-        self.steps_flown = self.collector.state_dict()["frames"]
-        self.collector.start_anew(barrier_seed(self.run_seed, count), self.episodes - count)
-        self.stop.begin()
-
-    def save_trainer(self, force_save: bool = False) -> None:
-        """Writes a checkpoint, behind a barrier, once the flights have ended that were open when it became due.
+    def save_if_due(self) -> None:
+        """Saves once the flights have ended that were open when a checkpoint became due.
 
         A run that was asked to stop goes on to its next checkpoint where that comes soon: one more would change what
         is flown after it. Flights in a process of their own never come again, and are saved at once.
         """
         steps = self.collected_frames - self._last_save
         anywhere = isinstance(self.collector, AsyncCollector)
-        self.stop.foretell(0 if anywhere else self.save_trainer_interval - steps, steps)
-        due = steps >= self.save_trainer_interval or (anywhere and self.stop.signal is not None)
-        if force_save or (due and self.collector.wind_down()):
-            self._last_save = self.collected_frames
-            with self.stop.behind_this():
-                self.barrier()
-                self._save_trainer()
+        self.stop.foretell(0 if anywhere else self.checkpoint_interval - steps, steps)
+        due = steps >= self.checkpoint_interval or (anywhere and self.stop.signal is not None)
+        if due and self.collector.wind_down():
+            self.save()
+
+    def save(self) -> None:
+        """Writes a checkpoint, behind a barrier."""
+        self._last_save = self.collected_frames
+        with self.stop.behind_this():
+            self.barrier()
+            self._write()
+
+    def barrier(self) -> None:
+        """Builds the environment anew; flights in a process of their own go on."""
+        count = self.episode_log.count
+        self.steps_flown = self.collector.state_dict()["frames"]
+        self.collector.start_anew(barrier_seed(self.seed, count), self.episodes - count)
+        self.stop.begin()
+
+    def _write(self) -> None:
+        metadata = {
+            **self.metadata,
+            "episodes": self.episode_log.count,
+            "seconds": self.seconds,
+            "collected_frames": self.collected_frames,
+        }
+        with naming(self.rotation.directory):
+            require_room(self.rotation.directory.parent, 2 * self._checkpoint_size())  # files, then the archive of them
+            self.rotation.save(self.checkpoint, step=self.collected_frames, metadata=metadata)
+
+    def _checkpoint_size(self) -> float:
+        """About how many bytes a checkpoint takes: the networks, Adam's moments of them, and the transitions."""
+        networks = sum(getattr(value, "nbytes", 0) for value in self.loss.state_dict().values())
+        return 3 * networks + self.experience.buffer.storage.frame_bytes + 80 * len(self.experience.buffer)
+
+    def state_dict(self) -> dict[str, Any]:
+        """How far the run has come."""
+        return {"collected_frames": self.collected_frames, "last_save": self._last_save}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self.collected_frames, self._last_save = state_dict["collected_frames"], state_dict["last_save"]
+
+
+def _mean(mean: TensorDictBase, new: TensorDictBase, done: int) -> TensorDictBase:
+    """The mean of ``done + 1`` losses, of the mean of the others and the last."""
+    return mean * done / (done + 1) + new / (done + 1)

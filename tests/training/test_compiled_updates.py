@@ -9,7 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
 from uavrl.errors import UavrlError
-from uavrl.training.gradients import Execution, Gradients, LossGradients, chosen_execution
+from uavrl.training.compiled_updates import Execution, Gradients, LossGradients, chosen_execution
 
 RECORDING: list[Execution] = ["captured", pytest.param("compiled", marks=pytest.mark.slow)]
 
@@ -37,7 +37,7 @@ class Noisy(nn.Module):
 
 
 def gradients_of(loss: Noisy, execution: Execution) -> LossGradients:
-    return LossGradients(loss, [loss.weight], ["x", "shift"], execution, lambda: loss.squared)
+    return LossGradients(loss, [loss.weight], execution, ["x", "shift"], lambda: loss.squared)
 
 
 def data(size: int = 4, **more: Tensor) -> TensorDict:
@@ -81,7 +81,7 @@ def test_what_cannot_be_compiled_is_captured(monkeypatch: pytest.MonkeyPatch) ->
         raise RuntimeError("no compiler\nand a long story")
 
     monkeypatch.setattr("torch._inductor.compile", broken)
-    monkeypatch.setattr("uavrl.training.gradients.log.warning", lambda text, *values: said.append(text % values))
+    monkeypatch.setattr("uavrl.training.compiled_updates.log.warning", lambda text, *values: said.append(text % values))
     loss = Noisy()
     check(gradients_of(loss, "compiled"), loss, data())
     assert said == ["The update could not be compiled (no compiler): it is captured instead, which is slower."]

@@ -1,0 +1,218 @@
+"""How a term joins the actor's objective of any actor–critic loss, and how the models that it needs are trained."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Self
+
+import torch
+from tensordict import TensorDictBase, TensorDictParams
+from tensordict.nn import dispatch
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+from torchrl.objectives import LossModule
+from torchrl.objectives.value import ValueEstimatorBase
+
+from uavrl.losses.actor_critic import ActorCriticLoss
+
+LossMethod = Callable[[TensorDictBase], tuple[Tensor, dict[str, Tensor]]]
+Sample = Callable[[int], TensorDictBase]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """What an enhancer wants trained, and when: at each update by ``loss``, after each episode by ``fit``, or both.
+
+    Attributes:
+        parameters: what Adam moves; none where ``fit`` has a rule of its own.
+        lr: Adam's step.
+        loss: gives the reduced loss of the critics' batch ``[B]``, and metadata.
+        learned: is told that metadata after each step.
+        fit: trains after new episodes; takes what draws n stored transitions, the number of steps that were flown, and
+            Adam (None without parameters).
+    """
+
+    parameters: list[Tensor]
+    lr: float
+    loss: LossMethod | None = None
+    learned: Callable[[dict[str, Tensor]], None] = lambda metadata: None
+    fit: Callable[[Sample, int, torch.optim.Optimizer | None], None] | None = None
+
+
+class Enhancer(ActorCriticLoss, LossModule):
+    """Adds a term to the actor's objective of another loss.
+
+    A subclass gives :meth:`actor_term`; one with models to train gives :attr:`models`, too.
+
+    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change it asks of ``base``, whose
+    networks it shows as its own: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``.
+
+    Args:
+        base: the loss to enhance, or another enhancer.
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        """The keys that :meth:`set_keys` renames, besides those of the base."""
+
+        priority_weight: NestedKey = "priority_weight"
+
+    default_keys = _AcceptedKeys
+
+    def __init__(self, base: ActorCriticLoss) -> None:
+        super().__init__()
+        self.base = base
+        self._has_update_associated = base._has_update_associated  # one updater serves both
+        self.reduction = base.reduction
+        self.use_prioritized_weights = base.use_prioritized_weights
+        self.loss_mask_key = base.loss_mask_key
+        self.out_keys = list(base.out_keys)
+        for keys in (base.unenhanced.tensor_keys, base.tensor_keys):
+            for name in self._AcceptedKeys.__dataclass_fields__:
+                if hasattr(keys, name):
+                    setattr(self.tensor_keys, name, getattr(keys, name))
+
+    # ------------------------------------------------------------------ what a subclass gives
+
+    @abstractmethod
+    def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """What is added to the objective of each sample ``[*B]``, and detached metadata."""
+
+    @property
+    def active(self) -> bool:
+        """Whether the term counts now: a recorded update holds as long as this does not change."""
+        return True
+
+    @property
+    def models(self) -> list[Model]:
+        """What the term needs to have trained."""
+        return []
+
+    def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """The losses ``loss_*`` of the models, for :meth:`forward`."""
+        return {}
+
+    # ------------------------------------------------------------------ what TorchRL asks of a loss
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What :meth:`forward` reads."""
+        return self.base.in_keys
+
+    def _accepted_keys(self) -> set[str]:
+        return super()._accepted_keys() | self.base._accepted_keys()
+
+    def set_keys(self, **kwargs: NestedKey | None) -> None:
+        """Renames keys here and in the base, wherever they are known; None restores a default.
+
+        Raises:
+            ValueError: for a key that none of the losses knows.
+        """
+        accepted = self._accepted_keys()
+        if unknown := set(kwargs) - accepted:
+            raise ValueError(f"Expected keys out of {sorted(accepted)}, got {sorted(unknown)}.")
+        inner, own = self.base._accepted_keys(), super()._accepted_keys()
+        self.base.set_keys(**{name: key for name, key in kwargs.items() if name in inner})
+        super().set_keys(**{name: key for name, key in kwargs.items() if name in own})
+
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
+        """The base has told its own."""
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The base's losses, the enhanced ``loss_actor``, and the losses of the models.
+
+        Args:
+            tensordict: ``[*B]`` transitions; the base writes its priority into them.
+        """
+        losses = self.base(tensordict)
+        losses.update(self.model_losses(tensordict))  # first: the actor's term may depend on how good they are
+        loss_actor, metadata = self.actor_loss(tensordict)
+        return losses.update({"loss_actor": loss_actor, **metadata})
+
+    def named_children(self) -> Iterator[tuple[str, nn.Module]]:
+        """Its modules, and the base's target networks: TorchRL's updaters look for them here."""
+        yield from super().named_children()
+        yield from (pair for pair in self.base.named_children() if pair[0].startswith("target_"))
+
+    def children(self) -> Iterator[nn.Module]:
+        """Its modules."""
+        return (module for _, module in super().named_children())
+
+    def __getattr__(self, name: str) -> Any:
+        """The base's networks and their parameters, where there is nothing of that name here."""
+        modules = self.__dict__.get("_modules", {})
+        if "_network" in name and name.removeprefix("target_") not in modules and "base" in modules:
+            return getattr(modules["base"], name)
+        return super().__getattr__(name)
+
+    def reset_parameters_recursive(self) -> None:
+        """Draws the weights of all networks anew, the base's and its own; what was observed stays."""
+        self.base.reset_parameters_recursive()
+        super().reset_parameters_recursive()
+
+    # ------------------------------------------------------------------ what is asked of the base
+
+    @property
+    def enhancers(self) -> list[Enhancer]:
+        """This enhancer and those below it, the outermost first."""
+        return [self, *self.base.enhancers]
+
+    @property
+    def unenhanced(self) -> ActorCriticLoss:
+        """The loss below all enhancers."""
+        return self.base.unenhanced
+
+    @property
+    def actor_network_params(self) -> TensorDictParams:
+        """The parameters that the actor's optimiser moves."""
+        return self.base.actor_network_params
+
+    @property
+    def critic_network_params(self) -> TensorDictParams:
+        """The parameters that the critic's optimiser moves."""
+        return self.base.critic_network_params
+
+    def observe(self, episodes: TensorDictBase) -> None:
+        """Takes in whole new episodes ``[T]``, end to end; so does the base. Call it once for each episode flown."""
+        self.base.observe(episodes)
+
+    def diagnostics(self) -> dict[str, float]:
+        """Numbers worth logging, the base's among them."""
+        return self.base.diagnostics()
+
+    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The base's action."""
+        return self.base.act(tensordict)
+
+    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
+        """The base's value."""
+        return self.base.action_value(acted, target=target)
+
+    def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
+        """The base's objective, and the term while it counts."""
+        objective, metadata = self.base.actor_objective(acted, target=target)
+        if not self.active:
+            return objective, metadata
+        term, own = self.actor_term(acted)
+        return objective + term, metadata | own
+
+    def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
+        """The base's; the γ of FORK's predicted steps is an argument of its own."""
+        self.base.make_value_estimator(value_type, **hyperparams)
+        return self
+
+    @property
+    def value_estimator(self) -> ValueEstimatorBase:
+        """The base's."""
+        return self.base.value_estimator
+
+    def set_vmap_randomness(self, value: str) -> None:
+        """The base's: what its critics do with random layers."""
+        self.base.set_vmap_randomness(value)
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The base's critic loss."""
+        return self.base.value_loss(tensordict)
