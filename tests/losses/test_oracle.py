@@ -236,10 +236,11 @@ def by_hand(case: Case, loss: ActorCriticLoss) -> oracle.DDPG:
 
 def classifier_of(guard: LifeGuard) -> Callable[[Tensor], Tensor]:
     """A copy of LifeGuard's classifier as it is now, in plain PyTorch."""
-    if isinstance(guard.classifier, LinearClassifier):
-        weight, intercept = guard.classifier.weight.clone(), guard.classifier.intercept.clone()
+    model = guard.classifier.model
+    if isinstance(model, LinearClassifier):
+        weight, intercept = model.weight.clone(), model.intercept.clone()
         return lambda x: torch.mv(x, weight.to(x.dtype)) + intercept.to(x.dtype)
-    values = [value.detach().clone() for value in guard.classifier.parameters()]
+    values = [value.detach().clone() for value in model.parameters()]
     network = oracle.relu_network([FRAME + ACTIONS, *(len(bias) for bias in values[1::2])])
     copy_into(network, values)
     return lambda x: network(x).squeeze(-1)
@@ -389,7 +390,7 @@ def trained(case: Case, execution: Execution, updates: int = 30) -> dict[str, Te
         said = stepper.step(None, batch)
         results |= {f"{key}_{update}": value for key, value in said.items()} | {f"error_{update}": batch["td_error"]}
     results["random"] = torch.rand(8)
-    return results | {name: value.detach().clone() for name, value in loss.state_dict().items() if value is not None}
+    return results | {name: value.detach().clone() for name, value in loss.state_dict().items() if isinstance(value, Tensor)}
 
 
 @pytest.mark.parametrize("name", list(RECORDED))
