@@ -390,7 +390,9 @@ def trained(case: Case, execution: Execution, updates: int = 30) -> dict[str, Te
         said = stepper.step(None, batch)
         results |= {f"{key}_{update}": value for key, value in said.items()} | {f"error_{update}": batch["td_error"]}
     results["random"] = torch.rand(8)
-    return results | {name: value.detach().clone() for name, value in loss.state_dict().items() if isinstance(value, Tensor)}
+    return results | {
+        name: value.detach().clone() for name, value in loss.state_dict().items() if isinstance(value, Tensor)
+    }
 
 
 @pytest.mark.parametrize("name", list(RECORDED))
