@@ -79,9 +79,9 @@ def main() -> None:
         assert isinstance(base, NavigationEnv)
         flies = policy if name == "sees no plane" else with_reflex(policy, base, config.perception.radius)
         arrived = sum(flight.outcome == "arrived" for flight in fly(env, flies, args.episodes, progress=True))
-        rate, low, high = wilson(arrived, args.episodes)
-        found[name] = {"success": rate, "low": low, "high": high}
-        print(f"{name:16} {100 * rate:5.1f} % ({100 * low:.1f}-{100 * high:.1f})", flush=True)
+        found[name] = wilson(arrived, args.episodes)
+        rate, low, high = (100 * found[name][key] for key in ("rate", "low", "high"))
+        print(f"{name:16} {rate:5.1f} % ({low:.1f}-{high:.1f})", flush=True)
         env.close()
     if args.json:
         args.json.write_text(json.dumps(found, indent=2))
