@@ -21,6 +21,7 @@ def lifeguard_penalty(probability: Tensor, weight: Tensor | float) -> Tensor:
         ValueError: for a weight that is not a scalar.
 
     Examples:
+        >>> import torch
         >>> lifeguard_penalty(torch.tensor([0.0, 0.5, 1.0]), 10.0).tolist()
         [0.0, 5.0, 10.0]
     """
@@ -37,6 +38,7 @@ def annealed_weight(penalty_weight: float, successes: Tensor) -> float:
         successes: 1 for each recent episode that arrived, else 0, ``[N]``; with N = 0 the rate is 0.
 
     Examples:
+        >>> import torch
         >>> annealed_weight(10.0, torch.tensor([1.0, 0.0, 0.0, 0.0])), annealed_weight(10.0, torch.zeros(0))
         (7.5, 10.0)
     """
@@ -54,6 +56,7 @@ def is_trusted(counts: Tensor, evaluations: int, min_evaluations: int, min_true_
         min_true_negative_rate: the rate that is not enough.
 
     Examples:
+        >>> import torch
         >>> counts = torch.tensor([[50, 1, 49, 0]])
         >>> is_trusted(counts, 21, 20, 0.96), is_trusted(counts, 20, 20, 0.96), is_trusted(counts, 21, 20, 0.98)
         (True, False, False)
