@@ -119,6 +119,7 @@ def test_a_folder_with_something_worth_keeping_stays(tmp_path: Path) -> None:
     [
         ([], 10_000),
         (["trainer.episodes=60"], 300),
+        (["trainer.episodes=60", "env.max_steps=12"], 72),
         (["trainer.episodes=60", "env=bipedal_hardcore"], 2000),
         (["trainer.episodes=60", "algo.random_steps=7000"], 7000),
         (["trainer.episodes=60", "algo=sac"], 300),

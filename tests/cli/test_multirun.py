@@ -94,7 +94,7 @@ def test_a_sweep_that_is_asked_for_more_episodes_keeps_the_random_steps_that_it_
         (run,) = runs_in(tmp_path).values()
         written.append((run / "episodes.csv").read_text())
         config = OmegaConf.load(run / "config.yaml")
-        assert (config.trainer.episodes, config.algo.random_steps) == (episodes, 1)
+        assert (config.trainer.episodes, config.algo.random_steps) == (episodes, 8)
     assert f"Resuming {run}" in capsys.readouterr().out
     assert written[1].startswith(written[0]) and len(written[1].splitlines()) == 1 + 12
     assert in_process(train_command.main, "-m", *tiny, *places, "trainer.episodes=12", "algo.random_steps=4") == 0

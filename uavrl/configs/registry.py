@@ -103,13 +103,13 @@ def _with_traditional_reward(value: float, otherwise: float, *, _root_: DictConf
 
 
 def expected_steps(episodes: int, max_steps: int) -> int:
-    """About how many steps random flights make: they end after a sixth of the steps that they may take.
+    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take.
 
     Examples:
-        >>> expected_steps(60, 300)
-        3000
+        >>> expected_steps(60, 300), expected_steps(60, 12)
+        (3000, 720)
     """
-    return episodes * max_steps // 6
+    return max(episodes * min(max_steps, 50), episodes * max_steps // 6)
 
 
 def _random_steps(most: int, *, _root_: DictConfig) -> int:
