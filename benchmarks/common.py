@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
+import warnings
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from uavrl.configs import TrainConfig, compose, to_dataclass
 
@@ -29,3 +32,32 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
     }
+
+
+def sb3_td3(env: Any, *, random_steps: int, seed: int) -> Any:
+    """Stable-Baselines3's TD3 with our sizes; what is not said here is its default, as is ours.
+
+    It knows one learning rate: ours are 1e-3 and, for the actor, 1e-4.
+    """
+    from stable_baselines3 import TD3
+    from stable_baselines3.common.noise import NormalActionNoise
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a buffer larger than the memory: its pages are touched one by one
+        return TD3(
+            "MlpPolicy",
+            env,
+            learning_rate=1e-3,
+            buffer_size=1_000_000,
+            learning_starts=random_steps,
+            batch_size=100,
+            gamma=0.99,
+            tau=0.005,
+            train_freq=1,
+            gradient_steps=1,
+            policy_delay=2,
+            action_noise=NormalActionNoise(np.zeros(4), np.full(4, 0.1)),  # of actions in [-1, 1]
+            policy_kwargs={"net_arch": [400, 300]},
+            device="cpu",
+            seed=seed,
+        )

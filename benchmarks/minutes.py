@@ -19,13 +19,12 @@ import os
 import subprocess
 import sys
 import time
-import warnings
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import machine
+from common import machine, sb3_td3
 
 DEFAULT, FAST, SB3 = "default", "preset=fast", "Stable-Baselines3's TD3"
 OURS = {DEFAULT: ["collector=sync", "trainer.products=mkl"], FAST: ["preset=fast"]}
@@ -94,9 +93,7 @@ def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
     """Trains Stable-Baselines3's TD3 and writes its flights as they end."""
     import gymnasium
     import torch
-    from stable_baselines3 import TD3
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.noise import NormalActionNoise
 
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)  # as uavrl-train does
@@ -123,22 +120,8 @@ def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
                 state, reward, terminated, truncated, info = self.env.step(action)
                 return state, float(reward) + PRIZE * info["is_success"], terminated, truncated, info
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a buffer larger than the memory: its pages are touched one by one
-            model = TD3(
-                "MlpPolicy",
-                Prize(gymnasium.make("uavrl:uavrl/Valley-v0")),
-                learning_rate=1e-3,  # its default; ours are 1e-3 and, for the actor, 1e-4: it knows one rate
-                buffer_size=1_000_000,
-                learning_starts=10_000,
-                batch_size=100,
-                train_freq=1,
-                gradient_steps=1,
-                action_noise=NormalActionNoise(np.zeros(4), np.full(4, 0.1)),  # of actions in [-1, 1]
-                policy_kwargs={"net_arch": [400, 300]},
-                device="cpu",
-                seed=seed,
-            )
+        env = Prize(gymnasium.make("uavrl:uavrl/Valley-v0"))
+        model = sb3_td3(env, random_steps=10_000, seed=seed)
         began = time.monotonic()
         model.learn(10**9, callback=Watch())
     (run / "summary.json").write_text(json.dumps({"episodes": len(arrived)}) + "\n")

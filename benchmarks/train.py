@@ -23,7 +23,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -31,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import compose, machine
+from common import compose, machine, sb3_td3
 
 RANDOM_STEPS = 1024  # of the uavrl rows; flights are learned from when they end, so that 8 UAVs need some to get going
 FEW_RANDOM_STEPS = 200  # of the others: two batches
@@ -105,9 +104,7 @@ def uavrl_train(overrides: list[str], steps: int, warm_up: int, threads: int) ->
 def stable_baselines(make_env: Callable[[int], Any], steps: int, warm_up: int, threads: int) -> Clock:
     """TD3 of Stable-Baselines3, told to make the same updates."""
     import torch
-    from stable_baselines3 import TD3
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.noise import NormalActionNoise
 
     torch.set_num_threads(threads)
     torch.set_flush_denormal(True)  # as uavrl-train does
@@ -118,25 +115,7 @@ def stable_baselines(make_env: Callable[[int], Any], steps: int, warm_up: int, t
             clock.tick(self.num_timesteps)
             return True
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a buffer larger than the memory: its pages are touched one by one
-        model = TD3(
-            "MlpPolicy",
-            make_env(threads),
-            learning_rate=1e-3,
-            buffer_size=1_000_000,
-            learning_starts=FEW_RANDOM_STEPS,
-            batch_size=100,
-            gamma=0.99,
-            tau=0.005,
-            train_freq=1,
-            gradient_steps=1,
-            policy_delay=2,
-            action_noise=NormalActionNoise(np.zeros(4), np.full(4, 0.1)),  # of actions in [-1, 1]
-            policy_kwargs={"net_arch": [400, 300]},
-            device="cpu",
-            seed=0,
-        )
+    model = sb3_td3(make_env(threads), random_steps=FEW_RANDOM_STEPS, seed=0)
     _until_enough(lambda: model.learn(10**9, callback=Watch()))
     return clock
 
