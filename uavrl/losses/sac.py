@@ -132,7 +132,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
 
     @property
     def alpha_params(self) -> list[Tensor]:
-        """The parameters that the temperature's optimiser moves: its logarithm, or nothing if it is fixed."""
+        """The parameters that the temperature's optimiser moves, its logarithm, or nothing if it is fixed."""
         return [self.log_alpha] if isinstance(self.log_alpha, nn.Parameter) else []
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
@@ -182,6 +182,6 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         """The temperature's loss, reduced: ``-log α (log π + target entropy)``.
 
         Args:
-            log_prob: ``[*B]``, of the metadata of :meth:`actor_loss`.
+            log_prob: ``[*B]``, of the metadata of ``actor_loss``.
         """
         return self._reduce_loss(self._alpha_loss(log_prob.detach()))
