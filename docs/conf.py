@@ -27,7 +27,7 @@ extensions = [
     "sphinx_copybutton",
     "myst_nb",
 ]
-exclude_patterns = ["_build", "conf.py", "journal/report"]
+exclude_patterns = ["_build", "conf.py", "journal/report", "tutorials/shell.py"]
 nitpicky = True
 
 html_theme = "furo"
@@ -47,6 +47,7 @@ nb_execution_mode = "cache"
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+nb_output_stderr = "remove"
 
 autodoc_default_options = {"members": True, "show-inheritance": True, "member-order": "groupwise"}
 autodoc_typehints = "signature"
@@ -71,6 +72,7 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|omegaconf|gymnasium|zipfile|tensordict\._nestedkey)\b.*|torchrl\..*\.MultiStepTransform"),
     (r"py:.*", r".*\._AcceptedKeys|uavrl\.configs\.checked\.T|uavrl\.configs\.train\.TrainerConfig"),
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
+    (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task)"),
     (r"py:.*", r"(typing\.)?(Annotated|Literal|tuple|dict)\[[^\]]*"),
 ]
 
@@ -103,8 +105,8 @@ def _find_where_public(app: Sphinx, env: BuildEnvironment, node: Element, text: 
             )
         if found := missing_reference(app, env, node, text):
             return found
-    here = env.domains.python_domain.find_obj(env, "", "", f".{name}", None, searchmode=1)
-    if not modules and len(here) == 1:
+    here = env.domains.python_domain.find_obj(env, "", "", name, None, searchmode=1)
+    if here and not modules:
         node["reftarget"] = here[0][0]
         return env.domains.python_domain.resolve_xref(
             env, node["refdoc"], app.builder, node["reftype"], here[0][0], node, text

@@ -52,7 +52,12 @@ def _report(args: argparse.Namespace) -> None:
     _write({args.output: page(report, cdn=args.cdn), facts: report.to_json()})
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
     print(f"{_count(report.runs, 'run')} in {_count(report.groups, 'group')} (seeds): {groups}")
-    print(f"Written to {args.output} and {facts}")
+    best = report.groups[0]
+    success = {name: f"{100 * share:.1f}" for name, share in best["last"]["success"].items()}
+    print(
+        f"Best: {best['label']}, {success['rate']} % of the last flights arrived ({success['low']}-{success['high']} %)."
+        f" Open {args.output} in a browser; {facts} holds the facts."
+    )
 
 
 def _count(things: Sized, name: str) -> str:
