@@ -29,6 +29,7 @@ extensions = [
 ]
 exclude_patterns = ["_build", "conf.py", "journal/report", "tutorials/shell.py"]
 nitpicky = True
+suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
 
 html_theme = "furo"
 html_title = "uavrl"
@@ -87,9 +88,15 @@ _ROOT_PAGES = {
 
 
 def _stay_on_the_site(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Turns links that lead out of docs/ to the pages of the root into links to their pages here."""
+    """Turns links from docs/ to the pages of the root into links to their pages here."""
     for name, page in _ROOT_PAGES.items():
         source[0] = re.sub(rf"\]\(((?:\.\./)*)\.\./{re.escape(name)}", rf"](\1{page}", source[0])
+
+
+def _stay_on_the_site_too(app: Sphinx, path: Path, parent: str, source: list[str]) -> None:
+    """The same for links among the pages of the root."""
+    for name, page in _ROOT_PAGES.items():
+        source[0] = source[0].replace(f"]({name}", f"](docs/{page}")
 
 
 def _find_where_public(app: Sphinx, env: BuildEnvironment, node: Element, text: TextElement) -> Element | None:
@@ -117,4 +124,5 @@ def _find_where_public(app: Sphinx, env: BuildEnvironment, node: Element, text: 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("source-read", _stay_on_the_site)
+    app.connect("include-read", _stay_on_the_site_too)
     app.connect("missing-reference", _find_where_public, priority=600)
