@@ -76,10 +76,13 @@ env.close()
 #
 # ## From a recorded scan
 #
-# On a real vehicle there is no environment, only a scan. A recorded flight has some: `data=` keeps every point cloud.
+# On a real vehicle there is no environment, only a scan. A recorded flight has some: `data=` keeps what was seen, `points=` says how much of each scan.
 
 # %%
-sh(f"uavrl-replay policy=static task=0 output={folder / 'flight.html'} data={folder / 'flight.npz'} progress=false")
+sh(
+    "uavrl-replay policy=static task=0 points=100000 progress=false "  # points that a page shows at most: here all
+    f"output={folder / 'flight.html'} data={folder / 'flight.npz'}"
+)
 flight = load_recording(folder / "flight.npz").flights[0]
 moment = len(flight.actions) // 2
 cloud = torch.tensor(flight.cloud(moment))  # [P, 3] in metres, in the sensor's frame: x forward, y left, z up
@@ -91,7 +94,7 @@ print(f"{len(cloud):,} points, the nearest {cloud.norm(dim=-1).min():.2f} m away
 # %%
 faces = truncated_icosahedron(cloud, radius=4.0)
 print(f"{int((faces > 0).sum())} of 32 faces see something")
-print(f"largest difference to the faces in flight: {(faces - torch.tensor(flight.faces[moment])).abs().max():.2e} m")
+print(f"largest difference to the faces in flight: {(faces - torch.tensor(flight.faces[moment])).abs().max():.4f} m")
 
 # %% [markdown]
 # The state is the last three observations, each of 32 faces over 4 m, altitude and two angles. Replace the newest faces by ours, and ask the policy.
