@@ -45,7 +45,7 @@ copybutton_prompt_is_regexp = True
 # Tutorials are scripts in jupytext's percent format; what they print and draw is kept until they change.
 nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
 nb_execution_mode = "cache"
-nb_execution_timeout = 300
+nb_execution_timeout = 1800
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 nb_output_stderr = "remove"
