@@ -106,9 +106,9 @@ def _find_where_public(app: Sphinx, env: BuildEnvironment, node: Element, text: 
         return None
     for length in range(len(modules) - 1, 0, -1):
         node["reftarget"] = ".".join([*modules[:length], name])
-        for domain, target in env.domains.python_domain.find_obj(env, "", "", node["reftarget"], None):
+        for known, _ in env.domains.python_domain.find_obj(env, "", "", node["reftarget"], None):
             return env.domains.python_domain.resolve_xref(
-                env, node["refdoc"], app.builder, node["reftype"], domain, node, text
+                env, node["refdoc"], app.builder, node["reftype"], known, node, text
             )
         if found := missing_reference(app, env, node, text):
             return found

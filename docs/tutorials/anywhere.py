@@ -88,10 +88,19 @@ print("faces that see something:", int((begin["faces"] > 0).sum()), "of 32")
 # %%
 spec = env.full_action_spec["action"]
 policy = TensorDictModule(Actor(34, 2, (64, 64), limit=1.0), ["observation"], ["action"])
-critics = [TensorDictModule(Critic(34, 2, (64, 64)), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
+critics = [
+    TensorDictModule(Critic(34, 2, (64, 64)), ["observation", "action"], ["state_action_value"]) for _ in range(2)
+]
 base = TD3Loss(policy, critics, action_spec=spec)
 loss = LifeGuard(
-    base, observations=34, actions=2, model="mlp", penalty_weight=5.0, success_window=None, min_collisions=5, min_true_negative_rate=0.8
+    base,
+    observations=34,
+    actions=2,
+    model="mlp",
+    penalty_weight=5.0,
+    success_window=None,
+    min_collisions=5,
+    min_true_negative_rate=0.8,
 )
 loss.set_keys(collided="terminated")
 
@@ -120,7 +129,9 @@ for episode in collector:
     crashed.append(bool(episode["next", "terminated"].any()))
 collector.shutdown()
 half = len(crashed) // 2
-print(f"{sum(crashed[:half])} of the first {half} flights crashed, {sum(crashed[half:])} of the last {len(crashed) - half}")
+print(
+    f"{sum(crashed[:half])} of the first {half} flights crashed, {sum(crashed[half:])} of the last {len(crashed) - half}"
+)
 print("does the actor hear of LifeGuard?", loss.active)
 
 # %% [markdown]

@@ -7,7 +7,6 @@
 
 # %%
 import os
-import sys
 import tempfile
 from pathlib import Path
 
@@ -30,7 +29,7 @@ folder = Path(tempfile.mkdtemp())
 # %%
 (folder / "my_parts").mkdir()
 (folder / "my_parts" / "__init__.py").touch()
-(folder / "my_parts" / "rewards.py").write_text('''
+(folder / "my_parts" / "rewards.py").write_text("""
 from torchrl.envs import Transform
 
 from uavrl.ranges import NonNegative, Positive
@@ -44,18 +43,18 @@ class Hurry(Transform):
     def _step(self, tensordict, next_tensordict):
         arrived, collided = (next_tensordict[key].float() for key in self.in_keys)
         return next_tensordict.set("reward", self.prize * (arrived - collided) - self.step_cost)
-''')
+""")
 
 # %% [markdown]
 # A yaml file makes it a choice of `reward=`. Its keys are the constructor's arguments.
 
 # %%
 (folder / "conf" / "reward").mkdir(parents=True)
-(folder / "conf" / "reward" / "mine.yaml").write_text('''
+(folder / "conf" / "reward" / "mine.yaml").write_text("""
 _target_: my_parts.rewards.Hurry
 prize: 10.0      # for arriving, and lost for colliding
 step_cost: 0.1   # of every step
-''')
+""")
 os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), str(examples), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 # %% [markdown]

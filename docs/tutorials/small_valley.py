@@ -82,11 +82,18 @@ recording = load_recording(folder / "flight.npz")
 flight = recording.flights[0]
 valley = recording.scenery(flight)
 _, axes = plt.subplots(figsize=(7, 5))
-axes.tripcolor(*valley.vertices[:, :2].T, valley.triangles, facecolors=np.ones(len(valley.triangles)), cmap="Greys", vmin=0, vmax=3)
+axes.tripcolor(
+    *valley.vertices[:, :2].T, valley.triangles, facecolors=np.ones(len(valley.triangles)), cmap="Greys", vmin=0, vmax=3
+)
 axes.plot(*flight.positions[:, :2].T, lw=2)
 axes.plot(*flight.positions[0, :2], "o", label="start")
 axes.add_patch(plt.Circle(flight.goal[:2], valley.goal[0], fill=False, lw=2, label="goal"))
-axes.set(aspect="equal", xlabel="m", ylabel="m", title=f"{flight.summary.outcome.replace('_', ' ')} after {flight.summary.steps} steps")
+axes.set(
+    aspect="equal",
+    xlabel="m",
+    ylabel="m",
+    title=f"{flight.summary.outcome.replace('_', ' ')} after {flight.summary.steps} steps",
+)
 axes.legend()
 plt.show()
 

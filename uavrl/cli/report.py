@@ -53,10 +53,11 @@ def _report(args: argparse.Namespace) -> None:
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
     print(f"{_count(report.runs, 'run')} in {_count(report.groups, 'group')} (seeds): {groups}")
     best = report.groups[0]
-    success = {name: f"{100 * share:.1f}" for name, share in best["last"]["success"].items()}
+    success = best["last"]["success"]
+    rate, low, high = (f"{100 * success[name]:.1f}" for name in ("rate", "low", "high"))
     print(
-        f"Best: {best['label']}, {success['rate']} % of the last flights arrived ({success['low']}-{success['high']} %)."
-        f" Open {args.output} in a browser; {facts} holds the facts."
+        f"Best: {best['label']}, {rate} % of the last flights arrived ({low}-{high} %). "
+        f"Open {args.output} in a browser; {facts} holds the facts."
     )
 
 
