@@ -35,6 +35,7 @@ html_theme = "furo"
 html_title = "uavrl"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_js_files = ["site.js"]
 html_show_sphinx = False
 
 myst_heading_anchors = 4
