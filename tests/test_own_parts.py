@@ -11,13 +11,11 @@ import pytest
 import yaml
 from torchrl.checkpoint import Checkpoint
 
-from tests.cli.test_bad_input import in_process, refused
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.training.stepper import ActorCriticStepper
-
-__all__ = ["refused"]  # a fixture
 
 OWN = Path(__file__).resolve().parents[1] / "examples/own_parts"
 CONFIG_DIR, TRUSTED = ["--config-dir", str(OWN / "conf")], "packages=[own_parts]"

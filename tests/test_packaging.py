@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_bad_input import TINY
+from tests.helpers.commands import TINY
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -14,8 +14,8 @@ import pytest
 import torch
 from omegaconf import DictConfig
 
-from tests.cli.test_bad_input import TINY, in_process, refused
-from tests.composing import composed
+from tests.helpers.commands import TINY, in_process
+from tests.helpers.configs import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.configs import to_dataclass
@@ -30,8 +30,6 @@ from uavrl.training.loggers import require_login
 from uavrl.training.silence import Silence
 from uavrl.transforms import TruncatedIcosahedron
 from uavrl.transforms.functional import truncated_icosahedron
-
-__all__ = ["refused"]  # a fixture
 
 MISTAKES = {
     "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",

@@ -13,7 +13,7 @@ import pytest
 from omegaconf import DictConfig
 from torchrl.checkpoint import Checkpoint
 
-from tests.training.test_resume import small_config
+from tests.helpers.runs import small_config
 from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import rotation
 from uavrl.training.run import create_run, train

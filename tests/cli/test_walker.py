@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_bad_input import in_process
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate, replay, train
 from uavrl.reporting.report import make_report
 from uavrl.runs.episodes import read_episodes

@@ -189,24 +189,6 @@ def test_a_collector_takes_a_seed(make: Callable[..., NavigationEnv]) -> None:
         collector.shutdown()
 
 
-def test_task_k_is_the_same_for_every_policy(make: Callable[..., NavigationEnv]) -> None:
-    tasks: list[dict[int, list[float]]] = []
-    for action in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -2.0, 0.0)):  # one times out, the other hits the ground
-        env, met = make(2, max_steps=30), {}
-        state = env.reset()
-        while len(met) < 6:
-            for row in state:
-                met.setdefault(
-                    int(row["task"]),
-                    row["goal"].tolist() + (row["position"].tolist() if not met.get(int(row["task"])) else []),
-                )
-            state = env.step_and_maybe_reset(act(state, *action))[1]
-        tasks.append(met)
-    shared = tasks[0].keys() & tasks[1].keys()
-    assert len(shared) >= 6
-    assert all(tasks[0][k] == tasks[1][k] for k in shared)
-
-
 def test_the_number_of_uavs_does_not_change_the_tasks(make: Callable[..., NavigationEnv]) -> None:
     single, triple = make(1), make(3)
     goals = torch.cat([single.reset()["goal"] for _ in range(3)])

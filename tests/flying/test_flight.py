@@ -14,7 +14,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, check_env_specs
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from tests.cli.test_bad_input import in_process
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.envs.bipedal import BipedalEnv
 from uavrl.flying.baselines import StraightPolicy

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from tests.contracts import LossContract
+from tests.helpers.contracts import LossContract
 from uavrl.errors import UavrlError
 from uavrl.losses.psae import PSAELoss
 from uavrl.losses.psae_functional import neighbour_similarity, psae_loss, reconstruction_error

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.pretraining.synthetic import OUTCOMES, checkpoint_run, walk
+from tests.helpers.states import OUTCOMES, checkpoint_run, walk
 from uavrl.errors import UavrlError
 from uavrl.pretraining import read_states
 

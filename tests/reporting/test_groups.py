@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.reporting.folders import run_folder
+from tests.helpers.folders import run_folder
 from uavrl.reporting.groups import HOW_IT_RUNS, group_runs, label, same_task
 from uavrl.reporting.runs import read_runs
 from uavrl.runs.config import FREE_KEYS

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from plotly.graph_objects import Figure
 
-from tests.reporting.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
 from uavrl.cli.report import main
 from uavrl.reporting.figures import CDN, plotly_script
 from uavrl.reporting.page import page

@@ -15,7 +15,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from tests.training.test_resume import assert_same_run, small_config
+from tests.helpers.runs import assert_same_run, small_config
 from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import rotation
 from uavrl.training import arithmetic
@@ -45,7 +45,7 @@ print(json.dumps(said))
 TWICE = """
 import sys
 from pathlib import Path
-from tests.training.test_resume import small_config
+from tests.helpers.runs import small_config
 from uavrl.training.run import create_run, train
 folder, products = sys.argv[1:]
 for name in ("one", "other"):

@@ -52,34 +52,47 @@ class TransformContract:
         finally:
             env.close()
 
+    def apply(self, transform: Transform, data: TensorDictBase) -> torch.Tensor | None:
+        """What the transform makes of data of its own."""
+        return self.output(transform(data))
+
+    def output(self, data: TensorDictBase) -> torch.Tensor | None:
+        after = data.get(("next", self.out_key()), None)
+        return data.get(self.out_key(), None) if after is None else after
+
+    def expected(self, *batch: int) -> torch.Tensor:
+        """What a new transform makes of the data, which is not what was there before."""
+        before = self.output(self.make_data(*batch))
+        after = self.apply(self.make_transform(), self.make_data(*batch))
+        assert after is not None
+        assert before is None or not torch.equal(before, after), "the transform does nothing"
+        return after
+
     def test_any_batch_shape(self) -> None:
-        transform = self.make_transform()
-        flat = transform(self.make_data(6))
-        deep = transform(self.make_data(6).reshape(3, 2))
-        key = self._forward_key(flat)
-        torch.testing.assert_close(flat[key].reshape(deep[key].shape), deep[key])
+        deep = self.apply(self.make_transform(), self.make_data(6).reshape(3, 2))
+        torch.testing.assert_close(deep, self.expected(6).reshape(deep.shape))
 
     def test_as_a_module_in_a_model(self) -> None:
-        data = torch.nn.Sequential(self.make_transform())(self.make_data(4))
-        assert self._forward_key(data) in data.keys(True)
+        model = torch.nn.Sequential(self.make_transform())
+        torch.testing.assert_close(self.output(model(self.make_data(4))), self.expected(4))
 
     def test_in_a_replay_buffer(self) -> None:
         buffer = ReplayBuffer(storage=LazyTensorStorage(8), batch_size=4, transform=self.make_transform())
-        buffer.extend(self.make_data(8))
-        assert self._forward_key(buffer.sample()) is not None
+        buffer.extend(self.make_data(8).set("row", torch.arange(8)))
+        sample = buffer.sample()
+        torch.testing.assert_close(self.output(sample), self.expected(8)[sample["row"]])
 
     def test_state_dict_round_trip(self) -> None:
-        transform = self.make_transform()
-        self.make_transform().load_state_dict(transform.state_dict())
+        """With the state that some data has left."""
+        one, other = self.make_transform(), self.make_transform()
+        self.apply(one, self.make_data(6))
+        other.load_state_dict(one.state_dict())
+        torch.testing.assert_close(self.apply(other, self.make_data(6)), self.apply(one, self.make_data(6)))
 
     def test_survives_a_deep_copy(self) -> None:
-        transform = copy.deepcopy(self.make_transform())
-        assert self._forward_key(transform(self.make_data(3))) is not None
-
-    def _forward_key(self, data: TensorDictBase) -> object:
-        keys = list(data.keys(True))
-        key = self.out_key()
-        return ("next", key) if ("next", key) in keys else key if key in keys else None
+        torch.testing.assert_close(
+            self.apply(copy.deepcopy(self.make_transform()), self.make_data(6)), self.expected(6)
+        )
 
 
 class _Make:
@@ -192,6 +205,7 @@ class LossContract:
 
     def test_state_dict_round_trip(self, method: str) -> None:
         one, other = self.make_loss(), self.make_loss()
+        assert not torch.equal(self.evaluate(one, method), self.evaluate(other, method))
         other.load_state_dict(one.state_dict())
         assert torch.equal(self.evaluate(one, method), self.evaluate(other, method))
 
