@@ -110,10 +110,3 @@ def test_their_mistakes_are_one_sentence_too(
     monkeypatch.chdir(tmp_path)
     assert said in refused(train_command.main, *CONFIG_DIR, TRUSTED, *CHOSEN, *SMALL, override)
     assert not list(tmp_path.iterdir())
-
-
-def test_each_is_small() -> None:
-    for name in ("reward", "enhancer", "wary", "env"):
-        source = (OWN / f"own_parts/{name}.py").read_text()
-        body = source[source.index("class ") :]
-        assert len(body.splitlines()) < 40

@@ -234,17 +234,6 @@ def test_what_is_stored_before_and_after_does_not_share_memory() -> None:
     assert data["next", "reward"].max() == buffer[3]["next", "reward_raw"] + 5.0 == 7.0
 
 
-def test_sampling_changes_nothing() -> None:
-    transform = BackwardReward(by_first)
-    buffer = make_buffer(transform)
-    buffer.extend(make_episode(UP))
-    before = transform.get_extra_state()
-    stored = set(zip(rewards(buffer[:]), rewards(buffer[:], "reward_raw"), strict=True))
-    sample = buffer.sample()
-    assert set(zip(rewards(sample), rewards(sample, "reward_raw"), strict=True)) <= stored
-    assert all(torch.equal(v, before[k]) for k, v in transform.get_extra_state().items())
-
-
 def test_beside_other_transforms_and_priorities() -> None:
     """As the training builds it on a GPU: a callable that moves samples comes after."""
     transform = BackwardReward(by_first, multiplier=1.0)

@@ -70,21 +70,6 @@ def test_a_run_folder_in_use_is_left_alone(run_dir: Path, refused: Callable[...,
     assert content(run_dir) == before
 
 
-@pytest.mark.parametrize(
-    ("override", "said"),
-    [
-        ("device=cuda:99", "CUDA devices: use device=cpu"),
-        ("device=meta", "device must be auto, cpu, cuda or cuda:<index>, got 'meta'"),
-        ("env.world.min_clearance=9", "min_clearance"),
-    ],
-)
-def test_a_run_that_cannot_start_leaves_its_folder_free(
-    override: str, said: str, tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    assert said in refused(train_command.main, *TINY, override, f"run_dir={tmp_path / 'run'}")
-    assert said in refused(train_command.main, *TINY, override, f"run_dir={tmp_path / 'run'}")
-
-
 # ---------------------------------------------------------------------- resuming
 
 
@@ -277,16 +262,6 @@ def test_a_missing_checkpoint_is_named(run_dir: Path, refused: Callable[..., str
     sentence = refused(evaluate_command.main, f"run={run_dir}", "checkpoint=none.torchrl")
     assert "Expected a checkpoint at none.torchrl and found none" in sentence
     assert content(run_dir) == before
-
-
-def test_a_full_disk_is_one_sentence(
-    run_dir: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("uavrl.runs.episodes.EpisodeLog.add", full)
-    assert "No space left on device" in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
 
 
 # ---------------------------------------------------------------------- found in review

@@ -282,19 +282,12 @@ def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> No
         to_dataclass(changed([], f"{key}={value}"))
 
 
-@pytest.mark.parametrize(
-    "override",
-    [
-        "episodes=0",
-        "num_uavs=0",
-        "threads=0",
-        "products=blas",
-        "seed=-1",
-        "valleys=[]",
-        "valleys=[-1]",
-        "env.max_steps=0",
-    ],
-)
+OUT_OF_RANGE_OF_EVALUATION = """
+    episodes=0 num_uavs=0 threads=0 products=blas seed=-1 valleys=[] valleys=[-1] env.max_steps=0
+"""
+
+
+@pytest.mark.parametrize("override", OUT_OF_RANGE_OF_EVALUATION.split())
 def test_evaluation_refuses_values_out_of_range_by_name(override: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(override.partition("=")[0])):
         checked(changed([], override, name="evaluate"), EvaluateConfig)

@@ -117,12 +117,9 @@ def test_what_is_wrong_is_told_and_the_rest_reported(tmp_path: Path) -> None:
     (run_folder(tmp_path / "bad", "ca", seed=1) / "config.yaml").unlink()
     report = make_report([tmp_path, tmp_path / "nowhere"], window=5)
     assert [run["name"] for run in report.runs] == ["good"]
-    assert report.warnings() == [
-        "nowhere is left out. It holds no run: give the folder that uavrl-train printed.",
-        "bad is left out. config.yaml is missing: bring it back, or leave the folder out.",
-        "good: Unfinished: 2 of 7 episodes.",
-        "good: It has flown fewer than 5 episodes: its rates are over all 2.",
-    ]
+    told = ["nowhere is left out", "bad is left out. config.yaml is missing", "good: Unfinished: 2 of 7", "over all 2"]
+    for warning, fact in zip(report.warnings(), told, strict=True):
+        assert fact in warning
 
 
 def test_nothing_to_report_is_an_error(tmp_path: Path) -> None:

@@ -97,12 +97,6 @@ def test_abr_takes_states_of_any_number_of_frames_but_one(tmp_path: Path) -> Non
         train(config, create_run(config))
 
 
-def test_another_seed_gives_another_run(tmp_path: Path, whole: Callable[[list[str]], Path]) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=4", "seed=1")
-    train(config, create_run(config))
-    assert read_episodes(tmp_path / "run/episodes.csv") != read_episodes(whole([]) / "episodes.csv")[:4]
-
-
 @pytest.mark.parametrize(
     "overrides",
     [FORK_AND_LIFEGUARD, *(pytest.param(o, marks=pytest.mark.slow) for o in (DYNAMIC, PRIORITIZED, DDPG, SAC, ABR))],
@@ -183,16 +177,7 @@ def test_a_run_of_another_version_is_told_so_and_left_as_it_is(tmp_path: Path, m
     assert (tmp_path / "run/episodes.csv").read_bytes() == before
 
 
-def test_a_finished_run_can_be_prolonged(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=2")
-    train(config, create_run(config))
-    summary = train(small_config(tmp_path / "run", "trainer.episodes=3"), tmp_path / "run", resume=True)
-    assert summary["episodes"] == 3
-    assert len((tmp_path / "run/episodes.csv").read_text().splitlines()) == 1 + 3
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_stopped_run_says_how_to_go_on_and_leaves_nothing(tmp_path: Path, number: signal.Signals, code: int) -> None:
+def test_a_stopped_run_says_how_to_go_on_and_leaves_nothing(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, "trainer.episodes=5000", f"run_dir={tmp_path / 'run'}"]
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs do not hear Ctrl-C
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
@@ -201,11 +186,11 @@ def test_a_stopped_run_says_how_to_go_on_and_leaves_nothing(tmp_path: Path, numb
         while len(rotation(tmp_path / "run").checkpoints() if (tmp_path / "run").exists() else ()) < 2:
             assert time.monotonic() < deadline
             time.sleep(0.05)
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=600)
     finally:
         process.kill()
-    assert process.returncode == code
+    assert process.returncode == 130
     (told,) = [
         line for line in err.splitlines() if "are still being built" not in line
     ]  # as they are for long at times
