@@ -83,9 +83,9 @@ class TransformContract:
         torch.testing.assert_close(self.output(sample), self.expected(8)[sample["row"]])
 
     def test_state_dict_round_trip(self) -> None:
-        """With the state that some data has left."""
+        """With the state that other data has left."""
         one, other = self.make_transform(), self.make_transform()
-        self.apply(one, self.make_data(6))
+        self.apply(one, self.make_data(9))
         other.load_state_dict(one.state_dict())
         torch.testing.assert_close(self.apply(other, self.make_data(6)), self.apply(one, self.make_data(6)))
 
