@@ -110,13 +110,13 @@ class LossContract:
     """Subclass, and give ``make_loss``; the loss reads the usual keys of a transition.
 
     ``methods`` names each ``*_loss(tensordict)`` with the group of parameters that its gradient reaches;
-    ``groups`` says which parameters these are. ``compiled`` are those that the quick test of ``torch.compile``
-    takes; the slow one takes all.
+    ``groups`` says which parameters these are. ``compiled`` are those that every run of the tests takes through
+    ``torch.compile``; the slow tests take all of them through inductor.
     """
 
     observations, actions = 6, 2
     methods: ClassVar[dict[str, str]] = {"value_loss": "critic", "actor_loss": "actor"}
-    compiled: ClassVar[tuple[str, ...]] = ("value_loss", "actor_loss")
+    compiled: ClassVar[tuple[str, ...]] = ()
 
     def make_loss(self, **kwargs: object) -> torch.nn.Module:
         raise NotImplementedError
@@ -160,9 +160,12 @@ class LossContract:
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         given = [mark.args[0] for mark in metafunc.definition.iter_markers("parametrize")]
-        if "method" in metafunc.fixturenames and "method" not in given:
-            quick = metafunc.function.__name__ == "test_under_torch_compile"
-            metafunc.parametrize("method", self.compiled if quick else list(self.methods))
+        if "backend" in metafunc.fixturenames:
+            quick = [(method, "eager") for method in self.compiled]
+            thorough = [pytest.param(method, "inductor", marks=pytest.mark.slow) for method in self.methods]
+            metafunc.parametrize(("method", "backend"), [*quick, *thorough])
+        elif "method" in metafunc.fixturenames and "method" not in given:
+            metafunc.parametrize("method", list(self.methods))
 
     @pytest.mark.parametrize("reduction", ["none", "mean", "sum"])
     def test_reduction(self, method: str, reduction: str) -> None:
@@ -270,14 +273,7 @@ class LossContract:
         loss = self.make_loss()
         assert torch.equal(self.evaluate(loss, method), self.evaluate(copy.deepcopy(loss), method))
 
-    def test_under_torch_compile(self, method: str) -> None:
-        self.check_compiled(method, "eager")
-
-    @pytest.mark.slow
-    def test_under_torch_compile_with_inductor(self, method: str) -> None:
-        self.check_compiled(method, "inductor")
-
-    def check_compiled(self, method: str, backend: str) -> None:
+    def test_under_torch_compile(self, method: str, backend: str) -> None:
         """With the noise of uncompiled code, which inductor draws too if told so."""
         loss = self.make_loss()
         expected = self.evaluate(loss, method)

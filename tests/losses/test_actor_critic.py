@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import ClassVar
+
 import pytest
 import torch
 
@@ -9,6 +11,8 @@ from uavrl.losses import DDPGLoss, TD3Loss
 
 
 class TestTD3(ActorCriticLossContract):
+    compiled: ClassVar[tuple[str, ...]] = ("value_loss", "actor_loss")
+
     def make_loss(self, **kwargs: object) -> TD3Loss:
         return td3(**kwargs)
 
@@ -29,5 +33,7 @@ class TestTD3(ActorCriticLossContract):
 
 
 class TestDDPG(ActorCriticLossContract):
+    compiled: ClassVar[tuple[str, ...]] = ("value_loss",)
+
     def make_loss(self, **kwargs: object) -> DDPGLoss:
         return ddpg(**kwargs)

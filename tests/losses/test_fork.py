@@ -32,7 +32,6 @@ class ForkContract(ActorCriticLossContract):
         "reward_loss": "model",
         "model_loss": "model",
     }
-    compiled: ClassVar[tuple[str, ...]] = ("system_loss",)
 
     def make_loss(self, **kwargs: object) -> torch.nn.Module:
         loss = self.enhance(**kwargs)
@@ -53,8 +52,6 @@ class TestForkOnTD3(ForkContract):
 
 
 class TestForkOnSAC(ForkContract):
-    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
-
     def enhance(self, **kwargs: object) -> Fork:
         return fork(sac(**kwargs))
 
@@ -103,7 +100,6 @@ class TestForkOnLifeGuard(_WithLifeGuard):
 
 class TestLifeGuardOnFork(_WithLifeGuard):
     methods: ClassVar[dict[str, str]] = {"value_loss": "critic", "actor_loss": "actor"}
-    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
 
     def enhance(self, **kwargs: object) -> Enhancer:
         loss = lifeguard(fork(sac(**kwargs)))

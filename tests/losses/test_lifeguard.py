@@ -16,7 +16,6 @@ from uavrl.losses import ActorCriticLoss, LifeGuard
 class _Contract(ActorCriticLossContract):
     """The contract, of a LifeGuard that the actor listens to; the critic's loss is the base's."""
 
-    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
     base: Callable[..., ActorCriticLoss]
     settings: ClassVar[dict[str, object]]
 
@@ -50,6 +49,7 @@ class TestLinearOnTD3(_Contract):
 
 
 class TestMLPOnTD3(_MLPContract):
+    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
     base = staticmethod(td3)
 
 

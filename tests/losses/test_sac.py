@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import ClassVar
+
 import pytest
 import torch
 from torchrl.data import Bounded
@@ -14,6 +16,8 @@ SPEC = Bounded(-2.0, 2.0, (2,))
 
 
 class TestSAC(ActorCriticLossContract):
+    compiled: ClassVar[tuple[str, ...]] = ("value_loss", "actor_loss")
+
     def make_loss(self, **kwargs: object) -> SACLoss:
         return SACLoss(stochastic_actor(), critics(), action_spec=SPEC, **kwargs)
 
