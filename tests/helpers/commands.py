@@ -19,7 +19,6 @@ TINY = [
     "trainer.execution=captured",
 ]
 
-
 SMALL_EVALUATION = ["episodes=2", "progress=false"]  # no more vehicles than tasks are flown
 
 

@@ -25,7 +25,6 @@ SMALL = [
     "trainer.execution=captured",  # compiling takes longer than these runs
 ]
 
-
 LIFEGUARD = [  # heard after a few collisions, which a wide hull among many obstacles brings about
     "env.airframe.collision_radius=1.45",
     "env.world.obstacles=90",
@@ -36,7 +35,6 @@ LIFEGUARD = [  # heard after a few collisions, which a wide hull among many obst
     "lifeguard.batch_size=8",
 ]
 
-
 FORK_AND_LIFEGUARD = [
     "fork=on",
     "fork.threshold=10",
@@ -46,9 +44,7 @@ FORK_AND_LIFEGUARD = [
     *LIFEGUARD,
 ]
 
-
 SAC = ["algo=sac", "lifeguard=linear", *LIFEGUARD]
-
 
 ABR = [  # some goals are so near that random flights arrive; one class for nearly all states
     "backward_reward=abr",
@@ -106,7 +102,6 @@ WALKER = [
     "trainer.products=mkl",  # `auto` could turn with the machine's load
     "trainer.execution=captured",
 ]
-
 
 ENHANCED = [
     "lifeguard=linear",

@@ -11,7 +11,6 @@ from uavrl.envs.mesh import Mesh
 
 LEVEL = np.eye(3)[None]
 
-
 ORIGIN = np.zeros((1, 3))
 
 
