@@ -12,7 +12,7 @@ import torch
 from filelock import FileLock
 from omegaconf import OmegaConf
 
-from tests.helpers.commands import SMALL_EVALUATION, TINY, as_process, content, in_process, newest
+from tests.helpers.commands import SMALL_EVALUATION, TINY, content, in_process, newest
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.models import Actor
@@ -37,20 +37,6 @@ def test_the_fixture_run_can_be_resumed_and_evaluated(
     assert json.loads((run_dir / "evaluation_episodes=2.json").read_text())["episodes"] == 2
     assert (run_dir / "evaluation.json").read_text() == "500 tasks", "a quick look takes no long evaluation's place"
     assert "Traceback" not in "".join(capfd.readouterr())
-
-
-# ---------------------------------------------------------------------- as a user meets them: real processes
-
-
-def test_a_truncated_checkpoint_stops_the_real_command(run_dir: Path) -> None:
-    path = newest(run_dir)
-    path.write_bytes(path.read_bytes()[:-3000])
-    before = content(run_dir)
-    done = as_process("evaluate", f"run={run_dir}", *SMALL_EVALUATION)
-    assert done.returncode == 1
-    assert f"uavrl: The checkpoint {path} is damaged" in done.stderr
-    assert "Traceback" not in done.stderr + done.stdout
-    assert content(run_dir) == before
 
 
 # ---------------------------------------------------------------------- starting a run

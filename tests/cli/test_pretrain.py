@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.commands import as_process, in_process
+from tests.helpers.commands import in_process
 from tests.helpers.states import checkpoint_run, drifting_run, walk
 from uavrl.cli import pretrain as command
 from uavrl.models import TrajectoryClassifier
@@ -107,8 +109,8 @@ def test_without_a_curve(run: Path) -> None:
 
 
 def test_a_short_run_is_used_whole_and_that_is_said(run: Path, tmp_path: Path) -> None:
-    done = as_process("pretrain", f"run={run}", *SMALL, "pretrain.states=5000", cwd=tmp_path)
-    assert done.returncode == 0
+    command = [sys.executable, "-m", "uavrl.cli.pretrain", f"run={run}", *SMALL, "pretrain.states=5000"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
     source = ARTIFACT.about(run / "pretrained")["source"]
     assert source["states_drawn"] == source["states"] < 5000
     assert "fewer than pretrain.states=5000: all are used" in done.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -33,12 +32,6 @@ def in_process(main: Callable[[], None], *arguments: str) -> int:
     finally:
         sys.argv = before
     return 0
-
-
-def as_process(command: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", f"uavrl.cli.{command}", *arguments], capture_output=True, text=True, cwd=cwd, timeout=600
-    )
 
 
 def content(folder: Path) -> dict[str, bytes]:
