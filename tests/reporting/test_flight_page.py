@@ -166,7 +166,7 @@ def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
         seen = browser.execute_script(move, moment)
         np.testing.assert_allclose(seen["uav"], flight.positions[moment], atol=1e-5)
         assert seen["drawn"] == seen["vehicle"], "what is drawn is what is known"
-        assert np.abs(np.mean(seen["vehicle"], axis=1) - flight.positions[moment]).max() < 0.5
+        assert np.abs(np.mean(seen["vehicle"], axis=1) - flight.positions[moment]).max() < 0.15
         assert f"step {moment} / {last}" in seen["clock"]
         assert seen["flown"] == moment + 1 and seen["points"] > 100 and seen["shades"] > 1
     assert browser.execute_script("return document.querySelectorAll('#charts svg polyline').length") >= 7
