@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.flying.flights import small_recording
+from tests.helpers.flights import small_recording
 from uavrl.errors import UavrlError
 from uavrl.flying.recording import RecordedFlight, Scenery
 from uavrl.reporting.flight_video import FRAME_RATE, Camera, moment, write_video
