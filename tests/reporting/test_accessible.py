@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from tests.flying.flights import small_recording
-from tests.reporting.folders import DOCUMENTED
+from tests.helpers.flights import small_recording
+from tests.helpers.folders import DOCUMENTED
 from uavrl.reporting.flight_page import make_page
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
