@@ -68,14 +68,14 @@ def run_name(choices: Mapping[str, str]) -> str:
         >>> run_name({"env": "static", "algo": "td3", "fork": "on", "lifeguard": "mlp", "reward": "traditional"})
         'static_td3_fork_lg_mlp_traditional'
     """
-    return f"{choices['env']}_{learner(choices)}_{choices['reward']}"
+    return f"{choices['env']}_{learner_name(choices)}_{choices['reward']}"
 
 
-def learner(choices: Mapping[str, str]) -> str:
+def learner_name(choices: Mapping[str, str]) -> str:
     """What learns in a run, as part of a name.
 
     Examples:
-        >>> learner({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
+        >>> learner_name({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
         'ddpg_lg_abr_plus'
     """
     usual = {"fork": ("fork", "on"), "lifeguard": ("lg", "linear"), "enhancer": ("", ""), "backward_reward": ("", "")}

@@ -64,28 +64,28 @@ def unpack(packed: dict[str, Any]) -> np.ndarray:
     return raw * packed["scale"] if "scale" in packed else raw
 
 
-def page_data(replay: Recording) -> dict[str, Any]:
+def page_data(recording: Recording) -> dict[str, Any]:
     """All that the page shows, as JSON.
 
     Examples:
         >>> page_data(Recording({"policy": "straight"}, (), {}))["flights"]
         []
     """
-    scans = sum(len(flight.times) for flight in replay.flights)
+    scans = sum(len(flight.times) for flight in recording.flights)
     most = max(POINT_BYTES // (6 * max(scans, 1)), 20)
-    balls = {scenery.ball for scenery in replay.sceneries.values()} or {4.0}
+    balls = {scenery.ball for scenery in recording.sceneries.values()} or {4.0}
     shape = football(min(balls))
     parts = vehicle()
     return {
-        "source": replay.source,
+        "source": recording.source,
         "colours": {**OUTCOMES, "body": BODY, "plane": PLANE, "goal": GOAL},
         "vehicle": [
             {"vertices": pack(part.mesh.vertices), "triangles": pack(part.mesh.faces), "colour": part.colour}
             for part in parts
         ],
         "ball": {name: pack(value) for name, value in shape._asdict().items()},
-        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in replay.sceneries.items()},
-        "flights": [_flight(flight, most) for flight in replay.flights],
+        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in recording.sceneries.items()},
+        "flights": [_flight(flight, most) for flight in recording.flights],
     }
 
 
@@ -132,13 +132,13 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
     }
 
 
-def make_page(replay: Recording) -> str:
+def make_page(recording: Recording) -> str:
     """The page, with its data, its programs and plotly's inside.
 
     Raises:
         UavrlError: when plotly is not installed.
     """
-    data = json.dumps(page_data(replay), separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(page_data(recording), separators=(",", ":")).replace("<", "\\u003c")
     assets = resources.files("uavrl.reporting") / "assets"
     texts = {name: (assets / name).read_text("utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")}
     # No fragment holds another one's mark, so the order of the replacements does not matter.
@@ -150,17 +150,17 @@ def make_page(replay: Recording) -> str:
     return page
 
 
-def write_page(replay: Recording, output: Path) -> None:
+def write_page(recording: Recording, output: Path) -> None:
     """Writes the page of some flights.
 
     Args:
-        replay: The flights.
+        recording: The flights.
         output: The HTML file.
 
     Raises:
         UavrlError: when plotly is not installed.
         OSError: when the file cannot be written.
     """
-    text = make_page(replay)
+    text = make_page(recording)
     with replacing(output) as partial:
         partial.write_text(text, encoding="utf-8")

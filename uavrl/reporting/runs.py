@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 
-from uavrl.configs import learner
+from uavrl.configs import learner_name
 from uavrl.configs.parts import PARTS
 from uavrl.configs.registry import NONE
 from uavrl.errors import UavrlError
@@ -60,8 +60,8 @@ class Run:
 
     @property
     def learner(self) -> str:
-        """What learns, as :func:`uavrl.configs.learner` names it."""
-        return learner(self.choices)
+        """What learns, as :func:`uavrl.configs.learner_name` names it."""
+        return learner_name(self.choices)
 
     @property
     def steps(self) -> int:
@@ -176,7 +176,7 @@ def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | No
 
 def _config(path: Path) -> dict[str, Any]:
     config: Any = OmegaConf.to_container(load_config(path))
-    seed, planned, _ = int(config["seed"]), int(config["trainer"]["episodes"]), learner(config["choices"])
+    seed, planned, _ = int(config["seed"]), int(config["trainer"]["episodes"]), learner_name(config["choices"])
     return {**config, "seed": seed, "trainer": {**config["trainer"], "episodes": planned}}
 
 

@@ -18,7 +18,7 @@ from uavrl.configs.build import build, resolve
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.spaces import Spaces, flat
+from uavrl.training.network_sizes import NetworkSizes, inner_transforms
 from uavrl.training.sync_collector import SyncCollector
 from uavrl.transforms import Mirror
 
@@ -76,7 +76,7 @@ def make_env(
     paid = None if reward is None else build(reward, Transform, packages=packages)
     for transform, part in ((state, "perception"), (paid, "reward")):
         if transform is not None:
-            _require_keys(made, [(inner.in_keys, inner.out_keys) for inner in flat(transform)], part)
+            _require_keys(made, [(inner.in_keys, inner.out_keys) for inner in inner_transforms(transform)], part)
             made.append_transform(transform)
     _require_keys(made, [(["observation"], [])], "policy")
     return made
@@ -96,25 +96,25 @@ def _require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[An
         emitted.update(written)
 
 
-def make_backward_reward(settings: TrainConfig, spaces: Spaces, kept: Path) -> BackwardReward | None:
+def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path) -> BackwardReward | None:
     """The write-path transform that pays arriving flights again, or None.
 
     Args:
         settings: the run's.
-        spaces: what the states are.
+        sizes: what the states are.
         kept: where the run keeps what it loaded from elsewhere.
     """
     return build(
         settings.backward_reward,
         BackwardReward,
         packages=settings.packages,
-        stacked=spaces.frames,
-        observations=spaces.state,
+        stacked=sizes.frames,
+        observations=sizes.state,
         kept=kept,
     )
 
 
-def make_buffer(settings: TrainConfig, env: EnvBase, spaces: Spaces, device: torch.device) -> EpisodeBuffer:
+def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device: torch.device) -> EpisodeBuffer:
     """The replay buffer of states that stacked frames make.
 
     The next state of an n-step transition shares no frames with its state: both are kept whole.
@@ -129,7 +129,7 @@ def make_buffer(settings: TrainConfig, env: EnvBase, spaces: Spaces, device: tor
         settings.buffer,
         EpisodeBuffer,
         packages=settings.packages,
-        frames=spaces.frames if multi_step is None else 1,
+        frames=sizes.frames if multi_step is None else 1,
         seed=settings.seed,
         transform=Compose(*transforms) if transforms else None,
     )
@@ -172,7 +172,7 @@ def make_collector(
     settings: TrainConfig,
     env: EnvBase | Callable[[], EnvBase],
     actor: TensorDictModuleBase,
-    spaces: Spaces,
+    sizes: NetworkSizes,
     device: torch.device,
 ) -> SyncCollector | AsyncCollector:
     """Collects whole episodes, one a batch, with exploration noise after the random steps.
@@ -181,13 +181,13 @@ def make_collector(
         settings: the run's.
         env: the environment; for an :class:`AsyncCollector` what makes it, in the process that flies.
         actor: the policy without noise.
-        spaces: what it writes.
+        sizes: what it writes.
         device: where the policy lives.
     """
-    sigma = settings.algo.exploration_noise * spaces.limit
+    sigma = settings.algo.exploration_noise * sizes.limit
     vehicles, processes = settings.env.get("num_uavs", 1), settings.collector.get("processes", 1)
     noise = AdditiveGaussianModule(
-        spec=spaces.action_spec(device),
+        spec=sizes.action_spec(device),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,

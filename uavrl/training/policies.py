@@ -22,9 +22,9 @@ from uavrl.runs.config import read_config
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.names import CONFIG
 from uavrl.runs.weights import POLICY
+from uavrl.training.actor_and_loss import make_actor, make_loss
 from uavrl.training.factory import make_env
-from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.spaces import Spaces, spaces_of
+from uavrl.training.network_sizes import NetworkSizes, network_sizes
 
 TOLD = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
 
@@ -40,7 +40,7 @@ def load_actor(
     config = read_config(folder)
     config.packages = list(packages)
     settings = to_dataclass(config)
-    actor = make_actor(settings, _spaces(settings), device)
+    actor = make_actor(settings, _sizes(settings), device)
     if checkpoint is None and POLICY.is_in(folder):
         about, weights = POLICY.load(folder)
         try:
@@ -96,8 +96,8 @@ def load_risk(
     """
     if settings.lifeguard._target_ is None:
         return None
-    spaces = _spaces(settings)
-    loss = make_loss(settings, make_actor(settings, spaces, device), spaces, device)
+    sizes = _sizes(settings)
+    loss = make_loss(settings, make_actor(settings, sizes, device), sizes, device)
     restore(Checkpoint(loss_module=loss), checkpoint, ["loss_module"])
     guard = next((part for part in getattr(loss, "enhancers", []) if isinstance(part, LifeGuard)), None)
     if guard is None:
@@ -130,9 +130,9 @@ def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[s
     POLICY.save(output, actor.state_dict(), about)
 
 
-def _spaces(settings: TrainConfig) -> Spaces:
+def _sizes(settings: TrainConfig) -> NetworkSizes:
     env = make_env(settings.env, settings.perception, packages=settings.packages, num_uavs=1)
     try:
-        return spaces_of(env)
+        return network_sizes(env)
     finally:
         env.close()

@@ -21,7 +21,7 @@ from torchrl.envs import EnvBase
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 import uavrl
-from uavrl.configs import learner, to_dataclass
+from uavrl.configs import learner_name, to_dataclass
 from uavrl.configs.build import options
 from uavrl.configs.parts import STEPPER, TARGET
 from uavrl.configs.train import TrainConfig
@@ -32,6 +32,7 @@ from uavrl.runs.episodes import EpisodeLog, read_episodes
 from uavrl.runs.files import replacing
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
 from uavrl.runs.provenance import commit
+from uavrl.training.actor_and_loss import make_actor, make_loss
 from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
 from uavrl.training.arithmetic import carried, chosen_products, denormals_flushed, multiplied_by
 from uavrl.training.async_collector import AsyncCollector
@@ -46,12 +47,11 @@ from uavrl.training.factory import (
     make_device,
     make_env,
 )
-from uavrl.training.learner import make_actor, make_loss
 from uavrl.training.loggers import IntervalLog, close, make_logger, truncate_logs
+from uavrl.training.network_sizes import network_sizes
 from uavrl.training.progress import Progress
 from uavrl.training.resuming import checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.silence import Silence
-from uavrl.training.spaces import spaces_of
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop, stoppable
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
@@ -217,11 +217,11 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
     parts = (settings.env, settings.perception, settings.reward)
     new_env = partial(make_env, *parts, packages=settings.packages, seed=barrier_seed(settings.seed, 0))
     env = new_env()
-    spaces = spaces_of(env)
-    actor = make_actor(settings, spaces, device)
-    loss = make_loss(settings, actor, spaces, device)
-    backward_reward = make_backward_reward(settings, spaces, run_dir / ARTIFACT)
-    buffer = make_buffer(settings, env, spaces, device)
+    sizes = network_sizes(env)
+    actor = make_actor(settings, sizes, device)
+    loss = make_loss(settings, actor, sizes, device)
+    backward_reward = make_backward_reward(settings, sizes, run_dir / ARTIFACT)
+    buffer = make_buffer(settings, env, sizes, device)
     flown: EnvBase | Callable[[], EnvBase] = env
     if issubclass(collector_class(settings), AsyncCollector):
         env.close()  # another process makes its own
@@ -242,7 +242,7 @@ def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeT
         seed=settings.seed,
         checkpoint_interval=settings.trainer.checkpoint_interval,
         log=IntervalLog(logger, settings.logger.interval),
-        collector=make_collector(settings, flown, actor, spaces, device),  # last: it may have begun a process
+        collector=make_collector(settings, flown, actor, sizes, device),  # last: it may have begun a process
     )
 
 
@@ -271,7 +271,7 @@ def _restore(trainer: EpisodeTrainer, path: Path) -> None:
 def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
     summary: dict[str, Any] = {
         **{name: settings.choices.get(name, "") for name in ("algo", "env", "reward")},
-        "learner": learner(settings.choices),
+        "learner": learner_name(settings.choices),
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
         "steps": trainer.collected_frames,

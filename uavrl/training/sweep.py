@@ -20,7 +20,7 @@ NAME_DIGITS = 6
 FOLLOWING = -1  # stands in a name for the random steps that follow from the episodes
 
 
-def place_of(config: DictConfig) -> Path:
+def run_folder(config: DictConfig) -> Path:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and returns it.
 
     What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint, nor are random steps
@@ -55,7 +55,7 @@ def is_begun(run_dir: Path) -> bool:
     return False
 
 
-def standing(run_dirs: list[Path]) -> str:
+def summary_lines(run_dirs: list[Path]) -> str:
     """What stands of a sweep, a line for each run."""
     lines = [f"  {run_dir}: {_episodes(run_dir):,} episodes" for run_dir in run_dirs]
     return "\n".join([f"The sweep's {len(run_dirs)} runs:", *lines])
