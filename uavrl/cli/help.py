@@ -49,13 +49,7 @@ _KEY = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>.*?)(?:\s+#\s*(?P<mean
 
 
 class Key(NamedTuple):
-    """A key of a yaml file.
-
-    Args:
-        name: dotted.
-        value: as written.
-        meaning: its comment.
-    """
+    """A key of a yaml file."""
 
     name: str
     value: str
@@ -63,23 +57,13 @@ class Key(NamedTuple):
 
 
 def wanted(arguments: list[str]) -> str | None:
-    """Which help the command line asks for: ``short``, ``all``, or none.
-
-    Examples:
-        >>> wanted(["env=dynamic", "--help"]), wanted(["--help=all"]), wanted(["seed=1"])
-        ('short', 'all', None)
-    """
+    """Which help the command line asks for: ``short``, ``all``, or none."""
     asked = {"--help": "short", "-h": "short", "--help=all": "all"}
     return next((asked[argument] for argument in arguments if argument in asked), None)
 
 
 def help_text(name: str, *, every_key: bool = False) -> str:
-    """What the command whose configuration is ``conf/NAME.yaml`` takes, for a screen or in full.
-
-    Examples:
-        >>> print(help_text("pretrain").splitlines()[0])
-        uavrl-pretrain: Learns the trajectory classifier of ABR⁺ from a run's states.
-    """
+    """What the command whose configuration is ``conf/NAME.yaml`` takes, for a screen or in full."""
     command, about = ABOUT[name]
     main = conf_dir() / f"{name}.yaml"
     groups = {
@@ -108,12 +92,7 @@ def help_text(name: str, *, every_key: bool = False) -> str:
 
 
 def keys(path: Path, prefix: str = "") -> list[Key]:
-    """The keys of a yaml file that have a comment, in its order.
-
-    Examples:
-        >>> keys(conf_dir() / "trainer" / "default.yaml", "trainer.")[0].name
-        'trainer.episodes'
-    """
+    """The keys of a yaml file that have a comment, in its order."""
     found, above = [], list[tuple[int, str]]()
     for line in path.read_text(encoding="utf-8").splitlines():
         match = _KEY.match(line)

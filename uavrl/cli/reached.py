@@ -13,20 +13,7 @@ from uavrl.runs.names import SUMMARY
 
 
 def reached(summary: dict[str, Any], evaluation: dict[str, Any], folder: str, page: str) -> str:
-    """What was reached, where it is, and how to look at it.
-
-    Args:
-        summary: what ``summary.json`` holds.
-        evaluation: what ``uavrl-evaluate`` wrote.
-        folder: the run's.
-        page: the flights that ``uavrl-replay`` drew.
-
-    Examples:
-        >>> success = {"rate": 0.86, "low": 0.779, "high": 0.915}
-        >>> told = reached({"episodes": 600, "steps": 81234, "minutes": 7.25}, {"success": success}, "run", "x.html")
-        >>> print(told.splitlines()[0])
-        Reached: 86 % of fixed tasks without noise (78-92 %), after 600 flights, 81,234 steps and 7.2 minutes.
-    """
+    """What was reached, where it is, and how to look at it."""
     success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
     return (
         f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
@@ -44,11 +31,7 @@ def main() -> None:
 
 
 def read(folder: Path) -> str:
-    """The three lines about a run folder.
-
-    Raises:
-        UavrlError: where the run has not ended or was not evaluated.
-    """
+    """The three lines about a run folder."""
     evaluations = sorted(folder.glob("evaluation*.json"), key=lambda path: path.stat().st_mtime)
     if not evaluations:
         raise UavrlError(f"{folder} holds no evaluation: run uavrl-evaluate run={folder} first.")

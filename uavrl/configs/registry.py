@@ -62,12 +62,7 @@ def with_choices(config: DictConfig, choices: Mapping[str, Any]) -> DictConfig:
 
 
 def run_name(choices: Mapping[str, str]) -> str:
-    """What a run is called: environment, what learns, reward.
-
-    Examples:
-        >>> run_name({"env": "static", "algo": "td3", "fork": "on", "lifeguard": "mlp", "reward": "traditional"})
-        'static_td3_fork_lg_mlp_traditional'
-    """
+    """What a run is called: environment, what learns, reward."""
     return f"{choices['env']}_{learner_name(choices)}_{choices['reward']}"
 
 
@@ -103,12 +98,7 @@ def _with_traditional_reward(value: float, otherwise: float, *, _root_: DictConf
 
 
 def expected_steps(episodes: int, max_steps: int) -> int:
-    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take.
-
-    Examples:
-        >>> expected_steps(60, 300), expected_steps(60, 12)
-        (3000, 720)
-    """
+    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take."""
     return max(episodes * min(max_steps, 50), episodes * max_steps // 6)
 
 

@@ -34,16 +34,6 @@ def signature(target: str) -> dict[str, Any] | None:
     """The types of the arguments that a class takes by name; ``Any`` where none is told.
 
     A constructor with ``**kwargs`` also takes what the last of its bases takes.
-
-    Args:
-        target: dotted name of the class.
-
-    Returns:
-        The types by the arguments' names, or None where there is no such class in the source.
-
-    Examples:
-        >>> signature("uavrl.envs.lidar.LidarConfig")["motion_distortion"]
-        <class 'bool'>
     """
     module, _, name = target.rpartition(".")
     statement = _statements(module).get(name)
@@ -62,12 +52,7 @@ def signature(target: str) -> dict[str, Any] | None:
 
 
 def classes(module: str) -> list[str]:
-    """The names of the classes that a module holds or imports.
-
-    Examples:
-        >>> "TD3Loss" in classes("uavrl.losses")
-        True
-    """
+    """The names of the classes that a module holds or imports."""
     held = _statements(module).items()
     return [name for name, node in held if isinstance(node, ast.ClassDef | ast.ImportFrom) and name[:1].isupper()]
 

@@ -21,14 +21,7 @@ TALL = 6.5  # m: what towers over the ceiling of 5 m is at least this tall
 
 @dataclass(frozen=True)
 class Obstacle:
-    """One obstacle in its valley's frame.
-
-    Args:
-        kind: A key of ``KINDS``.
-        position: x, y and the ground's height under its middle, in metres.
-        radius: Radius in metres of the circle around its outline seen from above.
-        mesh: Its triangles: closed parts that may reach into each other.
-    """
+    """One obstacle in its valley's frame."""
 
     kind: str
     position: tuple[float, float, float]

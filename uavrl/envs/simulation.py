@@ -55,15 +55,6 @@ class Simulation:
         lidar_position: ``[N, 3]``, the LiDAR's centre in m.
         rotor_speed: ``[N, 4]`` in rad/s.
         motors_on: Set it to False to stop all rotors at once.
-
-    Examples:
-        >>> simulation = Simulation([], count=1)
-        >>> simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.5]]), np.array([0.0]))
-        >>> for _ in range(20):
-        ...     touched = simulation.step(np.array([[1.0, 0.0, 0.0, 0.0]]))
-        >>> simulation.velocity.round(1).tolist(), touched.tolist()
-        ([[1.0, 0.0, 0.0]], [False])
-        >>> simulation.close()
     """
 
     def __init__(
@@ -166,9 +157,6 @@ class Simulation:
 
         Returns:
             ``bool [N]``: which vehicles touched anything in any of the physics steps.
-
-        Raises:
-            ValueError: if a command is NaN, or for other shapes.
         """
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
         path: list[list[list[float]]] = []

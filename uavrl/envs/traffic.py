@@ -16,16 +16,7 @@ WING_GAP = 0.36  # between the two wings of a plane, as a share of its wingspan
 
 
 def plane_mesh(wingspan: float) -> Mesh:
-    """Returns a biplane around the origin: nose along +x, wings along y, fin along +z.
-
-    Args:
-        wingspan: In metres; all else is in proportion to it.
-
-    Examples:
-        >>> mesh = plane_mesh(2.0)
-        >>> np.ptp(mesh.vertices, axis=0).astype(float).round(1).tolist()
-        [1.7, 2.0, 0.8]
-    """
+    """Returns a biplane around the origin: nose along +x, wings along y, fin along +z."""
     fuselage = tube(
         np.stack([np.array([0.45, 0.38, 0.2, -0.15, -0.35]), np.zeros(5)], -1),
         np.array([0.015, 0.06, 0.09, 0.06, 0.02]),
@@ -56,20 +47,7 @@ def _sections(span: np.ndarray, chord: np.ndarray, lead: np.ndarray, thickness: 
 
 
 class Leg:
-    """The flight of one plane along a route of its valley, and the plane's own source of the next ones.
-
-    Args:
-        rng: The plane's own generator.
-        routes: As :func:`uavrl.envs.routes.plan_routes` gives them; each can be flown either way.
-        speed: Least and greatest speed in m/s.
-
-    Examples:
-        >>> along = np.linspace(0.0, 10.0, 41)
-        >>> route = np.stack([along, np.zeros(41), np.full(41, 3.0), np.zeros(41)], -1)
-        >>> path = Leg(np.random.default_rng(0), [route], (2.5, 4.0)).fly(steps=3, dt=0.1)
-        >>> path.shape, bool(0.25 <= abs(path[1, 0] - path[0, 0]) <= 0.4)
-        ((3, 4), True)
-    """
+    """The flight of one plane along a route of its valley, and the plane's own source of the next ones."""
 
     def __init__(self, rng: np.random.Generator, routes: Sequence[np.ndarray], speed: tuple[float, float]) -> None:
         self._rng, self._routes, self._speeds = rng, routes, speed
@@ -129,16 +107,6 @@ class Traffic:
 
     Source: Chansuparp (2022), §4.1: three planes at the UAV's flight level with a constant speed above 2 m/s. A UAV may
     leave that level, so the planes' levels are spread over all heights below the ceiling (this library's choice).
-
-    Args:
-        world: Gives the valleys and, in its config, the number, speed and wingspan of the planes.
-        rng: Source of all legs.
-
-    Examples:
-        >>> from uavrl.envs.world import WorldConfig
-        >>> traffic = Traffic(World(WorldConfig(planes=3)), np.random.default_rng(0))
-        >>> traffic.advance(steps=24, dt=1 / 240).shape, traffic.positions.shape
-        ((24, 3, 4), (3, 3))
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
@@ -163,15 +131,7 @@ class Traffic:
         return self._poses()[:, 3]
 
     def advance(self, steps: int, dt: float) -> np.ndarray:
-        """Flies on by ``steps`` times ``dt`` seconds.
-
-        Args:
-            steps: Number of time steps.
-            dt: Length of one in seconds.
-
-        Returns:
-            ``[steps, K, 4]``: x, y, z in metres and yaw in rad after each of the steps.
-        """
+        """Flies on by ``steps`` times ``dt`` seconds."""
         paths = [leg.fly(steps, dt) for leg in self._legs]
         return self._in_world(np.stack(paths, axis=1) if paths else np.zeros((steps, 0, 4)))
 

@@ -91,22 +91,6 @@ def min_max_scale(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Scales features to (0, 1): ``(x - low) / (high - low)``, and 0 where high does not exceed low.
 
     Values outside [low, high] are not clamped, so that the gradient in x does not vanish there.
-
-    Args:
-        x: ``[*B, F]``.
-        low: ``[F]``.
-        high: ``[F]``.
-
-    Returns:
-        ``[*B, F]``.
-
-    Raises:
-        ValueError: for other shapes.
-
-    Examples:
-        >>> t = torch.tensor
-        >>> min_max_scale(t([[1.0, 7.0, 3.0]]), t([0.0, 7.0, 1.0]), t([4.0, 7.0, 2.0])).tolist()
-        [[0.25, 0.0, 2.0]]
     """
     if low.ndim != 1 or high.shape != low.shape or x.shape[-1:] != low.shape:
         raise ValueError(

@@ -92,14 +92,6 @@ def confusion_counts(predicted: Tensor, actual: Tensor) -> Tensor:
 
     Returns:
         int64 ``[4]``.
-
-    Raises:
-        ValueError: for other shapes or types.
-
-    Examples:
-        >>> t = torch.tensor
-        >>> confusion_counts(t([True, True, False, False, False]), t([True, False, False, False, True])).tolist()
-        [1, 1, 2, 1]
     """
     if predicted.shape != actual.shape or predicted.ndim != 1 or {predicted.dtype, actual.dtype} != {torch.bool}:
         raise ValueError(
@@ -124,10 +116,6 @@ def confusion_rates(counts: Tensor) -> ConfusionRates:
 
     Args:
         counts: ``[E, 4]``, rows of :func:`confusion_counts`.
-
-    Examples:
-        >>> [round(rate, 2) for rate in confusion_rates(torch.tensor([[1, 1, 2, 1], [3, 0, 1, 1]]))]
-        [0.67, 0.25, 0.75, 0.33]
     """
     tp, fp, tn, fn = counts.sum(0).tolist()
     positives, negatives = max(tp + fn, 1), max(tn + fp, 1)

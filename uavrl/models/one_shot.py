@@ -19,14 +19,6 @@ def convolve_frames(states: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 
     Returns:
         ReLU features of length 1, ``[N, channels * (frames - kernel + 1)]``; where all are 0 they become equal.
-
-    Raises:
-        ValueError: for states that are not finite or hold no whole number of frames.
-
-    Examples:
-        >>> weight, bias = torch.tensor([[[1.0, 0.0]], [[0.0, 1.0]]]), torch.zeros(2)
-        >>> convolve_frames(torch.tensor([[3.0, 0.0, 4.0]]), weight, bias)  # (3, 0) and (0, 4), channel after channel
-        tensor([[0.6000, 0.0000, 0.0000, 0.8000]])
     """
     width, kernel = weight.shape[1:]
     if states.ndim != 2 or states.shape[1] % width or states.shape[1] < width * kernel:
@@ -50,12 +42,6 @@ def join_or_found(features: Tensor, exemplars: Tensor, threshold: float, max_cla
 
     Returns:
         Labels ``[N]`` and the exemplars ``[C', F]``, the new ones last.
-
-    Examples:
-        >>> features = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
-        >>> labels, exemplars = join_or_found(features, torch.empty(0, 2), 0.75, 100)
-        >>> labels.tolist(), len(exemplars)
-        ([0, 1, 1, 0], 2)
     """
     best = features.new_full((len(features),), -torch.inf)
     labels = torch.zeros(len(features), dtype=torch.int64, device=features.device)

@@ -115,11 +115,7 @@ class TrajectoryClassifier(nn.Module):
 
 
 def packaged_artifact(name: str = "abr_plus_static") -> Path:
-    """The folder of an artifact that comes with the package.
-
-    Raises:
-        UavrlError: when there is none of that name.
-    """
+    """The folder of an artifact that comes with the package."""
     path = Path(__file__).resolve().parent.parent / "artifacts" / name
     if not ARTIFACT.is_in(path):
         raise UavrlError(f"Expected the artifact {name} in {path} and found none: {ARTIFACT.remedy}.")

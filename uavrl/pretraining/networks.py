@@ -37,31 +37,7 @@ def train_psae(
     seed: int = 0,
     progress: bool = False,
 ) -> tuple[PSAE, dict[str, float]]:
-    """Trains the autoencoder by Eq. 3.3 with Adam; the learning rate falls to 0 along a cosine.
-
-    Args:
-        states: ``[N, width]``.
-        centres: ``[M]``, the middle of each triple, as :func:`uavrl.pretraining.triple_centres` gives them.
-        features: width of the latent space.
-        hidden: width of the hidden layers.
-        tradeoff: p_wae.
-        epochs: passes over the triples.
-        batch_size: triples in a batch.
-        lr: Adam's learning rate at the start.
-        seed: seeds weights and batches.
-        progress: show a progress bar.
-
-    Returns:
-        The network, and the means of the last epoch: ``loss``, ``reconstruction_error`` and ``similarity``.
-
-    Raises:
-        UavrlError: when the loss is no longer finite.
-
-    Examples:
-        >>> network, final = train_psae(np.random.rand(40, 6), np.arange(1, 39), features=2, hidden=8, epochs=2)
-        >>> network.encode(torch.zeros(1, 6)).shape, sorted(final)
-        (torch.Size([1, 2]), ['loss', 'reconstruction_error', 'similarity'])
-    """
+    """Trains the autoencoder by Eq. 3.3 with Adam; the learning rate falls to 0 along a cosine."""
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -102,29 +78,7 @@ def train_classifier(
     seed: int = 0,
     progress: bool = False,
 ) -> None:
-    """Trains a network in place to say the label of a feature, by cross-entropy with Adam.
-
-    Args:
-        features: ``[N, F]``.
-        labels: ``[N]`` int64.
-        network: from ``[B, F]`` to logits ``[B, k]``.
-        epochs: passes over the features.
-        batch_size: features in a batch.
-        lr: Adam's learning rate at the start; it falls to 0 along a cosine.
-        seed: seeds the batches.
-        progress: show a progress bar.
-
-    Raises:
-        UavrlError: when the loss is no longer finite.
-
-    Examples:
-        >>> features = torch.tensor([[-1.0], [1.0]]).repeat(50, 1)
-        >>> network = nn.Linear(1, 2)
-        >>> _ = nn.init.zeros_(network.weight), nn.init.zeros_(network.bias)
-        >>> train_classifier(features, (features[:, 0] > 0).long(), network, batch_size=10)
-        >>> accuracy(network, features, (features[:, 0] > 0).long())
-        1.0
-    """
+    """Trains a network in place to say the label of a feature, by cross-entropy with Adam."""
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.Adam(network.parameters(), lr)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)

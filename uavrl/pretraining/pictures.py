@@ -15,15 +15,7 @@ log = logging.getLogger(__name__)
 
 
 def draw(output: Path, ks: Sequence[int], sse: Sequence[float], elbow: int | None, sizes: Mapping[str, Tensor]) -> None:
-    """Draws ``elbow.png`` and ``class_sizes.png`` into a folder; says so where matplotlib is not installed.
-
-    Args:
-        output: the folder.
-        ks: numbers of clusters; without any there is no ``elbow.png``.
-        sse: the error at each.
-        elbow: which of them is marked.
-        sizes: class sizes ``[k]`` by the title of their picture.
-    """
+    """Draws ``elbow.png`` and ``class_sizes.png`` into a folder; says so where matplotlib is not installed."""
     try:
         import matplotlib
 

@@ -59,14 +59,7 @@ class Sample:
 
 
 def pretrain(config: PretrainConfig) -> dict[str, Any]:
-    """Makes the artifact.
-
-    Args:
-        config: as ``conf/pretrain.yaml`` describes it.
-
-    Returns:
-        What ``artifact.json`` holds, and under ``"output"`` the folder.
-    """
+    """Makes the artifact."""
     if config.run is None:
         raise UavrlError("Give run=RUN_FOLDER, of a training whose states are learned from: uavrl-train makes one.")
     torch.set_num_threads(config.threads)
@@ -107,12 +100,7 @@ def draw_sample(flown: States, recipe: PretrainRecipe, seed: int) -> Sample:
 
 
 def one_shot_sizes(states: Tensor, frames: int = 3) -> Tensor | None:
-    """Class sizes of one-shot learning on states ``[N, width]``, or None where the width is not one of whole frames.
-
-    Args:
-        states: in the order flown.
-        frames: observations in a state.
-    """
+    """Class sizes of one-shot learning on states ``[N, width]``, or None where the width is not one of whole frames."""
     if states.shape[1] % frames:
         log.info("One-shot learning is left out: states of %d numbers are not %d frames.", states.shape[1], frames)
         return None

@@ -18,11 +18,7 @@ _GREY = "#6b7280"
 
 
 def plotly_script(cdn: bool = False) -> str:
-    """The script element that brings plotly into the page, to be put there once.
-
-    Args:
-        cdn: fetch plotly when the page is opened, the same file by its hash, instead of carrying its 5 MB.
-    """
+    """The script element that brings plotly into the page, to be put there once."""
     from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
     javascript = get_plotlyjs()
@@ -34,11 +30,7 @@ def plotly_script(cdn: bool = False) -> str:
 
 
 def figure() -> Any:
-    """An empty figure.
-
-    Raises:
-        UavrlError: where plotly is not installed.
-    """
+    """An empty figure."""
     try:
         from plotly.graph_objects import Figure
     except ImportError:

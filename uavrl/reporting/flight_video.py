@@ -24,11 +24,7 @@ SKY = np.array([[150, 190, 222], [235, 242, 246]])  # above and at the horizon
 
 
 def needs_imageio() -> Any:
-    """Returns imageio's writer.
-
-    Raises:
-        UavrlError: when imageio or its ffmpeg is not installed.
-    """
+    """Returns imageio's writer."""
     try:
         import imageio_ffmpeg  # noqa: F401
         from imageio import v2
@@ -41,13 +37,7 @@ def needs_imageio() -> Any:
 
 
 class Camera:
-    """Draws one flight in a PyBullet world of its own, in which nothing moves by itself.
-
-    Args:
-        flight: What is shown.
-        scenery: Its valley.
-        size: Width and height of a picture.
-    """
+    """Draws one flight in a PyBullet world of its own, in which nothing moves by itself."""
 
     def __init__(self, flight: RecordedFlight, scenery: Scenery, size: tuple[int, int] = (640, 360)) -> None:
         self.flight, self.size = flight, size
@@ -197,17 +187,7 @@ def frames(flight: RecordedFlight, scenery: Scenery) -> Iterator[np.ndarray]:
 
 
 def write_video(flight: RecordedFlight, scenery: Scenery, output: Path, *, progress: bool = False) -> None:
-    """Writes a flight as a film, 640 × 360 at 20 frames a second.
-
-    Args:
-        flight: The flight.
-        scenery: Its valley.
-        output: The file, ``.mp4``.
-        progress: Show a progress line.
-
-    Raises:
-        UavrlError: when imageio is not installed, or ffmpeg cannot write such a file.
-    """
+    """Writes a flight as a film, 640 × 360 at 20 frames a second."""
     imageio = needs_imageio()
     total = int(np.ceil(flight.times[-1] * FRAME_RATE)) + FRAME_RATE
     partial = output.with_name(output.stem + ".partial" + output.suffix)

@@ -78,12 +78,7 @@ class LeftOut:
 
 
 def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The values of a nested mapping by dotted names; ``None`` and empty mappings are left out.
-
-    Examples:
-        >>> flatten({"algo": {"fork": None, "hidden": (400, 300)}, "seed": 0})
-        {'algo.hidden': [400, 300], 'seed': 0}
-    """
+    """The values of a nested mapping by dotted names; ``None`` and empty mappings are left out."""
     flat: dict[str, Any] = {}
     for key, value in node.items():
         if isinstance(value, Mapping):
@@ -94,11 +89,7 @@ def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
-    """Reads all runs in and below ``folders``, each once.
-
-    Returns:
-        The runs, in the order of the folders, and what is left out: nothing here raises for a broken folder.
-    """
+    """Reads all runs in and below ``folders``, each once."""
     found: dict[Path, None] = {}
     left_out = []
     for folder in folders:
@@ -128,11 +119,7 @@ def _run_folders(folder: Path) -> Iterator[Path]:
 
 
 def read_run(folder: Path, name: str) -> Run:
-    """Reads one run folder.
-
-    Raises:
-        UavrlError: naming the file that is missing or broken.
-    """
+    """Reads one run folder."""
     if POLICY.is_in(folder):
         raise UavrlError("It is an exported policy, which has no training to report: give the folder of its run.")
     config = _read(folder / CONFIG, _config)
@@ -215,12 +202,7 @@ def _evaluation(path: Path) -> dict[str, Any]:
 
 
 def _flown(content: dict[str, Any]) -> str:
-    """What was flown. With planes, which move with the steps of all, the number of UAVs belongs to it.
-
-    Examples:
-        >>> _flown({"env": "dynamic", "valleys": [0], "planes": 3, "num_uavs": 8, "seed": 20000, "episodes": 500})
-        'dynamic, valleys 0, 500 tasks of seed 20000, 8 UAVs at a time'
-    """
+    """What was flown. With planes, which move with the steps of all, the number of UAVs belongs to it."""
     valleys = ", ".join(map(str, content.get("valleys") or []))
     changes = [str(each) for each in content.get("overrides") or [] if str(each).startswith(("env.", "perception."))]
     return ", ".join(

@@ -54,16 +54,7 @@ class Episode:
 
 
 def wilson(count: int, total: int) -> dict[str, float]:
-    """A rate with its Wilson 95 % interval: ``rate``, ``low`` and ``high``, each in [0, 1].
-
-    Args:
-        count: how often it happened.
-        total: how often it could have happened, at least 1.
-
-    Examples:
-        >>> {name: round(value, 3) for name, value in wilson(420, 500).items()}
-        {'rate': 0.84, 'low': 0.805, 'high': 0.87}
-    """
+    """A rate with its Wilson 95 % interval: ``rate``, ``low`` and ``high``, each in [0, 1]."""
     from scipy.stats import binomtest
 
     interval = binomtest(count, total).proportion_ci(0.95, method="wilson")
@@ -76,15 +67,7 @@ def outcome(last: TensorDictBase) -> str:
 
 
 def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
-    """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks.
-
-    Examples:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> done = torch.tensor([[False], [True], [True]])
-        >>> [len(e) for e in split_episodes(TensorDict({"next": {"done": done}}, [3]))]
-        [2, 1]
-    """
+    """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks."""
     ends = batch["next", "done"].reshape(-1).nonzero().reshape(-1).tolist()
     if not ends or ends[-1] != len(batch) - 1:
         raise ValueError(f"Expected whole episodes, got a batch of {len(batch)} steps whose last one ends none.")
@@ -95,13 +78,7 @@ def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
 
 
 def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Episode:
-    """One row from the steps of one whole episode.
-
-    Args:
-        trajectory: ``[T]``.
-        episode: its number, from 1.
-        total_steps: steps of training with this episode.
-    """
+    """One row from the steps of one whole episode."""
     first, last = trajectory[0], trajectory[-1]["next"]
     paid = float(last.get("episode_reward", trajectory["next", "reward"].double().sum()))
     places = [first.get(key, None) for key in ("position", "goal")]
@@ -138,10 +115,6 @@ class EpisodeLog:
     """Appends episodes to ``episodes.csv`` and keeps the rates over the last ``window`` of them.
 
     Its state is the number of rows: loading it cuts the file back to where the checkpoint was made.
-
-    Args:
-        path: the csv file.
-        window: number of episodes that the rates cover.
     """
 
     def __init__(self, path: Path, window: int = 500) -> None:

@@ -51,21 +51,7 @@ def make_env(
     keep_cloud: bool = False,
     **offered: Any,
 ) -> TransformedEnv:
-    """The environment with everything between what it emits and what the policy and the learner read.
-
-    Args:
-        env: the part of the configuration that names the environment.
-        perception: the one that names the transform which makes ``observation``; what it does not take is the
-            environment's.
-        reward: the one that names the reward's transform; None keeps the environment's own.
-        packages: packages whose classes may be named.
-        num_uavs: vehicles, where the environment has several; None takes the configuration's.
-        keep_cloud: whether the raw scan stays beside the state.
-        **offered: such as ``seed``, for an environment that takes it.
-
-    Raises:
-        UavrlError: when a part does not go with another.
-    """
+    """The environment with everything between what it emits and what the policy and the learner read."""
     several = {} if num_uavs is None else {"num_uavs": num_uavs}
     own = {str(key): value for part in (perception, env) for key, value in part.items()}
     base = build(own, EnvBase, packages=packages, key="env", **several, **offered)
@@ -97,13 +83,7 @@ def _require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[An
 
 
 def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path) -> BackwardReward | None:
-    """The write-path transform that pays arriving flights again, or None.
-
-    Args:
-        settings: the run's.
-        sizes: what the states are.
-        kept: where the run keeps what it loaded from elsewhere.
-    """
+    """The write-path transform that pays arriving flights again, or None."""
     return build(
         settings.backward_reward,
         BackwardReward,
@@ -143,17 +123,6 @@ def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
     """What each vehicle's exploration noise is multiplied by: from 1/√ratio to √ratio, evenly in the logarithm.
 
     As the actors of Ape-X explore (Horgan et al. 2018, arXiv:1803.00933): some try what others would not.
-
-    Args:
-        vehicles: N.
-        ratio: the largest over the smallest.
-
-    Returns:
-        ``[N, 1]`` as lists, or 1.0 where all are alike.
-
-    Examples:
-        >>> spread(3, 4.0), spread(3, 1.0)
-        ([[0.5], [1.0], [2.0]], 1.0)
     """
     if vehicles == 1 or ratio == 1.0:
         return 1.0
@@ -175,15 +144,7 @@ def make_collector(
     sizes: NetworkSizes,
     device: torch.device,
 ) -> SyncCollector | AsyncCollector:
-    """Collects whole episodes, one a batch, with exploration noise after the random steps.
-
-    Args:
-        settings: the run's.
-        env: the environment; for an :class:`AsyncCollector` what makes it, in the process that flies.
-        actor: the policy without noise.
-        sizes: what it writes.
-        device: where the policy lives.
-    """
+    """Collects whole episodes, one a batch, with exploration noise after the random steps."""
     sigma = settings.algo.exploration_noise * sizes.limit
     vehicles, processes = settings.env.get("num_uavs", 1), settings.collector.get("processes", 1)
     noise = AdditiveGaussianModule(

@@ -33,16 +33,7 @@ class NetworkSizes:
 
 
 def network_sizes(env: EnvBase) -> NetworkSizes:
-    """The sizes of an environment with its transforms.
-
-    Raises:
-        UavrlError: for actions without bounds, or with others than [-a, a].
-
-    Examples:
-        >>> from uavrl.envs.bipedal import BipedalEnv
-        >>> network_sizes(BipedalEnv())
-        NetworkSizes(state=24, frames=1, actions=4, limit=1.0)
-    """
+    """The sizes of an environment with its transforms."""
     spec = env.action_spec_unbatched
     limit = float(spec.high.max()) if isinstance(spec, Bounded) else 0.0
     if not isinstance(spec, Bounded) or not bool((spec.high == limit).all() and (spec.low == -limit).all()):

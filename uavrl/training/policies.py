@@ -32,11 +32,7 @@ TOLD = ("checkpoint", "training_steps", "training_episodes", "commit")  # about 
 def load_actor(
     folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
 ) -> tuple[DictConfig, TensorDictModuleBase, dict[str, Any]]:
-    """The policy's module, from the checkpoint named, else from a policy on its own, else from the newest checkpoint.
-
-    Returns:
-        The run's configuration, the module, and where it comes from.
-    """
+    """Configuration, policy and origin: of the checkpoint named, else of a policy on its own, else the newest."""
     config = read_config(folder)
     config.packages = list(packages)
     settings = to_dataclass(config)
@@ -59,11 +55,7 @@ def load_actor(
 def load_policy(
     folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
 ) -> tuple[DictConfig, Callable[[TensorDictBase], TensorDictBase], dict[str, Any]]:
-    """What :func:`load_actor` loads, as a policy of an environment on the CPU.
-
-    Returns:
-        The run's configuration, the policy, and what a result says about them.
-    """
+    """What :func:`load_actor` loads, as a policy of an environment on the CPU."""
     config, actor, about = load_actor(folder, checkpoint, device, packages)
 
     def policy(tensordict: TensorDictBase) -> TensorDictBase:
@@ -84,16 +76,7 @@ def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
 def load_risk(
     settings: TrainConfig, checkpoint: Path, device: torch.device
 ) -> Callable[[Tensor, Tensor], Tensor] | None:
-    """What the LifeGuard of a run has learned, or None where the run has none.
-
-    Args:
-        settings: the run's.
-        checkpoint: a checkpoint that was found good.
-        device: where to compute.
-
-    Returns:
-        From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
-    """
+    """What the LifeGuard of a run has learned, or None where the run has none."""
     if settings.lifeguard._target_ is None:
         return None
     sizes = _sizes(settings)
@@ -112,14 +95,7 @@ def load_risk(
 
 
 def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[str, Any], output: Path) -> None:
-    """Writes a policy on its own: ``config.yaml``, the weights and then ``policy.json``, without which nothing loads.
-
-    Args:
-        actor: the policy.
-        config: the run's configuration; where its run lay is left out.
-        about: what else ``policy.json`` tells: run, steps, commit.
-        output: the folder, made if need be.
-    """
+    """Writes ``config.yaml``, the weights and then ``policy.json``, without which nothing loads."""
     if POLICY.is_in(output) or (output / CONFIG).exists():
         raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with --output FOLDER.")
     writable(output / POLICY.json, "--output FOLDER")

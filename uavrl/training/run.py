@@ -61,11 +61,7 @@ log = logging.getLogger(__name__)
 
 
 def create_run(config: DictConfig) -> Path:
-    """Makes the run folder with its resolved configuration.
-
-    Raises:
-        UavrlError: when it cannot be written, or holds a run already.
-    """
+    """Makes the run folder with its resolved configuration."""
     run_dir = Path(str(config.run_dir))
     _refuse_a_run(run_dir)
     # recorded: both bear on the last digits
@@ -103,19 +99,7 @@ def _write(config: DictConfig, run_dir: Path) -> None:
 
 
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
-    """Trains until the configured number of episodes is flown, or until the policy is good enough.
-
-    Args:
-        config: the composed configuration of the run (for a resumed run: the one in its folder).
-        run_dir: the run's folder.
-        resume: start from the newest checkpoint in ``run_dir``; anew, where it was stopped before the first one.
-
-    Returns:
-        What ``summary.json`` holds.
-
-    Raises:
-        Stopped: when Ctrl-C or SIGTERM has ended it.
-    """
+    """Trains until the configured number of episodes is flown, or until the policy is good enough."""
     if resume:
         check_links(run_dir)
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
@@ -295,16 +279,7 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
 
 
 def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> DictConfig:
-    """The configuration of a run to go on with.
-
-    Args:
-        run_dir: the run's folder.
-        overrides: the configuration composed from the command line.
-        changed: the keys named on the command line, ``resume`` left out.
-
-    Raises:
-        UavrlError: when the command line changes what is learned.
-    """
+    """The configuration of a run to go on with."""
     config = read_config(run_dir)
     before = fingerprint(config)
     config.packages = overrides.packages  # whom the one trusts who runs this, whatever the file says

@@ -39,11 +39,7 @@ def is_finished(run_dir: Path, episodes: int) -> bool:
 
 
 def is_begun(run_dir: Path) -> bool:
-    """Whether a run can be gone on with; a folder that never came to its first checkpoint is freed. Hold its lock.
-
-    Raises:
-        UavrlError: when what was flown there has lost its checkpoints.
-    """
+    """Whether a run can be gone on with; a folder that never came to its first checkpoint is freed. Hold its lock."""
     if any(run_dir.glob(ANY_CHECKPOINT)):
         return True
     if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
