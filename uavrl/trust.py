@@ -5,8 +5,6 @@ TorchRL's does not tell it; a pickle can run any program. uavrl writes neither, 
 list of all that uavrl does write, and refused where it holds anything else.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Which episodes enter a replay buffer: falls always, successes rarely."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

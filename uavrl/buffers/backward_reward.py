@@ -1,7 +1,5 @@
 """The backward reward as a replay buffer's transform."""
 
-from __future__ import annotations
-
 import time
 from typing import Any, Protocol
 

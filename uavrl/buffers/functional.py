@@ -6,8 +6,6 @@ Algorithm 3.1 counts steps from 1: a_t is taken in s_t, earns r_t and leads to s
 Z - p_frames + 1 to Z with Z = k p_frames; the thesis prints k + p_frames, by which all windows would overlap.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """What the backward reward remembers: the distinct sums seen in each class of trajectories, sorted."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from operator import index

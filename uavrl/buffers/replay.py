@@ -1,7 +1,5 @@
 """Replay buffers of whole episodes, as a run chooses among them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuffer

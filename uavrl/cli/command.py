@@ -1,7 +1,5 @@
 """What the commands that Hydra configures share: mistakes on the command line end in one sentence."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import wraps

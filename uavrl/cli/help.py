@@ -1,7 +1,5 @@
 """What ``--help`` says, made of the comments in the yaml files."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """``python -m uavrl.cli.reached RUN_FOLDER``: three lines about a run that was trained, evaluated and replayed."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``uavrl-report``: one page and one JSON file about any number of runs."""
 
-from __future__ import annotations
-
 import argparse
 import errno
 import sys

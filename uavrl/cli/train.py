@@ -1,7 +1,5 @@
 """``uavrl-train``: trains one policy, or with ``-m`` one for each combination of values."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import time

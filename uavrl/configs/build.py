@@ -1,7 +1,5 @@
 """From a part of a configuration to the object: the one place where a name in a file becomes a class."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """One clear sentence for a value out of range."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 from typing import Any

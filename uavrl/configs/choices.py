@@ -1,7 +1,5 @@
 """Which choices and keys there are on the command line, and which of them contradict each other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Settings of an evaluation. Meanings and units stand in the yaml."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The most that a value may be where more has no sense: it would only keep the user waiting, or fill the memory."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from uavrl.configs.checks import require

@@ -1,7 +1,5 @@
 """How much memory a training takes, told before any of it is taken."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The parts of a run: each names its class, and holds what its constructor takes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from typing import Annotated, Any, get_type_hints

@@ -1,7 +1,5 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

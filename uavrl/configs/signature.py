@@ -1,7 +1,5 @@
 """What a constructor takes, read from its source: nothing is imported, so that a mistake is told before torch loads."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

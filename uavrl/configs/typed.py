@@ -1,7 +1,5 @@
 """Plain data of a configuration, held against the types of what it is for."""
 
-from __future__ import annotations
-
 import math
 import types
 import typing

@@ -1,7 +1,5 @@
 """How near vehicles are to everything else."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 

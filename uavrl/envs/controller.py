@@ -1,7 +1,5 @@
 """The flight controller: velocity command → force → attitude → body rates → moments → rotor thrusts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

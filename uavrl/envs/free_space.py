@@ -1,7 +1,5 @@
 """The free space of a valley: how far its points are from the geometry, and which of them a vehicle can reach."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

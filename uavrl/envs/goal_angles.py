@@ -1,7 +1,5 @@
 """The two angles between a UAV and its goal (Chansuparp (2022), §3.2), for N vehicles at once."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

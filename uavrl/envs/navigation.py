@@ -1,7 +1,5 @@
 """The navigation task as a natively batched TorchRL environment."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Literal
 

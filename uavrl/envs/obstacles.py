@@ -1,7 +1,5 @@
 """Obstacles of the valley, about equally dense from the ground to the ceiling and from wall to wall."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ Meyer, Sendobry, Kohlbrecher, Klingauf and von Stryk (2012), "Comprehensive Simu
 Gazebo". Axes are x forward, y left, z up. Gravity and rigid-body motion (Eq. 2.3 and 2.4) are the physics engine's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Which rays of a short-range scan can hit anything at all: most cannot, and need no ray casting."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Registration with Gymnasium, kept free of heavy imports: ``import uavrl`` runs it."""
 
-from __future__ import annotations
-
 
 def register_envs() -> None:
     """Registers ``uavrl/Valley-v0`` where Gymnasium is installed.

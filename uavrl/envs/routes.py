@@ -1,7 +1,5 @@
 """Routes of planes: over the wall, down between the obstacles, along the valley and out over another wall."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

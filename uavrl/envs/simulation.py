@@ -1,7 +1,5 @@
 """Quadrotors, static geometry and moving planes in one PyBullet world."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

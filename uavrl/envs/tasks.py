@@ -1,7 +1,5 @@
 """Where a flight may start and end: tasks that have a free corridor in three dimensions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

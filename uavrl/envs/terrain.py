@@ -1,7 +1,5 @@
 """The valley's ground: a height field with raised walls at its border."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

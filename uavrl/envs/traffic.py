@@ -1,7 +1,5 @@
 """Planes that cross the valleys between the obstacles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

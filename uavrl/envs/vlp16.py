@@ -1,7 +1,5 @@
 """The firing pattern of the Velodyne VLP-16 at 10 Hz (Velodyne VLP-16 user manual 63-9243)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

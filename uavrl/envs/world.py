@@ -1,7 +1,5 @@
 """The world: valleys of terrain and obstacles, and the tasks to fly in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Policies that learn nothing: yardsticks for a task's difficulty."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

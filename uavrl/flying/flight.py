@@ -1,7 +1,5 @@
 """Flies fixed, seeded tasks without exploration noise, and keeps how each of them ended."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 

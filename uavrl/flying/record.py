@@ -1,7 +1,5 @@
 """Flies chosen tasks without noise and keeps every step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 

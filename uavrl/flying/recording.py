@@ -1,7 +1,5 @@
 """Flights kept step by step, with the valley they were flown in, and their file."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from dataclasses import asdict, dataclass, fields

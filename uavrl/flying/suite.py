@@ -1,7 +1,5 @@
 """The scenarios of ``uavrl-evaluate suite=…``, and one table of what came of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

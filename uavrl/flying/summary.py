@@ -1,7 +1,5 @@
 """What some flights come to, as numbers and as a table."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

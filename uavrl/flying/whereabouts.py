@@ -3,8 +3,6 @@
 A success rate that is better than expected is a question; this is where its answer begins.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Several critics evaluated as one."""
 
-from __future__ import annotations
-
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn

@@ -1,7 +1,5 @@
 """DDPG (Lillicrap et al. 2015) as the thesis uses it, on TorchRL's loss."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Self
 

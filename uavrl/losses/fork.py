@@ -1,7 +1,5 @@
 """FORK, the forward-looking actor (Wei & Ying (2020), arXiv 2010.01652), for any actor–critic loss."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

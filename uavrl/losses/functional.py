@@ -1,7 +1,5 @@
 """FORK's equations as pure tensor functions (Chansuparp (2022), Eq. 2.14; Wei & Ying (2020))."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor

@@ -1,7 +1,5 @@
 """LifeGuard (Chansuparp (2022), §3.5): a collision classifier that restrains the actor."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal

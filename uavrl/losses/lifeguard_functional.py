@@ -1,7 +1,5 @@
 """LifeGuard's arithmetic as pure tensor functions (Chansuparp (2022), §3.5)."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from uavrl.models.collision_classifier import confusion_rates

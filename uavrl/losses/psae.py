@@ -1,7 +1,5 @@
 """The all-positive Siamese autoencoder's loss (Chansuparp (2022), Eq. 3.3) as a TorchRL loss module."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NoReturn
 

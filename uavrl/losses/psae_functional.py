@@ -1,7 +1,5 @@
 """The all-positive Siamese autoencoder's loss as pure tensor functions (Chansuparp (2022), Eq. 3.3)."""
 
-from __future__ import annotations
-
 import torch.nn.functional as F
 from torch import Tensor
 

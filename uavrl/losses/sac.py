@@ -1,7 +1,5 @@
 """SAC (Haarnoja et al. 2018, arXiv 1812.05905) behind the interface of the other losses, on TorchRL's loss."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Literal
 

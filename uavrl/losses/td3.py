@@ -1,7 +1,5 @@
 """TD3 (Fujimoto et al. 2018) as the thesis uses it, on TorchRL's loss."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Actor and critic networks (Chansuparp (2022), §2.3–2.4): plain modules, no TorchRL."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from functools import partial

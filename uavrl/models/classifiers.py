@@ -1,7 +1,5 @@
 """Classifiers of "this action collides" (Chansuparp (2022), §3.5), and the scaling of their features."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

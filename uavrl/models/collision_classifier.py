@@ -1,7 +1,5 @@
 """What LifeGuard asks: does this action collide (Chansuparp (2022), §3.5)?"""
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import torch

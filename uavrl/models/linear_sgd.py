@@ -1,7 +1,5 @@
 """A linear classifier and its stochastic gradient descent as pure functions (Chansuparp (2022), Eq. 3.7-3.10)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One-shot classification of states by convolutional features (Chansuparp (2022), §3.3; the classifier of ABR)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -4,8 +4,6 @@ Features are standardised before they are clustered, each by itself to mean 0 an
 scale of a feature, so that the scale it comes with means nothing, and k-means would listen to the largest alone.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass

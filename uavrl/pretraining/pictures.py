@@ -1,7 +1,5 @@
 """The SSE curve with its elbow, and the class sizes side by side (Chansuparp (2022), Figure 4.2)."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path

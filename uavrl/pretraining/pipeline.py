@@ -1,7 +1,5 @@
 """From the states of a run to one artifact: autoencoder, clusters, classifier, statistics and pictures."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """The states of a training run, out of the replay buffer of its newest checkpoint."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass

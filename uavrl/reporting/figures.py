@@ -1,7 +1,5 @@
 """The figures of a report, as plotly draws them; colours are those of Okabe and Ito (2008)."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 from typing import Any

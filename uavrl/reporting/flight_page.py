@@ -1,7 +1,5 @@
 """One page that plays flights back in three dimensions and needs no network."""
 
-from __future__ import annotations
-
 import base64
 import json
 from dataclasses import fields

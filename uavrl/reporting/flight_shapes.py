@@ -1,7 +1,5 @@
 """Shapes to draw: the vehicle and the truncated icosahedron around it."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """A film of one flight, drawn by PyBullet's software renderer from behind the vehicle."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

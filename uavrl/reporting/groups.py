@@ -1,7 +1,5 @@
 """Which runs are seeds of one another, what their groups are called and which settings tell them apart."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Rates and returns over steps and episodes, from the ``episodes.csv`` of runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One HTML page from a report's facts: it fetches nothing, unless plotly is to come from its CDN."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from omegaconf import OmegaConf

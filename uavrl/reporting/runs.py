@@ -1,7 +1,5 @@
 """Run folders, read: what is whole becomes a :class:`Run`; a broken file is named."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence

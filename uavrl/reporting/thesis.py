@@ -1,7 +1,5 @@
 """The thesis's numbers, and which of them a group of runs can be held against."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Checkpoints: what they hold and how a damaged or foreign one is told from a good one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The ``config.yaml`` of a run or a policy, which somebody else may have written, and its fingerprint."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Which state of the code made a run."""
 
-from __future__ import annotations
-
 import subprocess
 from functools import cache
 from pathlib import Path

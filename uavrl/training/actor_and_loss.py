@@ -1,7 +1,5 @@
 """The policy of a run, and its loss with enhancers."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import torch

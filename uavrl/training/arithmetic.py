@@ -1,7 +1,5 @@
 """How a process computes: which library multiplies matrices, in how many digits, and what is rounded to zero."""
 
-from __future__ import annotations
-
 import logging
 import os
 import time

@@ -1,7 +1,5 @@
 """One process trains in a run folder at a time: on this machine, or on another one that shares the folder."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -1,7 +1,5 @@
 """The replay buffer of a run, as the loop uses it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

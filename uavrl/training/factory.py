@@ -1,7 +1,5 @@
 """Environment, buffer and collector of a configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """TorchRL's loggers, chosen by the configuration."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import re

@@ -1,7 +1,5 @@
 """What the networks of a run read and write."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """The policy of a run, or one on its own, ready to fly or to be given away."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any

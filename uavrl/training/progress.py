@@ -1,7 +1,5 @@
 """The line that a person watches while a run goes on."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import deque

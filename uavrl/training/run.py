@@ -1,7 +1,5 @@
 """One training run, new or resumed, in its folder."""
 
-from __future__ import annotations
-
 import json
 import logging
 import platform

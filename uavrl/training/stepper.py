@@ -1,7 +1,5 @@
 """One optimisation step of an actor–critic."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

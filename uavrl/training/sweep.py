@@ -1,7 +1,5 @@
 """The combinations of a sweep: each has a folder of its own, and is found there when the sweep is started again."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """uavrl's transforms and losses in the Hydra groups ``transform`` and ``loss`` of TorchRL's own trainers."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from typing import Any

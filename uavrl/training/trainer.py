@@ -1,7 +1,5 @@
 """The loop of a run: Algorithm 3.1, able to stop at any checkpoint and to go on bit by bit."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Point-cloud reduction as pure tensor functions (Chansuparp (2022), Eq. 3.1-3.2)."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from numbers import Real

@@ -1,7 +1,5 @@
 """Transitions as they would look in a mirror at the vehicle's side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

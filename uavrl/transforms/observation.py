@@ -1,7 +1,5 @@
 """From the 32 faces, the altitude and the two goal angles to the policy's 35 numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 

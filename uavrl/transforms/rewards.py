@@ -1,7 +1,5 @@
 """The thesis's two reward functions, each a sum of named terms, as pure functions and as TorchRL transforms."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import reduce
