@@ -38,11 +38,6 @@ class TrajectoryHistory:
         """The classes seen, in ascending order."""
         return sorted(self._values)
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the state dict."""
-        return sum(tensor.nbytes for tensor in self.state_dict().values())
-
     def values(self, label: int) -> list[int]:
         """The distinct values of a class in ascending order; none for a class not seen."""
         return list(self._values.get(label, ()))

@@ -19,7 +19,7 @@ ABOUT = {
 EXAMPLES = {
     "config": ["preset=fast", "env=dynamic algo=sac seed=1", "-m seed=0,1,2 algo.gamma=0.98,0.99", "resume=RUN_FOLDER"],
     "evaluate": ["policy=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
-    "replay": ["policy=static tasks=[0,1,2,3]", "run=RUN_FOLDER task=7 video=flight.mp4"],
+    "replay": ["policy=static tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
 MOST_USED = {
@@ -39,7 +39,7 @@ MOST_USED = {
         "packages",
     ],
     "evaluate": ["run", "policy", "episodes", "suite", "valleys", "output", "seed", "checkpoint", "num_uavs"],
-    "replay": ["run", "policy", "task", "tasks", "output", "video", "checkpoint"],
+    "replay": ["run", "policy", "task", "tasks", "output", "checkpoint"],
     "pretrain": ["run", "output", "seed"],
 }
 LONGEST = 24  # characters of a name beside its meaning

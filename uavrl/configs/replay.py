@@ -31,7 +31,6 @@ class ReplayConfig:
     valleys: Valleys | None = None
     checkpoint: str | None = None
     output: str | None = None
-    video: str | None = None
     data: str | None = None
     points: Count = 1500
     device: str = "cpu"

@@ -1,7 +1,6 @@
 """Planes that cross the valleys between the obstacles."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -84,17 +83,6 @@ class Leg:
         self.flown += self.speed * (steps * dt - elapsed)
         return np.array(path).reshape(steps, 4)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Returns all that the rest of the flight depends on."""
-        names = ("route", "backwards", "speed", "flown")
-        return {"generator": self._rng.bit_generator.state} | {name: getattr(self, name) for name in names}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Flies on as the leg that ``state_dict`` was taken from."""
-        self._rng.bit_generator.state = state["generator"]
-        self.route, self.backwards = int(state["route"]), bool(state["backwards"])
-        self.speed, self.flown = float(state["speed"]), float(state["flown"])
-
 
 class Traffic:
     """All planes of the world: they fly on whatever the episodes do, and do not see the UAVs.
@@ -113,7 +101,7 @@ class Traffic:
         self.valleys = np.repeat(np.arange(len(world.valleys)), config.planes)
         self._origins = np.array([world.valleys[v].origin for v in self.valleys]).reshape(-1, 2)
         seeds = rng.integers(2**63, size=len(self.valleys))
-        self._legs = [
+        self.legs = [
             Leg(np.random.default_rng(seed), world.valleys[valley].routes, config.plane_speed)
             for seed, valley in zip(seeds, self.valleys, strict=True)
         ]
@@ -129,27 +117,13 @@ class Traffic:
         return self._poses()[:, 3]
 
     def advance(self, steps: int, dt: float) -> np.ndarray:
-        """Flies on by ``steps`` times ``dt`` seconds."""
-        paths = [leg.fly(steps, dt) for leg in self._legs]
+        """Flies on by ``steps`` times ``dt`` s: x, y, z in m and yaw in rad after each, ``[steps, K, 4]``."""
+        paths = [leg.fly(steps, dt) for leg in self.legs]
         return self._in_world(np.stack(paths, axis=1) if paths else np.zeros((steps, 0, 4)))
-
-    def state_dict(self) -> dict[str, Any]:
-        """Returns all that the rest of the traffic depends on."""
-        return {"legs": [leg.state_dict() for leg in self._legs]}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Flies on as the traffic that ``state_dict`` was taken from."""
-        if len(state["legs"]) != len(self._legs):
-            raise ValueError(
-                f"This traffic has {len(self._legs)} planes, the state has {len(state['legs'])}; "
-                "load it into a world with the same planes and seeds."
-            )
-        for leg, saved in zip(self._legs, state["legs"], strict=True):
-            leg.load_state_dict(saved)
 
     def _poses(self) -> np.ndarray:
         """Returns x, y, z and yaw ``[K, 4]`` now."""
-        poses = [leg.pose(np.array([leg.flown]))[0] for leg in self._legs]
+        poses = [leg.pose(np.array([leg.flown]))[0] for leg in self.legs]
         return self._in_world(np.array(poses).reshape(-1, 4))
 
     def _in_world(self, poses: np.ndarray) -> np.ndarray:

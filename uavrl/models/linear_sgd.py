@@ -106,11 +106,7 @@ def learning_rate(t: float, alpha: float) -> float:
         >>> round(learning_rate(0, 1e-4), 6), round(learning_rate(1000, 1e-4), 6)
         (10.0, 5.0)
     """
-    return _step(t, alpha, initial_time(alpha))
-
-
-def _step(t: float, alpha: float, t_0: float) -> float:
-    return 1.0 / (alpha * (t_0 + (t + 1) - 1))
+    return 1.0 / (alpha * (initial_time(alpha) + (t + 1) - 1))
 
 
 def sgd_epoch(
@@ -153,10 +149,9 @@ def sgd_epoch(
     rows = x.detach().double().cpu().numpy()
     if not np.isfinite(rows).all():
         raise ValueError("Expected finite features, got a NaN or an infinity: clean the data first.")
-    t_0 = initial_time(alpha)
     scale = 1.0  # the weights are scale * w: their decay costs one product
     for row, label in zip(rows, y.tolist(), strict=True):
-        step = _step(t, alpha, t_0)
+        step = learning_rate(t, alpha)
         # Summed in order: early steps amplify a rounding error thirtyfold a sample, so another order is another model.
         logit = scale * float(np.add.accumulate(w * row)[-1]) + j
         update = -step * _slope(logit, label)

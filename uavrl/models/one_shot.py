@@ -127,11 +127,6 @@ class OneShotClassifier(nn.Module):
         """How many classes there are."""
         return len(self.exemplars)
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the exemplars."""
-        return self.exemplars.nbytes
-
     @torch.no_grad()
     def forward(self, states: Tensor) -> Tensor:
         """States ``[N, frames * width]``, in the order flown, to int64 labels ``[N]``; new classes may be founded."""

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.losses.psae import PSAELoss
 from uavrl.models.psae import PSAE
@@ -27,13 +28,8 @@ def progress_bar(values: Iterable[T], description: str, show: bool) -> tqdm[T]:
 def train_psae(
     states: np.ndarray,
     centres: np.ndarray,
+    recipe: PretrainRecipe,
     *,
-    features: int = 20,
-    hidden: int = 64,
-    tradeoff: float = 0.7,
-    epochs: int = 30,
-    batch_size: int = 256,
-    lr: float = 1e-3,
     seed: int = 0,
     progress: bool = False,
 ) -> tuple[PSAE, dict[str, float]]:
@@ -41,18 +37,18 @@ def train_psae(
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        network = PSAE(states.shape[1], features, hidden)
-    loss_module = PSAELoss(network, tradeoff=tradeoff)
+        network = PSAE(states.shape[1], recipe.features, recipe.hidden)
+    loss_module = PSAELoss(network, tradeoff=recipe.tradeoff)
     before, anchor, after = (torch.as_tensor(states[centres + i], dtype=torch.float32) for i in (-1, 0, 1))
     triples = TensorDict({"previous": {"observation": before}, "observation": anchor, "next": {"observation": after}})
     triples.auto_batch_size_(1)
-    optimizer = torch.optim.Adam(loss_module.parameters(), lr)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
+    optimizer = torch.optim.Adam(loss_module.parameters(), recipe.psae_lr)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, recipe.psae_epochs)
     final: dict[str, float] = {}
-    bar = progress_bar(range(epochs), "autoencoder, epochs", progress)
+    bar = progress_bar(range(recipe.psae_epochs), "autoencoder, epochs", progress)
     for _ in bar:
         sums, batches = torch.zeros(3), 0
-        for index in _batches(len(triples), batch_size, generator):
+        for index in _batches(len(triples), recipe.psae_batch_size, generator):
             loss, metadata = loss_module.psae_loss(triples[index])
             optimizer.zero_grad()
             loss.backward()
@@ -71,21 +67,19 @@ def train_classifier(
     features: Tensor,
     labels: Tensor,
     network: nn.Module,
+    recipe: PretrainRecipe,
     *,
-    epochs: int = 30,
-    batch_size: int = 512,
-    lr: float = 3e-3,
     seed: int = 0,
     progress: bool = False,
 ) -> None:
     """Trains a network in place to say the label of a feature, by cross-entropy with Adam."""
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.Adam(network.parameters(), lr)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
-    bar = progress_bar(range(epochs), "classifier, epochs", progress)
+    optimizer = torch.optim.Adam(network.parameters(), recipe.classifier_lr)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, recipe.classifier_epochs)
+    bar = progress_bar(range(recipe.classifier_epochs), "classifier, epochs", progress)
     for _ in bar:
         total = torch.zeros(())
-        for index in _batches(len(features), batch_size, generator):
+        for index in _batches(len(features), recipe.classifier_batch_size, generator):
             loss = F.cross_entropy(network(features[index]), labels[index])
             optimizer.zero_grad()
             loss.backward()

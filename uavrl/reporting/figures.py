@@ -1,7 +1,5 @@
 """The figures of a report, as plotly draws them; colours are those of Okabe and Ito (2008)."""
 
-import base64
-import hashlib
 from typing import Any
 
 from uavrl.errors import UavrlError
@@ -11,20 +9,14 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 QUANTITIES = {"success": "Success", "collision": "Collision", "time_out": "Time-out", "return": "Return"}
 AXES = {"steps": "environment steps", "episodes": "episodes"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-CDN = "https://cdn.plot.ly"
 _GREY = "#6b7280"
 
 
-def plotly_script(cdn: bool = False) -> str:
+def plotly_script() -> str:
     """The script element that brings plotly into the page, to be put there once."""
-    from plotly.offline import get_plotlyjs, get_plotlyjs_version
+    from plotly.offline import get_plotlyjs
 
-    javascript = get_plotlyjs()
-    if not cdn:
-        return f"<script>{javascript}</script>"
-    digest = base64.b64encode(hashlib.sha256(javascript.encode()).digest()).decode()
-    address = f"{CDN}/plotly-{get_plotlyjs_version()}.min.js"
-    return f'<script src="{address}" integrity="sha256-{digest}" crossorigin="anonymous"></script>'
+    return f"<script>{get_plotlyjs()}</script>"
 
 
 def figure() -> Any:

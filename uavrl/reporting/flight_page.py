@@ -38,12 +38,6 @@ def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:
     return {"type": kind, "shape": list(values.shape), **({} if scale is None else {"scale": scale}), "data": data}
 
 
-def unpack(packed: dict[str, Any]) -> np.ndarray:
-    """What :func:`pack` packed, to within half a step of its scale."""
-    raw = np.frombuffer(base64.b64decode(packed["data"]), dtype=f"<{packed['type']}").reshape(packed["shape"])
-    return raw * packed["scale"] if "scale" in packed else raw
-
-
 def page_data(recording: Recording) -> dict[str, Any]:
     """All that the page shows, as JSON."""
     scans = sum(len(flight.times) for flight in recording.flights)

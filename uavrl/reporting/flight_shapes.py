@@ -71,16 +71,6 @@ def _bar(start: np.ndarray, end: np.ndarray, width: float) -> Mesh:
     return loft(np.stack([ring + start, ring + end]))
 
 
-def cage(radius: float, height: float, width: float = 0.07, sides: int = 24) -> Mesh:
-    """Returns three rings and some bars around a cylinder about the origin, which can be seen through."""
-    ring = _ring(radius, sides)
-    after = np.roll(ring, -1, axis=0)
-    levels = [np.array([0.0, 0.0, share * height]) for share in (-0.5, 0.0, 0.5)]
-    bars = [_bar(a + z, b + z, width) for z in levels for a, b in zip(ring, after, strict=True)]
-    bars += [_bar(corner + levels[0], corner + levels[2], width) for corner in ring[:: sides // 8]]
-    return Mesh.merge(bars)
-
-
 def football(radius: float) -> Football:
     """Returns the truncated icosahedron of a circumradius in m."""
     shape = truncated_icosahedron_faces(radius)

@@ -1,11 +1,11 @@
-"""One HTML page from a report's facts: it fetches nothing, unless plotly is to come from its CDN."""
+"""One HTML page from a report's facts: it fetches nothing."""
 
 from typing import Any
 
 from omegaconf import OmegaConf
 
 from uavrl.errors import UavrlError
-from uavrl.reporting.figures import AXES, CDN, QUANTITIES, colour, last_success, learning_curves, plotly_script
+from uavrl.reporting.figures import AXES, QUANTITIES, colour, last_success, learning_curves, plotly_script
 from uavrl.reporting.report import Report
 
 NOTHING = "–"
@@ -45,12 +45,11 @@ def config_text(config: dict[str, Any]) -> str:
     return OmegaConf.to_yaml(OmegaConf.create(config))
 
 
-def page(report: Report, cdn: bool = False) -> str:
+def page(report: Report) -> str:
     """The whole page.
 
     Args:
         report: what it tells.
-        cdn: fetch plotly when the page is opened, instead of carrying its 5 MB.
 
     Raises:
         UavrlError: where plotly or jinja2 is not installed.
@@ -76,6 +75,5 @@ def page(report: Report, cdn: bool = False) -> str:
         colours=[colour(index) for index in range(len(report.groups))],
         success_figure=last_success(facts),
         curve_figures=learning_curves(facts),
-        plotly_script=plotly_script(cdn),
-        plotly_source=CDN if cdn else "",
+        plotly_script=plotly_script(),
     )
