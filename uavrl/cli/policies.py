@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 import uavrl
-from uavrl.configs import EvaluateConfig, TrainConfig, to_dataclass
-from uavrl.configs.replay import ReplayConfig
+from uavrl.configs import TrainConfig, to_dataclass
+from uavrl.configs.evaluate import FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.runs.weights import POLICY
 
@@ -50,7 +50,7 @@ class Chosen:
 
 
 def choose(
-    settings: EvaluateConfig | ReplayConfig,
+    settings: FlyingConfig,
     config: DictConfig,
     overrides: list[str],
     folder: Path | None,
