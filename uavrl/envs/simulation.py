@@ -124,13 +124,7 @@ class Simulation:
     # ------------------------------------------------------------------ reset and step
 
     def reset(self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray) -> None:
-        """Places vehicles level and at rest, with hovering rotors, in still air: in equilibrium.
-
-        Args:
-            index: ``int [M]``, which vehicles.
-            positions: ``[M, 3]`` in m.
-            yaws: ``[M]`` in rad.
-        """
+        """Places vehicles ``int [M]`` at ``[M, 3]`` m with yaws ``[M]`` rad: level, at rest, hovering, in still air."""
         for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
             body, attitude = self._vehicles[row], (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
             pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)

@@ -55,15 +55,9 @@ class CollisionClassifier(nn.Module):
         return regularized_error(logistic_loss(self(features), collided), weights, self.alpha)
 
     def fit(self, features: Tensor, collided: Tensor, optimizer: torch.optim.Optimizer | None = None) -> None:
-        """One step for each batch; the linear model makes one for each sample, by Eq. 3.10.
+        """One step for each of S batches of features ``[S, B, F]`` and bool labels ``[S, B]``.
 
-        Args:
-            features: ``[S, B, F]``, S batches.
-            collided: labels, bool ``[S, B]``.
-            optimizer: of the parameters, for a model that has any.
-
-        Raises:
-            ValueError: when a model with parameters gets no optimiser.
+        The linear model makes one for each sample, by Eq. 3.10; others need an optimiser, else ValueError.
         """
         if isinstance(self.model, LinearClassifier):
             self.model.partial_fit(self.scaler(features).flatten(0, 1), collided.flatten())

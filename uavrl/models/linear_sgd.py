@@ -11,18 +11,12 @@ _SMALLEST_SCALE = 1e-9
 
 
 def decision_function(x: Tensor, weight: Tensor, intercept: Tensor) -> Tensor:
-    """Chansuparp (2022), Eq. 3.7: ``c(x) = w·x + j``, the logit of the class 1.
+    """Chansuparp (2022), Eq. 3.7: ``c(x) = w·x + j``, the logit ``[*B]`` of the class 1.
 
     Args:
         x: features ``[*B, F]``.
-        weight: w, ``[F]``.
+        weight: w, ``[F]``, else ValueError.
         intercept: j, a scalar.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: for other shapes.
 
     Examples:
         >>> decision_function(torch.tensor([[1.0, 2.0]]), torch.tensor([3.0, -1.0]), torch.tensor(0.5)).tolist()
@@ -34,19 +28,13 @@ def decision_function(x: Tensor, weight: Tensor, intercept: Tensor) -> Tensor:
 
 
 def logistic_loss(logit: Tensor, y: Tensor) -> Tensor:
-    """Chansuparp (2022), Eq. 3.9: ``log(1 + exp(-y c))`` with y in {-1, 1}, here from labels in {0, 1}.
+    """Chansuparp (2022), Eq. 3.9: ``log(1 + exp(-y c))`` with y in {-1, 1}, here from labels in {0, 1}; ``[*B]``.
 
     The text names labels in {0, 1} and prints the loss for {-1, 1}: with 0 it would be a constant.
 
     Args:
         logit: c(x), ``[*B]``.
-        y: labels in {0, 1}, ``[*B]``, bool or float.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: for differing shapes.
+        y: labels in {0, 1}, bool or float ``[*B]``, else ValueError.
 
     Examples:
         >>> logistic_loss(torch.tensor([0.0, 2.0]), torch.tensor([0.0, 1.0]))
@@ -61,12 +49,9 @@ def regularized_error(loss: Tensor, weights: list[Tensor], alpha: float) -> Tens
     """Chansuparp (2022), Eq. 3.8 for each sample: ``L_i + α R(w)`` with ``R = ½ ‖w‖²``; its mean is E.
 
     Args:
-        loss: ``[*B]``, the losses of Eq. 3.9.
+        loss: the losses of Eq. 3.9, ``[*B]``.
         weights: the regularised tensors: w, or the matrices of a network; the intercept is not among them.
         alpha: α.
-
-    Returns:
-        ``[*B]``.
 
     Examples:
         >>> regularized_error(torch.tensor([1.0, 2.0]), [torch.tensor([3.0, 4.0])], 0.1).tolist()
@@ -79,10 +64,7 @@ def regularized_error(loss: Tensor, weights: list[Tensor], alpha: float) -> Tens
 def initial_time(alpha: float) -> float:
     """``t_0`` of Eq. 3.10 by Bottou's heuristic, as scikit-learn's ``learning_rate="optimal"`` has it.
 
-    It makes the first step the size ``α^(-1/4)`` that a weight is expected to have.
-
-    Raises:
-        ValueError: if ``alpha`` is not positive.
+    It makes the first step the size ``α^(-1/4)`` that a weight is expected to have. ValueError unless α is positive.
 
     Examples:
         >>> round(initial_time(1e-4), 6)

@@ -34,11 +34,7 @@ def mirror_observation(observation: Tensor) -> Tensor:
     the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
 
     Args:
-        observation: ``[*B, F * 35]``, F stacked observations of :func:`uavrl.transforms.navigation_observation` with
-            folded angles.
-
-    Raises:
-        ValueError: for another width.
+        observation: F stacked observations with folded angles, ``[*B, F * 35]``, else ValueError.
 
     Examples:
         >>> seen = torch.zeros(35)
