@@ -86,8 +86,6 @@ class Simulation:
         self._build(meshes, plane_mesh, plane_count)
         self.reset(np.arange(count), np.zeros((count, 3)), np.zeros(count))
 
-    # ------------------------------------------------------------------ building
-
     def _prepare_model(self) -> None:
         """Keeps what every physics step needs as arrays."""
         airframe, aerodynamics = self.airframe, self.aerodynamics
@@ -120,8 +118,6 @@ class Simulation:
         self._vehicles = [add_vehicle(self._client, self.airframe) for _ in range(self.count)]
         self._clearance = Clearance(self._client, meshes, self._statics + self._planes, self.airframe)
         self._row = {body: row for row, body in enumerate(self._vehicles)}
-
-    # ------------------------------------------------------------------ reset and step
 
     def reset(self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray) -> None:
         """Places vehicles ``int [M]`` at ``[M, 3]`` m with yaws ``[M]`` rad: level, at rest, hovering, in still air."""
@@ -190,8 +186,6 @@ class Simulation:
                 body, (x, y, z), (0.0, 0.0, sin, cos), physicsClientId=self._client
             )
 
-    # ------------------------------------------------------------------ one physics step
-
     def _read(self) -> None:
         """Reads all states; Bullet gives the centre of mass, and velocities in world axes."""
         client = self._client
@@ -247,8 +241,6 @@ class Simulation:
                 for body in contact[1:3]:
                     if body in self._row:
                         touched[self._row[body]] = True
-
-    # ------------------------------------------------------------------ what is seen
 
     def _publish(self) -> None:
         """Turns the last state into the public quantities."""

@@ -74,8 +74,6 @@ class Enhancer(ActorCriticLoss, LossModule):
                 if hasattr(keys, name):
                     setattr(self.tensor_keys, name, getattr(keys, name))
 
-    # ------------------------------------------------------------------ what a subclass gives
-
     @abstractmethod
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """What is added to the objective of each sample ``[*B]``, and detached metadata."""
@@ -93,8 +91,6 @@ class Enhancer(ActorCriticLoss, LossModule):
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """The losses ``loss_*`` of the models, for :meth:`forward`."""
         return {}
-
-    # ------------------------------------------------------------------ what TorchRL asks of a loss
 
     @property
     def in_keys(self) -> list[NestedKey]:
@@ -147,8 +143,6 @@ class Enhancer(ActorCriticLoss, LossModule):
         """Draws the weights of all networks anew, the base's and its own; what was observed stays."""
         self.base.reset_parameters_recursive()
         super().reset_parameters_recursive()
-
-    # ------------------------------------------------------------------ what is asked of the base
 
     @property
     def enhancers(self) -> list[Enhancer]:

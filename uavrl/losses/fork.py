@@ -170,8 +170,6 @@ class Fork(Enhancer):
         self._gate_open = False
         self._last_losses = (math.nan, math.nan)
 
-    # ------------------------------------------------------------------ the actor
-
     @property
     def active(self) -> bool:
         """Whether the gate is open: the last system loss was under the threshold."""
@@ -204,8 +202,6 @@ class Fork(Enhancer):
         key = self.tensor_keys.observation
         step = acted.select(key, self.tensor_keys.action).set(unravel_key(("next", key)), following.get(key))
         return _call(self.reward_network, self.reward_network_params.detach(), step).reshape(acted.batch_size)
-
-    # ------------------------------------------------------------------ the models
 
     @property
     def model_params(self) -> list[Tensor]:
@@ -263,8 +259,6 @@ class Fork(Enhancer):
     def _reduced(self, errors: Tensor, tensordict: TensorDictBase) -> Tensor:
         weights = self._maybe_get_priority_weight(tensordict)
         return self._reduce_loss(errors, tensordict=tensordict, weights=weights)
-
-    # ------------------------------------------------------------------ gate and weight
 
     def update_gate(self, system_loss: Tensor | float, reward_loss: Tensor | float = math.nan) -> None:
         """Opens the gate if the system network's mean loss on a batch is under the threshold, else closes it.

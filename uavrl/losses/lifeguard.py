@@ -132,8 +132,6 @@ class LifeGuard(Enhancer):
             self.tensor_keys.observation = states[0]
         self.to(next(iter(base.actor_network_params.values(True, True))).device)
 
-    # ------------------------------------------------------------------ the term and its trust
-
     @property
     def active(self) -> bool:
         """Whether the actor listens."""
@@ -197,8 +195,6 @@ class LifeGuard(Enhancer):
         self.evaluated = 0
         self._refresh()
 
-    # ------------------------------------------------------------------ what it learns from
-
     @torch.no_grad()
     def observe(self, episodes: TensorDictBase) -> None:
         """Learns the features' range, stores the last transition before each collision, counts successes.
@@ -248,8 +244,6 @@ class LifeGuard(Enhancer):
         raise ValueError(
             f"Expected {count} transitions that did not collide, found {count - missing} after many draws."
         )
-
-    # ------------------------------------------------------------------ the classifier's training
 
     @property
     def model_params(self) -> list[Tensor]:
@@ -318,8 +312,6 @@ class LifeGuard(Enhancer):
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """The classifier's loss."""
         return {"loss_lifeguard": self.lifeguard_loss(tensordict)[0]}
-
-    # ------------------------------------------------------------------ what is logged and what is saved
 
     def diagnostics(self) -> dict[str, float]:
         """The base's, and LifeGuard's: whether it is heard, how well it knows, and what it charges.

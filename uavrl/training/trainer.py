@@ -157,8 +157,6 @@ class EpisodeTrainer:
         trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
         return log.count >= self.episodes or (trained and log.count >= log.window)
 
-    # ------------------------------------------------------------------ checkpoints
-
     def save_if_due(self) -> None:
         """Saves once the flights have ended that were open when a checkpoint became due.
 
