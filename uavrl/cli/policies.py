@@ -61,7 +61,7 @@ def choose(
 
     if folder is None:
         require_valley(settings.env, settings.choices, "policy")
-        policy = baseline(str(settings.policy), settings.env.world.flight_level)
+        policy = named_policy(str(settings.policy), settings.env.world.flight_level, settings.packages)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
         chosen = Chosen(policy, *parts, {"policy": settings.policy})
     else:
@@ -125,11 +125,32 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
     return PACKAGED / str(policy) if policy in packaged_policies() else None
 
 
-def baseline(name: str, flight_level: float) -> Callable[[TensorDictBase], TensorDictBase]:
-    """A policy that learns nothing, by its name."""
+def named_policy(name: str, flight_level: float, packages: Sequence[str]) -> Callable[[TensorDictBase], TensorDictBase]:
+    """A policy that is no run: one that learns nothing, a model of Stable-Baselines3, or a class by its dotted name.
+
+    Args:
+        name: a baseline, a ``.zip``, or ``PACKAGE.MODULE.CLASS``.
+        flight_level: altitude in m, given to a class whose constructor names it.
+        packages: what the user trusts; ``stable_baselines3`` for a ``.zip``, since opening it can run programs.
+    """
     from uavrl.flying.baselines import BASELINES
 
-    if name not in BASELINES:
-        names = ", ".join([*BASELINES, *packaged_policies()])
-        raise UavrlError(f"policy must be one of {names}, got {name!r}: to fly your own give run=RUN_FOLDER.")
-    return BASELINES[name](flight_level)
+    if name in BASELINES:
+        return BASELINES[name](flight_level)
+    if name.endswith(".zip"):
+        from uavrl.flying.stable_baselines import StableBaselinesPolicy
+
+        if "stable_baselines3" not in packages:
+            trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
+            raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
+        return StableBaselinesPolicy(name)
+    if "." in name:
+        from uavrl.configs.build import build
+
+        made = build({"_target_": name}, object, packages=packages, flight_level=flight_level)
+        if not callable(made):
+            raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
+        return made
+    names = ", ".join([*BASELINES, *packaged_policies()])
+    own = "to fly your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS"
+    raise UavrlError(f"policy must be one of {names}, got {name!r}: {own}.")

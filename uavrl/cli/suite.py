@@ -86,10 +86,11 @@ def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, 
 
 
 def _changed(settings: EvaluateConfig) -> float:
-    """When the policy was written, 0 for one that learns nothing."""
+    """When the policy was written, 0 for one that no file holds."""
     folder = policy_folder(settings.run, settings.policy)
     if folder is None:
-        return 0.0
+        named = Path(str(settings.policy))
+        return named.stat().st_mtime if named.suffix == ".zip" and named.is_file() else 0.0
     if settings.checkpoint is None and POLICY.is_in(folder):
         return (folder / POLICY.json).stat().st_mtime
     from uavrl.training.policies import checkpoint_path
