@@ -3,39 +3,34 @@
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.errors import UavrlError
 from uavrl.runs.names import SUMMARY
 
 
-def reached(summary: dict[str, Any], evaluation: dict[str, Any], folder: str, page: str) -> str:
-    """What was reached, where it is, and how to look at it."""
-    success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
-    return (
-        f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
-        f"{summary['episodes']} flights, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
-        f"Where:   {folder} (uavrl-evaluate run={folder} flies it again, uavrl-export keeps the policy on its own)\n"
-        f"Look:    open {page} in a browser"
-    )
-
-
 def main() -> None:
     """Reads the files of the run folder that was named, of several evaluations the newest."""
     configure_logging()
     with one_sentence():
-        print(read(Path(sys.argv[1])))
+        print(reached(Path(sys.argv[1])))
 
 
-def read(folder: Path) -> str:
-    """The three lines about a run folder."""
+def reached(folder: Path) -> str:
+    """What was reached, where it is, and how to look at it."""
     evaluations = sorted(folder.glob("evaluation*.json"), key=lambda path: path.stat().st_mtime)
     if not evaluations:
         raise UavrlError(f"{folder} holds no evaluation: run uavrl-evaluate run={folder} first.")
     try:
         summary, evaluation = (json.loads(path.read_text()) for path in (folder / SUMMARY, evaluations[-1]))
-        return reached(summary, evaluation, str(folder), str(folder / "replay.html"))
+        success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
+        again = f"uavrl-evaluate run={folder} flies it again, uavrl-export keeps the policy on its own"
+        return (
+            f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
+            f"{summary['episodes']} flights, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
+            f"Where:   {folder} ({again})\n"
+            f"Look:    open {folder / 'replay.html'} in a browser"
+        )
     except (OSError, ValueError, KeyError) as error:
         raise UavrlError(f"Expected a run that has ended and was evaluated in {folder}: {error}.") from error
 

@@ -39,11 +39,9 @@ class Fork(Enhancer):
 
     Args:
         base: the loss to enhance, or another enhancer. Its actor reads one key, the state.
-        system_network: reads the state and ``action``, writes the next state: a module of these two tensors
-            such as :class:`uavrl.models.SystemNet`, or a TensorDictModule.
-        reward_network: reads the state, the next state and ``action``, writes the reward ``[*B, 1]``: a module
-            of these three tensors such as :class:`uavrl.models.RewardNet`, or a TensorDictModule. The bipedal
-            variant has none.
+        system_network: of state and ``action`` to the next state, such as :class:`uavrl.models.SystemNet`.
+        reward_network: of state, next state and ``action`` to the reward ``[*B, 1]``, such as
+            :class:`uavrl.models.RewardNet`; none in the bipedal variant.
         observations: width of the state.
         max_reward: return at which the weight is 0; by default 300 for the bipedal variant.
         gamma: discount γ of the predicted steps.
@@ -51,14 +49,12 @@ class Fork(Enhancer):
         threshold: the term counts while the system loss is below this.
         return_window: how many of the last returns are averaged.
         variant: ``"fork"`` or ``"bipedal"``.
-        backprop_through_model: let the actor's gradient flow through the predicted states; the authors detach
-            them.
+        backprop_through_model: let the actor's gradient flow through predicted states; the authors detach them.
         clamp: clamp predicted states to the range observed so far, each dimension by itself.
         model_lr: Adam's step for both networks, for whoever trains them.
 
     Raises:
-        ValueError: for an unknown variant, a missing or needless network, a missing ``max_reward``, or an actor
-            that reads several keys.
+        ValueError: for an unknown variant, a network too many or too few, no ``max_reward``, or several state keys.
 
     Examples:
         >>> from torchrl.data import Bounded
@@ -70,14 +66,9 @@ class Fork(Enhancer):
         >>> td3 = TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,)))
         >>> loss = Fork(
         ...     td3, system_network=SystemNet(6, 2), reward_network=RewardNet(6, 2), observations=6, max_reward=500.0)
-        >>> done = torch.tensor([[False], [False], [True]])
-        >>> episode = TensorDict({"observation": torch.rand(3, 6), "action": torch.rand(3, 2), "next": {
-        ...     "observation": torch.rand(3, 6), "reward": torch.ones(3, 1), "done": done, "terminated": done}}, [3])
-        >>> loss.observe(episode)
-        >>> system_loss, _ = loss.system_loss(episode)
-        >>> loss.update_gate(system_loss)
-        >>> loss.diagnostics()["fork_weight"]  # 0.6 (1 - 3 / 500)
-        0.5964000225067139
+        >>> loss.update_gate(0.01)
+        >>> loss.active, loss.diagnostics()["fork_gate"]
+        (True, 1.0)
     """
 
     @dataclass

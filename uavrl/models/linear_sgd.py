@@ -102,7 +102,7 @@ def sgd_epoch(
     Args:
         weight: w, ``[F]``; it is not modified.
         intercept: j, a scalar; it is not regularised.
-        x: features ``[N, F]``.
+        x: features ``[N, F]``, finite, else ValueError.
         y: labels in {0, 1}, ``[N]``.
         t: number of samples seen before.
         alpha: α.
@@ -110,15 +110,9 @@ def sgd_epoch(
     Returns:
         The new w ``[F]`` and j (float64, on the CPU), and t + N.
 
-    Raises:
-        ValueError: for other shapes, or features that are not finite.
-
     Examples:
-        One sample at zero weights: the error is ½ - 1, the step 10.
-
-        >>> zero = torch.zeros(())
-        >>> w, j, t = sgd_epoch(torch.zeros(2), zero, torch.tensor([[1.0, 0.5]]), torch.ones(1), 0, 1e-4)
-        >>> w, j, t
+        >>> w, j, t = sgd_epoch(torch.zeros(2), torch.zeros(()), torch.tensor([[1.0, 0.5]]), torch.ones(1), 0, 1e-4)
+        >>> w, j, t  # at zero weights: the error is ½ - 1, the step 10
         (tensor([5.0000, 2.5000], dtype=torch.float64), tensor(5., dtype=torch.float64), 1)
     """
     if x.ndim != 2 or x.shape[1:] != weight.shape or y.shape != x.shape[:1]:

@@ -83,10 +83,8 @@ class OneShotClassifier(nn.Module):
         ValueError: for settings that do not fit; at a call, for states that do not fit or are not finite.
 
     Examples:
-        >>> classifier = OneShotClassifier(width=4)
-        >>> states = torch.randn(3, 12, generator=torch.Generator().manual_seed(0))
-        >>> classifier(torch.cat([states, 1.01 * states])).tolist(), len(classifier)
-        ([0, 1, 2, 0, 1, 2], 3)
+        >>> OneShotClassifier(width=4)(torch.ones(2, 12)).tolist()
+        [0, 0]
     """
 
     weight: Tensor

@@ -93,21 +93,16 @@ def read_episodes(path: Path) -> list[Episode]:
         raise UavrlError(f"Expected the episodes of a run in {path} and found no such file: is it a run folder?")
     try:
         text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise UavrlError(f"{path} is damaged: it holds bytes that are no text.") from error
-    rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
-    if not rows or rows[0] != Episode.header():
-        raise UavrlError(
-            f"Expected {path} to start with the columns {','.join(Episode.header())}: it holds something else."
-        )
-    try:
+        rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+        if rows[:1] != [Episode.header()]:
+            raise ValueError(f"expected it to start with the columns {','.join(Episode.header())}")
         episodes = [Episode.from_row(row) for row in rows[1:]]
-        if unknown := {e.outcome for e in episodes} - set(OUTCOMES):
-            raise ValueError(f"{sorted(unknown)[0]!r} is no outcome of an episode")
+        if not {e.outcome for e in episodes} <= set(OUTCOMES):
+            raise ValueError(f"outcomes are {', '.join(OUTCOMES)} alone")
+        if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):
+            raise ValueError(f"expected the episodes 1 to {len(episodes)}, each once")
     except ValueError as error:
         raise UavrlError(f"{path} is damaged: {error}.") from error
-    if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):
-        raise UavrlError(f"Expected the episodes 1 to {len(episodes)} in {path}, each once: the file is damaged.")
     return episodes
 
 
