@@ -10,6 +10,7 @@ import numpy as np
 
 from uavrl.errors import UavrlError
 from uavrl.flying.flight import Flight
+from uavrl.runs.episodes import OUTCOMES
 from uavrl.runs.files import replacing
 
 FORMAT = "uavrl flights 2"
@@ -182,6 +183,11 @@ def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:
 def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> RecordedFlight:
     plain = about["items"][name]
     summary = Flight(**plain["summary"])
+    counts = (summary.task, summary.steps, summary.world_seed)
+    lengths = (summary.straight, summary.flown, summary.clearance)
+    numbers = all(isinstance(c, int) for c in counts) and all(isinstance(m, int | float) for m in lengths)
+    if summary.outcome not in OUTCOMES or not numbers or summary.episode_return is not None:
+        raise ValueError(f"its summary is {summary}")
     told = {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
     return RecordedFlight(**{**plain, **told}, **_of(arrays, name))
 
