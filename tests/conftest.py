@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.helpers.commands import TINY, in_process
+from uavrl.cli import train as train_command
 from uavrl.envs import world
 
 _VALLEYS: dict[str, world.Valley] = {}
@@ -26,11 +31,41 @@ def valleys_built_once() -> Iterator[None]:
     build = world.build_valley
 
     def build_once(config: world.WorldConfig, seed: int, origin: np.ndarray) -> world.Valley:
-        key = repr((config, seed, origin.tolist()))
+        key = repr((replace(config, seeds=(seed,)), seed))  # what a valley is like, its neighbours do not say
         if key not in _VALLEYS:
             _VALLEYS[key] = build(config, seed, origin)
-        return _VALLEYS[key]
+        return replace(_VALLEYS[key], origin=origin)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(world, "build_valley", build_once)
         yield
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished training; tests look at it, or change a copy."""
+    run_dir = tmp_path_factory.mktemp("runs") / "run"
+    assert in_process(train_command.main, *TINY, f"run_dir={run_dir}") == 0
+    return run_dir
+
+
+@pytest.fixture
+def run_dir(finished: Path, tmp_path: Path) -> Path:
+    """A copy of a finished run."""
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+@pytest.fixture
+def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a command in this process and returns the one sentence that it ends with."""
+
+    def run(main: Callable[[], None], *arguments: str) -> str:
+        capfd.readouterr()
+        code = in_process(main, *arguments)
+        out, err = capfd.readouterr()
+        assert code == 1, (out, err)
+        assert "Traceback" not in out + err
+        (sentence,) = [line for line in err.splitlines() if line.startswith("uavrl: ")]
+        return sentence
+
+    return run

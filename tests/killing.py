@@ -20,9 +20,8 @@ from collections import Counter
 from multiprocessing.context import ForkProcess
 from pathlib import Path
 
-from tests.cli.test_bad_input import in_process
-from tests.training.test_resume import ABR, FORK_AND_LIFEGUARD, SMALL, assert_same_run
-from tests.training.test_walker import ENHANCED, WALKER
+from tests.helpers.commands import in_process
+from tests.helpers.runs import ABR, ENHANCED, FORK_AND_LIFEGUARD, SMALL, WALKER, assert_same_run
 from uavrl.cli import train as train_command
 
 LENGTH = ["logger.interval=1", "trainer.episodes=24"]

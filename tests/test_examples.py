@@ -6,28 +6,36 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.cli.test_bad_input import TINY, in_process
-from uavrl.cli import train as train_command
+import pytest
+
 from uavrl.cli.policies import PACKAGED
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def test_forks_threshold_is_measured_on_a_run(tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    assert in_process(train_command.main, *TINY, f"run_dir={run}") == 0
-    script = [sys.executable, EXAMPLES / "fork_threshold.py", run, "--updates", "20"]
-    done = subprocess.run(script, capture_output=True, text=True, timeout=600)
+def said(example: str, *arguments: object) -> str:
+    """What an example prints, in a process of its own."""
+    command = [sys.executable, EXAMPLES / example, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
-    assert "system loss of predicting no change: 0." in done.stdout
-    assert "20 updates: system loss" in done.stdout
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("example", "steps", "told"), [("lifeguard_pendulum.py", 400, ""), ("backward_reward.py", 600, "arrived")]
+)
+def test_it_runs(example: str, steps: int, told: str) -> None:
+    assert told in said(example, steps)
+
+
+def test_forks_threshold_is_measured_on_a_run(finished: Path) -> None:
+    printed = said("fork_threshold.py", finished, "--updates", 20)
+    assert "system loss of predicting no change: 0." in printed
+    assert "20 updates: system loss" in printed
 
 
 def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> None:
-    evaluation = PACKAGED / "static" / "evaluation.json"
-    script = [sys.executable, EXAMPLES / "altitudes.py", evaluation, "--output", tmp_path / "altitudes.png"]
-    done = subprocess.run(script, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    low, middle, high = (float(x) for x in done.stdout.split("%: ")[1].split(" m")[0].split(" / "))
+    printed = said("altitudes.py", PACKAGED / "static" / "evaluation.json", "--output", tmp_path / "altitudes.png")
+    low, middle, high = (float(x) for x in printed.split("%: ")[1].split(" m")[0].split(" / "))
     assert 0 < low < middle < high < 5
     assert (tmp_path / "altitudes.png").stat().st_size > 5_000

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from tests.composing import composed, with_hydra
+from tests.helpers.configs import composed, with_hydra
 from uavrl.configs import TrainConfig, conf_dir, learner_name, to_dataclass
 
 EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("*.yaml"))

@@ -11,13 +11,11 @@ import pytest
 import yaml
 from torchrl.checkpoint import Checkpoint
 
-from tests.cli.test_bad_input import in_process, refused
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.training.stepper import ActorCriticStepper
-
-__all__ = ["refused"]  # a fixture
 
 OWN = Path(__file__).resolve().parents[1] / "examples/own_parts"
 CONFIG_DIR, TRUSTED = ["--config-dir", str(OWN / "conf")], "packages=[own_parts]"
@@ -112,10 +110,3 @@ def test_their_mistakes_are_one_sentence_too(
     monkeypatch.chdir(tmp_path)
     assert said in refused(train_command.main, *CONFIG_DIR, TRUSTED, *CHOSEN, *SMALL, override)
     assert not list(tmp_path.iterdir())
-
-
-def test_each_is_small() -> None:
-    for name in ("reward", "enhancer", "wary", "env"):
-        source = (OWN / f"own_parts/{name}.py").read_text()
-        body = source[source.index("class ") :]
-        assert len(body.splitlines()) < 40

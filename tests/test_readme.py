@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.cli.test_bad_input import in_process
+from tests.helpers.commands import in_process
 from uavrl.cli import train as train_command
 
 README = Path(__file__).resolve().parents[1] / "README.md"

@@ -44,26 +44,6 @@ def test_the_name_is_still_there(path: str, name: str) -> None:
     assert defines(named(path), name), f"{path}.{name} has moved: what uses it in uavrl?"
 
 
-def test_adam_of_lists_is_one_step_of_adam() -> None:
-    mine, theirs = (torch.nn.Parameter(torch.tensor([1.0, -2.0])) for _ in range(2))
-    gradient = torch.tensor([0.5, -3.0])
-    average, square, step = torch.zeros(2), torch.zeros(2), torch.tensor(1.0)
-    given = {
-        "lr": 0.1,
-        "beta1": 0.9,
-        "beta2": 0.999,
-        "weight_decay": 0.0,
-        "eps": 1e-8,
-        "amsgrad": False,
-        "maximize": False,
-    }
-    with torch.no_grad():
-        upstream.fused_adam([mine], [gradient], [average], [square], [], [step], **given)
-    theirs.grad = gradient
-    torch.optim.Adam([theirs], lr=0.1).step()
-    torch.testing.assert_close(mine, theirs)
-
-
 def test_lerp_moves_all_by_a_share() -> None:
     targets = [torch.tensor([0.0, 4.0]), torch.tensor([1.0])]
     upstream.lerp(targets, [torch.tensor([8.0, 0.0]), torch.tensor([3.0])], 0.25)

@@ -17,14 +17,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from omegaconf import DictConfig, OmegaConf
 
-from tests.cli.test_bad_input import in_process
-from tests.composing import composed
+from tests.helpers.commands import in_process
+from tests.helpers.configs import composed
 from uavrl.cli import train as train_command
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.training.trainer import EpisodeTrainer
 
 SECONDS = 10.0  # of computing, from the command to its end or to its first flights
-FLIGHTS, FLYING = 3, 3.0  # flights, and seconds of them, after which a run counts as started
+FLIGHTS, FLYING = 3, 1.0  # flights, and seconds of them, after which a run counts as started
 SMALL = [
     "env.max_steps=3",
     "algo.random_steps=0",
@@ -181,7 +181,7 @@ TOLD = settings(
 )
 
 
-@settings(TOLD, max_examples=50)
+@settings(TOLD, max_examples=30)
 @given(ANY)
 def test_any_overrides_end_in_a_start_or_in_one_sentence(overrides: list[str]) -> None:
     ends_well(overrides)

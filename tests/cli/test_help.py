@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.cli.test_bad_input import in_process
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate, main, replay, train
 from uavrl.cli.help import ABOUT, MOST_USED, help_text
 from uavrl.configs.choices import known_keys

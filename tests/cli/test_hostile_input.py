@@ -14,8 +14,8 @@ import pytest
 import torch
 from omegaconf import DictConfig
 
-from tests.cli.test_bad_input import TINY, in_process, refused
-from tests.composing import composed
+from tests.helpers.commands import TINY, in_process
+from tests.helpers.configs import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.configs import to_dataclass
@@ -31,12 +31,13 @@ from uavrl.training.silence import Silence
 from uavrl.transforms import TruncatedIcosahedron
 from uavrl.transforms.functional import truncated_icosahedron
 
-__all__ = ["refused"]  # a fixture
-
 MISTAKES = {
     "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",
     "+algo.gama=0.9": "There is no key 'algo.gama'",
     "algo.actor._target_=uavrl.models.actor_critic.Critic": "algo.actor must be a network that takes an observation",
+    "device=cuda:99": "CUDA devices: use device=cpu",
+    "device=meta": "device must be auto, cpu, cuda or cuda:<index>, got 'meta'",
+    "env.world.min_clearance=9": "min_clearance",
     "episodes=60": "did you mean trainer.episodes?",
     "backward_reward.max_classes=5": "backward_reward.max_classes belongs to another choice of backward_reward",
     "env=bipedal_hardcore env.world.ceiling=5": "env.world.ceiling belongs to another choice of env than the one made",

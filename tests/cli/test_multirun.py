@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from tests.cli.test_bad_input import TINY, content, in_process
+from tests.helpers.commands import TINY, content, in_process
 from uavrl.cli import train as train_command
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,7 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.pretraining.synthetic import checkpoint_run, drifting_run, walk
+from tests.helpers.commands import in_process
+from tests.helpers.states import checkpoint_run, drifting_run, walk
 from uavrl.cli import pretrain as command
 from uavrl.models import TrajectoryClassifier
 from uavrl.pretraining import pipeline
@@ -35,37 +35,6 @@ SMALL = [
 ]
 
 
-def in_process(*arguments: str) -> int:
-    before = sys.argv
-    sys.argv = ["uavrl-pretrain", *arguments]
-    try:
-        command.main()
-    except SystemExit as exit_:
-        return int(exit_.code or 0)
-    finally:
-        sys.argv = before
-    return 0
-
-
-def as_process(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    whole = [sys.executable, "-m", "uavrl.cli.pretrain", *arguments]
-    return subprocess.run(whole, capture_output=True, text=True, cwd=cwd, timeout=600, check=False)
-
-
-@pytest.fixture
-def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Runs the command in this process and returns the sentence that it ends with."""
-
-    def run(*arguments: str) -> str:
-        code = in_process(*arguments)
-        out, err = capfd.readouterr()
-        assert code == 1
-        assert "Traceback" not in out + err
-        return next(line for line in err.splitlines() if line.startswith("uavrl: "))
-
-    return run
-
-
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     drifting_run(tmp_path / "run", episodes=50)
@@ -81,7 +50,7 @@ def names(folder: Path) -> list[str]:
 
 def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out_folder = tmp_path / "artifact"
-    assert in_process(f"run={run}", f"output={out_folder}", *SMALL) == 0
+    assert in_process(command.main, f"run={run}", f"output={out_folder}", *SMALL) == 0
     assert names(out_folder) == ["artifact.json", "artifact.safetensors", "class_sizes.png", "elbow.png"]
     about = ARTIFACT.about(out_folder)
     assert about["k"] == about["sse"]["elbow"] in about["sse"]["k"]
@@ -90,6 +59,9 @@ def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.Capt
     assert about["source"]["episodes"] == 50 == sum(about["source"]["outcomes"].values())
     assert about["classifier"]["held_out_accuracy"] > 0.7 and 0 < about["classifier"]["held_out_states"] < 200
     assert about["config"]["pretrain"]["hidden"] == 16
+    assert about["versions"]["torch"] == version("torch")
+    text = (out_folder / "artifact.json").read_text()
+    assert "NaN" not in text and str(tmp_path) not in text, "plain JSON that names no place of this machine"
     assert all(len(about[key]) == 64 for key in ("config_sha256", "weights_sha256"))
     said = capfd.readouterr().out
     assert f"{about['k']} classes (elbow of the SSE curve: {about['k']})" in said
@@ -103,9 +75,9 @@ def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.Capt
 
 
 def test_the_same_seed_gives_the_same_artifact_and_the_default_output_is_in_the_source(run: Path) -> None:
-    assert in_process(f"run={run}", *SMALL) == 0
-    assert in_process(f"run={run}", f"output={run}/other", *SMALL) == 0
-    assert in_process(f"run={run}", f"output={run}/seed", *SMALL, "seed=1") == 0
+    assert in_process(command.main, f"run={run}", *SMALL) == 0
+    assert in_process(command.main, f"run={run}", f"output={run}/other", *SMALL) == 0
+    assert in_process(command.main, f"run={run}", f"output={run}/seed", *SMALL, "seed=1") == 0
     one, same, other = (ARTIFACT.about(run / name) for name in ("pretrained", "other", "seed"))
     assert one["weights_sha256"] == same["weights_sha256"] != other["weights_sha256"]
     assert one["config_sha256"] == same["config_sha256"] != other["config_sha256"]
@@ -116,7 +88,7 @@ def test_from_the_checkpoint_of_a_run_with_a_given_k(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     path = checkpoint_run(tmp_path / "run", [walk(15, 6, rng) for _ in range(30)])
     arguments = [f"run={tmp_path / 'run'}", *SMALL, "pretrain.k=7", "pretrain.compare_k=20"]
-    assert in_process(*arguments) == 0
+    assert in_process(command.main, *arguments) == 0
     about = ARTIFACT.about(tmp_path / "run" / "pretrained")
     assert about["source"]["name"] == f"run/{path.name}"
     assert about["k"] == 7 != about["sse"]["elbow"]
@@ -131,28 +103,28 @@ def test_from_the_checkpoint_of_a_run_with_a_given_k(tmp_path: Path) -> None:
 
 
 def test_without_a_curve(run: Path) -> None:
-    assert in_process(f"run={run}", *SMALL, "pretrain.k=3", "pretrain.clusters=[]") == 0
+    assert in_process(command.main, f"run={run}", *SMALL, "pretrain.k=3", "pretrain.clusters=[]") == 0
     assert names(run / "pretrained") == ["artifact.json", "artifact.safetensors", "class_sizes.png"]
     assert ARTIFACT.about(run / "pretrained")["sse"] == {"k": [], "sse": [], "elbow": None}
 
 
 def test_a_short_run_is_used_whole_and_that_is_said(run: Path, tmp_path: Path) -> None:
-    done = as_process(f"run={run}", *SMALL, "pretrain.states=5000", cwd=tmp_path)
-    assert done.returncode == 0
+    command = [sys.executable, "-m", "uavrl.cli.pretrain", f"run={run}", *SMALL, "pretrain.states=5000"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
     source = ARTIFACT.about(run / "pretrained")["source"]
     assert source["states_drawn"] == source["states"] < 5000
     assert "fewer than pretrain.states=5000: all are used" in done.stderr
 
 
 def test_one_shot_learning_is_counted_beside(run: Path) -> None:
-    assert in_process(f"run={run}", *SMALL, "pretrain.one_shot=true") == 0
+    assert in_process(command.main, f"run={run}", *SMALL, "pretrain.one_shot=true") == 0
     sizes = ARTIFACT.about(run / "pretrained")["class_sizes"]
     assert next(iter(sizes)) == "one-shot learning"
     assert 1 <= sizes["one-shot learning"]["largest"] <= 400
 
 
 def test_progress_bars_are_shown_if_asked_for(run: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert in_process(f"run={run}", *SMALL, "progress=true") == 0
+    assert in_process(command.main, f"run={run}", *SMALL, "progress=true") == 0
     err = capfd.readouterr().err
     assert all(name in err for name in ("autoencoder, epochs", "k-means, values of k", "classifier, epochs"))
 
@@ -165,6 +137,8 @@ def test_progress_bars_are_shown_if_asked_for(run: Path, capfd: pytest.CaptureFi
     [
         ([], "Give run=RUN_FOLDER, of a training whose states are learned from"),
         (["recording=none"], "There is no key 'recording'"),
+        (["pretrain=fast"], "fast"),
+        (["seed=x"], "seed"),
         (["run=none"], "Expected a run folder at none"),
         (["run=run", "pretrain.states=0"], "pretrain.states must be at least 1"),
         (["run=run", "pretrain.states=10"], "Expected at least as many states as clusters (16), got 10"),
@@ -183,7 +157,7 @@ def test_bad_input_is_one_sentence_and_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("kept")
-    assert said in refused(*SMALL, *arguments)
+    assert said in refused(command.main, *SMALL, *arguments)
     assert names(tmp_path) == ["file", "run"]
     assert names(run) == ["checkpoints", "config.yaml"]
 
@@ -197,13 +171,13 @@ def test_too_few_states_or_episodes_are_refused(
 ) -> None:
     rng = np.random.default_rng(0)
     checkpoint_run(tmp_path / "few", [walk(length, 6, rng) for length in lengths])
-    assert said in refused(f"run={tmp_path / 'few'}", *SMALL)
+    assert said in refused(command.main, f"run={tmp_path / 'few'}", *SMALL)
 
 
 def test_an_artifact_is_not_overwritten(run: Path, refused: Callable[..., str]) -> None:
     (run / "pretrained").mkdir()
     (run / "pretrained" / "artifact.json").write_text("kept")
-    assert "holds an artifact already" in refused(f"run={run}", *SMALL)
+    assert "holds an artifact already" in refused(command.main, f"run={run}", *SMALL)
     assert (run / "pretrained" / "artifact.json").read_text() == "kept"
 
 
@@ -214,23 +188,6 @@ def test_ctrl_c_leaves_no_artifact(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pipeline, "train_classifier", interrupted)
-    assert in_process(f"run={run}", *SMALL) == 130
+    assert in_process(command.main, f"run={run}", *SMALL) == 130
     assert names(run / "pretrained") == []
     assert "uavrl: stopped." in capfd.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("override", "named"), [("pretrain.sates=5", "sates"), ("pretrain=fast", "fast"), ("seed=x", "seed")]
-)
-def test_the_real_command_names_the_bad_override(override: str, named: str, tmp_path: Path) -> None:
-    done = as_process(override, cwd=tmp_path)
-    assert done.returncode == 1
-    assert named in done.stderr and "Traceback" not in done.stderr + done.stdout
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_report_is_plain_json(run: Path) -> None:
-    assert in_process(f"run={run}", *SMALL) == 0
-    text = (run / "pretrained" / "artifact.json").read_text()
-    assert "NaN" not in text and str(run.parent) not in text
-    assert json.loads(text)["versions"]["torch"] == version("torch")

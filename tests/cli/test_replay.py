@@ -13,9 +13,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from tests.cli.test_bad_input import TINY, in_process
-from tests.flying.flights import unpack
-from tests.reporting.test_flight_page import Page
+from tests.helpers.commands import TINY, in_process
+from tests.helpers.flights import unpack
+from tests.helpers.pages import Page
 from uavrl.cli import replay as command
 from uavrl.cli import train as train_command
 from uavrl.flying.recording import load_recording
@@ -31,20 +31,6 @@ def content(folder: Path) -> list[str]:
 
 def data_of(page: Path) -> dict[str, Any]:
     return json.loads(Page(page.read_text()).scripts["data"])
-
-
-@pytest.fixture
-def refused(capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Runs the command in this process and returns the sentence that it ends with."""
-
-    def run(*arguments: str) -> str:
-        code = in_process(command.main, *arguments)
-        out, err = capfd.readouterr()
-        assert code == 1
-        assert "Traceback" not in out + err
-        return next(line for line in err.splitlines() if line.startswith("uavrl: "))
-
-    return run
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +116,7 @@ def test_bad_input_is_refused_by_name(
     arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert said in refused(*arguments, "progress=false")
+    assert said in refused(command.main, *arguments, "progress=false")
     assert not list(tmp_path.iterdir())
 
 
@@ -138,17 +124,17 @@ def test_an_empty_run_folder_and_a_missing_checkpoint_are_named(
     run_dir: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     (tmp_path / "empty").mkdir()
-    assert "holds no run, for want of config.yaml" in refused(f"run={tmp_path / 'empty'}")
-    assert "reward belongs to the run" in refused(f"run={run_dir}", "reward=navigation")
+    assert "holds no run, for want of config.yaml" in refused(command.main, f"run={tmp_path / 'empty'}")
+    assert "reward belongs to the run" in refused(command.main, f"run={run_dir}", "reward=navigation")
     missing = run_dir / "checkpoints/none.torchrl"
-    assert f"Expected a checkpoint at {missing}" in refused(f"run={run_dir}", f"checkpoint={missing}")
+    assert f"Expected a checkpoint at {missing}" in refused(command.main, f"run={run_dir}", f"checkpoint={missing}")
 
 
 def test_what_cannot_be_written_is_named_before_anything_is_flown(tmp_path: Path, refused: Callable[..., str]) -> None:
     (tmp_path / "file").write_text("kept")
     for key in ("output", "data"):
         keys = {"output": tmp_path / "page.html", key: tmp_path / "file" / "x.mp4"}
-        sentence = refused("policy=straight", *(f"{name}={path}" for name, path in keys.items()))
+        sentence = refused(command.main, "policy=straight", *(f"{name}={path}" for name, path in keys.items()))
         assert f"choose another with {key}=FILE" in sentence
     assert content(tmp_path) == ["file"]
 
@@ -157,5 +143,5 @@ def test_a_package_that_is_missing_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    assert "pip install 'uavrl[report]'" in refused("policy=straight", f"output={tmp_path / 'page.html'}")
+    assert "pip install 'uavrl[report]'" in refused(command.main, "policy=straight", f"output={tmp_path / 'page.html'}")
     assert not list(tmp_path.iterdir())

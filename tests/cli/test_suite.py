@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_bad_input import in_process
-from tests.composing import composed
+from tests.helpers.commands import in_process
+from tests.helpers.configs import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.errors import UavrlError

@@ -11,7 +11,7 @@ from torch import nn
 from torchrl.envs import EnvBase, Transform
 from torchrl.record.loggers import Logger
 
-from tests.composing import changed, composed
+from tests.helpers.configs import changed, composed
 from uavrl.configs import conf_dir, to_dataclass
 from uavrl.configs.build import build, resolve
 from uavrl.configs.signature import signature

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from tests.composing import changed, composed
+from tests.helpers.configs import changed, composed
 from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner_name, to_dataclass
 from uavrl.configs.choices import known_keys
 from uavrl.configs.limits import MOST
@@ -211,152 +211,68 @@ def test_every_key_that_has_a_most_or_takes_memory_is_one() -> None:
     assert not {*LARGEST} - {field.name for field in fields(WorldConfig)}
 
 
-OUT_OF_RANGE = [
-    ("seed", "-1"),
-    ("env.num_uavs", "0"),
-    ("env.max_steps", "0"),
-    ("env.goal_angle", "yaw"),
-    ("env.world.seeds", "[]"),
-    ("env.world.seeds", "[-1]"),
-    ("env.world.size", "[40.0,0.0]"),
-    ("env.world.obstacles", "-1"),
-    ("env.world.obstacle_scale", "0"),
-    ("env.world.flight_level", "-1"),
-    ("env.world.ceiling", "-8"),
-    ("env.world.goal_radius", "0"),
-    ("env.world.min_goal_distance", "-1"),
-    ("env.world.min_clearance", "-1"),
-    ("env.world.uav_radius", "0"),
-    ("env.world.planes", "-3"),
-    ("env.world.plane_speed", "[4.0,2.5]"),
-    ("env.world.plane_wingspan", "0"),
-    ("env.world.plane_keep_out", "-1"),
-    ("env.airframe.mass", "0"),
-    ("env.airframe.inertia", "[0.0,1.0,1.0]"),
-    ("env.airframe.arm", "-1"),
-    ("env.airframe.torque_to_thrust", "0"),
-    ("env.airframe.max_total_thrust", "10"),
-    ("env.airframe.tilt_limit", "2"),
-    ("env.airframe.collision_radius", "0"),
-    ("env.airframe.collision_height", "-1"),
-    ("env.airframe.lidar_diameter", "0"),
-    ("env.airframe.lidar_height", "0"),
-    ("env.aerodynamics.gust_time_constant", "0"),
-    ("perception.frames", "0"),
-    ("perception.statistic", "mean"),
-    ("perception.angles", "rad"),
-    ("perception.blind_to", "rocks"),
-    ("perception.lidar.max_range", "0"),
-    ("perception.lidar.min_range", "5"),
-    ("perception.lidar.range_noise", "-0.1"),
-    ("perception.lidar.dropout", "1"),
-    ("reward.weights", "[1.0,2.0]"),
-    ("reward.flight_level", "0"),
-    ("reward.altitude_term", "square"),
-    ("algo.gamma", "1"),
-    ("algo.tau", "0"),
-    ("algo.batch_size", "0"),
-    ("algo.actor_lr", "0"),
-    ("algo.critic_lr", "-1"),
-    ("algo.policy_delay", "0"),
-    ("algo.policy_noise", "-1"),
-    ("algo.noise_clip", "-1"),
-    ("algo.exploration_noise", "-0.1"),
-    ("algo.random_steps", "-1"),
-    ("algo.hidden", "[]"),
-    ("algo.hidden", "[400,0]"),
-    ("buffer.capacity", "0"),
-    ("collector.steps_per_batch", "0"),
-    ("trainer.episodes", "0"),
-    ("trainer.updates_per_step", "0"),
-    ("trainer.window", "0"),
-    ("trainer.checkpoint_interval", "0"),
-    ("trainer.keep_checkpoints", "0"),
-    ("trainer.threads", "0"),
-    ("trainer.execution", "fast"),
-    ("trainer.products", "blas"),
-    ("logger.interval", "0"),
-]
-BACKWARD_OUT_OF_RANGE = [
-    ("abr", "multiplier", "-0.2"),
-    ("abr", "threshold", "1.1"),
-    ("abr", "max_classes", "0"),
-    ("abr", "seed", "-1"),
-    ("abr_plus", "multiplier", "-0.2"),
-]
-ENHANCER_OUT_OF_RANGE = [
-    ("fork.variant", "walker"),
-    ("fork.system_network.hidden", "[]"),
-    ("fork.reward_network.hidden", "[0]"),
-    ("fork.model_lr", "0"),
-    ("fork.threshold", "0"),
-    ("fork.max_reward", "-1"),
-    ("fork.base_weight", "-0.6"),
-    ("fork.return_window", "0"),
-    ("lifeguard.model", "tree"),
-    ("lifeguard.penalty", "none"),
-    ("lifeguard.penalty_weight", "-10"),
-    ("lifeguard.success_window", "0"),
-    ("lifeguard.capacity", "0"),
-    ("lifeguard.batch_size", "7"),
-    ("lifeguard.min_evaluations", "-1"),
-    ("lifeguard.evaluation_window", "0"),
-    ("lifeguard.min_true_negative_rate", "1"),
-    ("lifeguard.model_lr", "0"),
-    ("lifeguard.alpha", "0"),
-]
+OUT_OF_RANGE = """
+    seed=-1
+    env.num_uavs=0 env.max_steps=0 env.goal_angle=yaw
+    env.world.seeds=[] env.world.seeds=[-1] env.world.size=[40.0,0.0] env.world.obstacles=-1
+    env.world.obstacle_scale=0 env.world.flight_level=-1 env.world.ceiling=-8 env.world.goal_radius=0
+    env.world.min_goal_distance=-1 env.world.min_clearance=-1 env.world.uav_radius=0 env.world.planes=-3
+    env.world.plane_speed=[4.0,2.5] env.world.plane_wingspan=0 env.world.plane_keep_out=-1
+    env.airframe.mass=0 env.airframe.inertia=[0.0,1.0,1.0] env.airframe.arm=-1 env.airframe.torque_to_thrust=0
+    env.airframe.max_total_thrust=10 env.airframe.tilt_limit=2 env.airframe.collision_radius=0
+    env.airframe.collision_height=-1 env.airframe.lidar_diameter=0 env.airframe.lidar_height=0
+    env.aerodynamics.gust_time_constant=0
+    perception.frames=0 perception.statistic=mean perception.angles=rad perception.blind_to=rocks
+    perception.lidar.max_range=0 perception.lidar.min_range=5 perception.lidar.range_noise=-0.1
+    perception.lidar.dropout=1
+    reward.weights=[1.0,2.0] reward.flight_level=0 reward.altitude_term=square
+    algo.gamma=1 algo.tau=0 algo.batch_size=0 algo.actor_lr=0 algo.critic_lr=-1 algo.policy_delay=0
+    algo.policy_noise=-1 algo.noise_clip=-1 algo.exploration_noise=-0.1 algo.random_steps=-1 algo.hidden=[]
+    algo.hidden=[400,0]
+    buffer.capacity=0
+    collector.steps_per_batch=0
+    trainer.episodes=0 trainer.updates_per_step=0 trainer.window=0 trainer.checkpoint_interval=0
+    trainer.keep_checkpoints=0 trainer.threads=0 trainer.execution=fast trainer.products=blas
+    logger.interval=0
+"""
+OUT_OF_RANGE_OF_CHOICES = {
+    "fork=on lifeguard=linear": """
+        fork.variant=walker fork.system_network.hidden=[] fork.reward_network.hidden=[0] fork.model_lr=0
+        fork.threshold=0 fork.max_reward=-1 fork.base_weight=-0.6 fork.return_window=0 lifeguard.model=tree
+        lifeguard.penalty=none lifeguard.penalty_weight=-10 lifeguard.success_window=0 lifeguard.capacity=0
+        lifeguard.batch_size=7 lifeguard.min_evaluations=-1 lifeguard.evaluation_window=0
+        lifeguard.min_true_negative_rate=1 lifeguard.model_lr=0 lifeguard.alpha=0
+    """,
+    "backward_reward=abr": """
+        backward_reward.multiplier=-0.2 backward_reward.threshold=1.1 backward_reward.max_classes=0
+        backward_reward.seed=-1
+    """,
+    "backward_reward=abr_plus": "backward_reward.multiplier=-0.2",
+    "env=bipedal_hardcore buffer=failure_biased": """
+        env.max_steps=0 reward.scale=0 buffer.capacity=0 buffer.probability=1.5 buffer.falls_per_success=-1
+        buffer.updates_when_left_out=-1
+    """,
+    "algo=sac": "algo.temperature_lr=-1 algo.gamma=-1",
+    "perception.lidar.max_range=4": "perception.radius=0",
+    "buffer=prioritized": "buffer.alpha=1.5 buffer.beta=-0.1",
+}
 NOT_FINITE = ["algo.gamma", "algo.actor_lr", "trainer.updates_per_step", "env.world.ceiling", "env.airframe.mass"]
 
 
-@pytest.mark.parametrize(("key", "value"), OUT_OF_RANGE, ids=lambda text: text)
-def test_values_out_of_range_are_refused_by_name(key: str, value: str) -> None:
-    with pytest.raises(UavrlError, match=rf"(?i)\b{key.rpartition('.')[2]}\b"):
-        to_dataclass(changed([], f"{key}={value}"))
-
-
-@pytest.mark.parametrize(("key", "value"), ENHANCER_OUT_OF_RANGE, ids=lambda text: text)
-def test_values_of_enhancers_out_of_range_are_refused_by_name(key: str, value: str) -> None:
-    with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be"):
-        to_dataclass(changed(["fork=on", "lifeguard=linear"], f"{key}={value}"))
-
-
-@pytest.mark.parametrize(("name", "key", "value"), BACKWARD_OUT_OF_RANGE)
-def test_values_of_the_backward_reward_out_of_range_are_refused_by_name(name: str, key: str, value: str) -> None:
-    with pytest.raises(UavrlError, match=rf"backward_reward\.{key} must be"):
-        to_dataclass(changed([f"backward_reward={name}"], f"backward_reward.{key}={value}"))
+@pytest.mark.parametrize("override", OUT_OF_RANGE.split())
+def test_values_out_of_range_are_refused_by_name(override: str) -> None:
+    name = override.partition("=")[0].rpartition(".")[2]
+    with pytest.raises(UavrlError, match=rf"(?i)\b{name}\b"):
+        to_dataclass(changed([], override))
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("env.max_steps", "0"),
-        ("reward.scale", "0"),
-        ("buffer.capacity", "0"),
-        ("buffer.probability", "1.5"),
-        ("buffer.falls_per_success", "-1"),
-        ("buffer.updates_when_left_out", "-1"),
-    ],
+    ("choices", "override"),
+    [(choices, override) for choices, overrides in OUT_OF_RANGE_OF_CHOICES.items() for override in overrides.split()],
 )
-def test_values_of_the_walker_out_of_range_are_refused_by_name(key: str, value: str) -> None:
-    with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be"):
-        to_dataclass(changed(["env=bipedal_hardcore", "buffer=failure_biased"], f"{key}={value}"))
-
-
-@pytest.mark.parametrize("key", ["temperature_lr", "gamma"])
-def test_values_of_sac_out_of_range_are_refused_by_name(key: str) -> None:
-    with pytest.raises(UavrlError, match=rf"algo\.{key} must be"):
-        to_dataclass(changed(["algo=sac"], f"algo.{key}=-1"))
-
-
-def test_a_radius_out_of_range_is_refused_by_name() -> None:
-    with pytest.raises(UavrlError, match=r"perception\.radius must be above 0"):
-        settings("perception.radius=0", "perception.lidar.max_range=4")
-
-
-@pytest.mark.parametrize(("key", "value"), [("alpha", "1.5"), ("beta", "-0.1")])
-def test_exponents_of_prioritised_replay_are_checked(key: str, value: str) -> None:
-    with pytest.raises(UavrlError, match=rf"buffer\.{key} must be in \[0, 1\]"):
-        to_dataclass(changed(["buffer=prioritized"], f"buffer.{key}={value}"))
+def test_values_of_choices_out_of_range_are_refused_by_name(choices: str, override: str) -> None:
+    with pytest.raises(UavrlError, match=rf"{re.escape(override.partition('=')[0])} must be"):
+        to_dataclass(changed(choices.split(), override))
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
@@ -366,22 +282,15 @@ def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> No
         to_dataclass(changed([], f"{key}={value}"))
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("episodes", "0"),
-        ("num_uavs", "0"),
-        ("threads", "0"),
-        ("products", "blas"),
-        ("seed", "-1"),
-        ("valleys", "[]"),
-        ("valleys", "[-1]"),
-        ("env.max_steps", "0"),
-    ],
-)
-def test_evaluation_refuses_values_out_of_range_by_name(key: str, value: str) -> None:
-    with pytest.raises(UavrlError, match=re.escape(key)):
-        checked(changed([], f"{key}={value}", name="evaluate"), EvaluateConfig)
+OUT_OF_RANGE_OF_EVALUATION = """
+    episodes=0 num_uavs=0 threads=0 products=blas seed=-1 valleys=[] valleys=[-1] env.max_steps=0
+"""
+
+
+@pytest.mark.parametrize("override", OUT_OF_RANGE_OF_EVALUATION.split())
+def test_evaluation_refuses_values_out_of_range_by_name(override: str) -> None:
+    with pytest.raises(UavrlError, match=re.escape(override.partition("=")[0])):
+        checked(changed([], override, name="evaluate"), EvaluateConfig)
 
 
 def test_a_part_left_out_is_refused_by_name() -> None:

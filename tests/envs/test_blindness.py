@@ -10,7 +10,7 @@ import pytest
 import torch
 from torchrl.envs import check_env_specs
 
-from tests.composing import composed
+from tests.helpers.configs import composed
 from uavrl.configs import to_dataclass
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv

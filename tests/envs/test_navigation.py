@@ -130,7 +130,7 @@ def test_after_an_end_only_the_ended_uavs_are_reset(make: Callable[..., Navigati
     assert stepped["next", "done"].flatten().tolist() == [True, False]
     assert state["task"].flatten().tolist() == [2, 1]
     torch.testing.assert_close(state["position"][1], stepped["next", "position"][1], rtol=0, atol=0)
-    assert state["point_cloud"][1].isfinite().any() == stepped["next", "point_cloud"][1].isfinite().any()
+    np.testing.assert_array_equal(state["point_cloud"][1], stepped["next", "point_cloud"][1])
 
 
 def test_every_reset_draws_new_tasks(make: Callable[..., NavigationEnv]) -> None:
@@ -187,24 +187,6 @@ def test_a_collector_takes_a_seed(make: Callable[..., NavigationEnv]) -> None:
         assert sum(batch.numel() for batch in collector) == 32
     finally:
         collector.shutdown()
-
-
-def test_task_k_is_the_same_for_every_policy(make: Callable[..., NavigationEnv]) -> None:
-    tasks: list[dict[int, list[float]]] = []
-    for action in ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, -2.0, 0.0)):  # one times out, the other hits the ground
-        env, met = make(2, max_steps=30), {}
-        state = env.reset()
-        while len(met) < 6:
-            for row in state:
-                met.setdefault(
-                    int(row["task"]),
-                    row["goal"].tolist() + (row["position"].tolist() if not met.get(int(row["task"])) else []),
-                )
-            state = env.step_and_maybe_reset(act(state, *action))[1]
-        tasks.append(met)
-    shared = tasks[0].keys() & tasks[1].keys()
-    assert len(shared) >= 6
-    assert all(tasks[0][k] == tasks[1][k] for k in shared)
 
 
 def test_the_number_of_uavs_does_not_change_the_tasks(make: Callable[..., NavigationEnv]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from tests.envs.geometry import assert_closed, point_triangle_distance
+from tests.helpers.geometry import assert_closed, point_triangle_distance
 from uavrl.envs.free_space import surface_points
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.obstacles import KINDS, make_obstacle, wall_places

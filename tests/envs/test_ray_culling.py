@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.envs.test_lidar import LEVEL, ORIGIN, box, clutter, poses
+from tests.helpers.scenes import LEVEL, ORIGIN, box, clutter, poses
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
-from uavrl.envs.ray_culling import RayCuller
 
 
 def with_and_without(meshes: list[Mesh], max_range: float, positions: np.ndarray, rotations: np.ndarray):
@@ -37,25 +34,6 @@ def test_culling_in_float32_holds_far_from_the_origin(offset: tuple[float, float
     culled, whole = with_and_without(meshes, 4.0, positions + offset, rotations)
     np.testing.assert_array_equal(culled, whole)
     assert np.isfinite(whole).any()
-
-
-def test_lasers_may_come_in_any_order() -> None:
-    mesh, elevations = Mesh.merge(clutter(3)), np.radians([-10.0, 0.0, 10.0, 20.0])
-    order = np.array([2, 0, 3, 1])
-    ascending = RayCuller(mesh, 4.0, 360, np.radians(1.0), elevations).candidates(*poses(4, 3))
-    shuffled = RayCuller(mesh, 4.0, 360, np.radians(1.0), elevations[order]).candidates(*poses(4, 3))
-    np.testing.assert_array_equal(shuffled, ascending[:, :, order])
-    assert (ascending != ascending[:, :, order]).any()
-
-
-def test_what_lies_beyond_the_outermost_lasers_is_left_out() -> None:
-    """A speck 3 m away at 16° is above the highest laser by more than its radius; one at 14.9° is not."""
-    for degrees, seen in ((16.0, False), (14.9, True), (-14.9, True), (-16.0, False)):
-        at = 3.0 * np.array([math.cos(math.radians(degrees)), 0.0, math.sin(math.radians(degrees))])
-        speck = Mesh(at + 0.01 * (np.eye(3) - 1 / 3), np.array([[0, 1, 2]]))
-        culler = Lidar([speck], None, LidarConfig(max_range=4.0))._culler
-        assert culler is not None
-        assert culler.candidates(ORIGIN, LEVEL).any() == seen
 
 
 def test_what_the_sensor_touches_straight_behind_it_is_seen_by_every_vehicle() -> None:
@@ -106,15 +84,3 @@ def test_most_rays_of_a_sparse_scene_are_culled() -> None:
     assert grid[0, left - 5 : left + 5].all()
     assert not culler.candidates(np.array([[50.0, 0, 0]]), LEVEL).any()
     assert culler.candidates(np.zeros((0, 3)), np.zeros((0, 3, 3))).shape == (0, 1808, 16)
-
-
-def test_culling_is_for_short_scans_at_rest() -> None:
-    pole = [box((0.0, 3.0, 0.0), (0.2, 0.2, 6.0))]
-    assert Lidar(pole)._culler is None
-    assert Lidar(pole, None, LidarConfig(max_range=4.0, motion_distortion=True))._culler is None
-    assert Lidar([], None, LidarConfig(max_range=4.0))._culler is None
-
-
-def test_cycles_must_fill_bins() -> None:
-    with pytest.raises(ValueError, match="multiple of 8"):
-        RayCuller(box((0, 0, 0), (1, 1, 1)), 4.0, 100, math.tau / 100, np.radians([-1.0, 1.0]))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pybullet_utils.bullet_client import BulletClient
 
-from tests.envs.geometry import bullet_world, convex_body, embree, pierced
+from tests.helpers.geometry import bullet_world, convex_body, embree, pierced
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.routes import STEP, plan_routes, smoothed
 from uavrl.envs.shapes import icosphere, loft, turned

@@ -209,6 +209,7 @@ def test_ten_thousand_random_steps_stay_bounded():
 
 def test_random_flight_among_walls_recovers():
     rng, floor = np.random.default_rng(1), Mesh([[-20, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]], WALL.faces)
+    hits = 0
     with world(4, (WALL, floor)) as simulation:
         for _ in range(300):
             touched = simulation.step(rng.uniform(-2, 2, (4, 4)) + command(1, 0, -0.5, 0))
@@ -216,6 +217,8 @@ def test_random_flight_among_walls_recovers():
             if touched.any():
                 hit = np.flatnonzero(touched)[::2]  # every other one is left to tumble
                 simulation.reset(hit, np.tile([0.0, 0.0, 3.5], (len(hit), 1)), np.zeros(len(hit)))
+                hits += len(hit)
+    assert hits > 3
 
 
 def test_vehicles_neither_touch_nor_disturb_each_other():

@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import cKDTree
 
-from tests.envs.geometry import bullet_world, cast, embree, point_triangle_distance
+from tests.helpers.geometry import bullet_world, cast, embree, point_triangle_distance
 from uavrl.envs.free_space import FreeSpace, surface_points
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.shapes import blob, icosphere, loft
@@ -122,7 +122,7 @@ def test_flying_straight_at_the_goal_works_sometimes(seed: int) -> None:
     assert 0.1 <= np.mean(free) <= 0.35
 
 
-@pytest.mark.parametrize("seed", [0, 100, 101, 102, 103])
+@pytest.mark.parametrize("seed", [0, 100])
 @pytest.mark.parametrize("obstacles", [90, 135])
 def test_dense_valleys_are_solvable(obstacles: int, seed: int) -> None:
     """Two and three times the default's obstacles: there are places, and room for flights in all directions."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.envs.geometry import assert_closed
+from tests.helpers.geometry import assert_closed
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.traffic import Leg, Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.envs.geometry import LIDAR_RANGE, bullet_world, cast, embree
+from tests.helpers.geometry import LIDAR_RANGE, bullet_world, cast, embree
 from uavrl.envs.terrain import valley_ground
 from uavrl.envs.world import World, WorldConfig, build_valley
 

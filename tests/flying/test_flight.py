@@ -11,10 +11,10 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase, check_env_specs
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from tests.cli.test_bad_input import in_process
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.envs.bipedal import BipedalEnv
 from uavrl.flying.baselines import StraightPolicy
@@ -93,10 +93,6 @@ class StubEnv(EnvBase):
 
 def hover(tensordict: TensorDictBase) -> TensorDictBase:
     return tensordict.set("action", torch.zeros(*tensordict.batch_size, 4))
-
-
-def test_the_stub_is_a_torchrl_environment() -> None:
-    check_env_specs(StubEnv([2, 3, 1], 2))
 
 
 @pytest.mark.parametrize("lengths", [[1, 1, 1, 1, 1, 1, 1], [40, 2, 1, 3, 2, 1, 5], [1, 2, 1, 3, 2, 1, 30]])

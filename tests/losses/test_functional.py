@@ -6,7 +6,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.losses.test_actor_critic import TestTD3 as TD3Contract
 from uavrl.losses.functional import (
     bipedal_fork_objective,
     clamped_smooth_l1,
@@ -75,31 +74,6 @@ def test_masked_mse_leaves_out_last_steps() -> None:
 def test_shapes_that_would_broadcast_are_refused(call: object) -> None:
     with pytest.raises(ValueError, match="one shape"):
         call()
-
-
-def test_td3_loss_is_what_the_equations_say() -> None:
-    loss, data = TD3Contract().make_loss(), TD3Contract().make_data()
-    torch.manual_seed(0)
-    value = loss.value_loss(data)[0]
-    torch.manual_seed(0)
-    noise = torch.randn(5, 2) * loss.policy_noise
-    with torch.no_grad(), loss.target_actor_network_params.to_module(loss.actor_network):
-        action = loss.actor_network(data["next"].select("observation"))["action"]
-    action = (action + noise.clamp(-loss.noise_clip, loss.noise_clip)).clamp(loss.min_action, loss.max_action)
-    nets = [loss.qvalue_network_params[i] for i in (0, 1)]
-
-    def values(state: Tensor, action: Tensor) -> Tensor:
-        columns: list[Tensor] = []
-        for net in nets:
-            with net.to_module(loss.qvalue_network):
-                columns.append(loss.qvalue_network(state, action).squeeze(-1))
-        return torch.stack(columns)
-
-    following = data["next"]
-    q_t = values(following["observation"], action)
-    target = following["reward"].squeeze(-1) + 0.99 * ~following["terminated"].squeeze(-1) * q_t.amin(0)
-    q_tm1 = values(data["observation"], data["action"])
-    torch.testing.assert_close(value, (q_tm1 - target).square().sum(0).mean())
 
 
 def test_fork_weight_refuses_what_it_cannot_divide_by() -> None:

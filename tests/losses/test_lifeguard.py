@@ -1,80 +1,21 @@
 from __future__ import annotations
 
 import copy
-import subprocess
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import ClassVar
 
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
-from torch.fx.experimental.proxy_tensor import make_fx
-from torchrl.data import Bounded
 
-from tests.contracts import ActorCriticLossContract
-from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, TD3Loss
-from uavrl.models import Actor, Critic
-
-OBSERVATIONS, ACTIONS = 3, 2  # the last observation is the second half of a state of 6
-
-
-def td3(**kwargs: object) -> TD3Loss:
-    actor = TensorDictModule(Actor(6, 2, (8,)), ["observation"], ["action"])
-    critics = [TensorDictModule(Critic(6, 2, (8,)), ["observation", "action"], ["state_action_value"]) for _ in "12"]
-    return TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,)), **kwargs)
-
-
-def ddpg(**kwargs: object) -> DDPGLoss:
-    actor = TensorDictModule(Actor(6, 2, (8,)), ["observation"], ["action"])
-    critic = TensorDictModule(Critic(6, 2, (8,)), ["observation", "action"], ["state_action_value"])
-    return DDPGLoss(actor, critic, **kwargs)
-
-
-def lifeguard(base: ActorCriticLoss | None = None, **kwargs: object) -> LifeGuard:
-    settings: ClassVar[dict[str, object]] = {
-        "min_collisions": 4,
-        "min_evaluations": 2,
-        "batch_size": 20,
-        "evaluation_window": 4,
-    }
-    return LifeGuard(base or td3(), observations=OBSERVATIONS, actions=ACTIONS, **settings | kwargs)
-
-
-def episodes(count: int, steps: int = 5, *, collided: bool = True, arrived: bool = False) -> TensorDict:
-    """Whole episodes, end to end, whose last steps have a large last observation where they collide."""
-    size = count * steps
-    last = torch.arange(size) % steps == steps - 1
-    state, action = torch.rand(size, 6), 4 * torch.rand(size, 2) - 2
-    if collided:
-        state[:, 3:] += 2.0 * last[:, None]
-    flags = {"done": last, "collided": last & collided, "arrived": last & arrived}
-    return TensorDict(
-        {"observation": state, "action": action, "next": {name: flag[:, None] for name, flag in flags.items()}}, [size]
-    )
-
-
-def sampler(data: TensorDict) -> Callable[[int], TensorDict]:
-    return lambda n: data[torch.randint(len(data), (n,))]
-
-
-def trained(loss: LifeGuard, rounds: int = 8) -> LifeGuard:
-    """Fed with collisions that are easy to tell, until the actor listens."""
-    data = episodes(10)
-    optimizer = loss.make_optimizer()
-    for _ in range(rounds):
-        loss.observe(data)
-        loss.fit(sampler(data), 20, optimizer)
-    assert loss.active
-    return loss
+from tests.helpers.contracts import ActorCriticLossContract
+from tests.helpers.losses import episodes, lifeguard, sampler, td3, trained
+from uavrl.losses import ActorCriticLoss, LifeGuard
 
 
 class _Contract(ActorCriticLossContract):
     """The contract, of a LifeGuard that the actor listens to; the critic's loss is the base's."""
 
-    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
     base: Callable[..., ActorCriticLoss]
     settings: ClassVar[dict[str, object]]
 
@@ -85,15 +26,6 @@ class _Contract(ActorCriticLossContract):
         data = super().make_data(dtype, size)
         data["next", "collided"] = data["next", "terminated"].clone()
         return data
-
-    def test_forward(self) -> None:
-        loss, data = self.make_loss(), self.make_data()
-        losses = loss(data)
-        torch.testing.assert_close(losses["loss_actor"], loss.actor_loss(data)[0])
-        torch.testing.assert_close(losses["loss_lifeguard"], loss.lifeguard_loss(data)[0])
-        assert {key for key in losses.keys() if key.startswith("loss_")} == {  # noqa: SIM118
-            key for key in loss.out_keys if key.startswith("loss_")
-        }
 
 
 class _MLPContract(_Contract):
@@ -117,16 +49,13 @@ class TestLinearOnTD3(_Contract):
 
 
 class TestMLPOnTD3(_MLPContract):
+    compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
     base = staticmethod(td3)
 
 
 class TestLabelOnTD3(_Contract):
     base = staticmethod(td3)
     settings: ClassVar[dict[str, object]] = {"penalty": "label"}
-
-
-class TestMLPOnDDPG(_MLPContract):
-    base = staticmethod(ddpg)
 
 
 def actor_gradient(loss: ActorCriticLoss, data: TensorDict) -> list[torch.Tensor]:
@@ -174,31 +103,6 @@ class TestActorTerm:
         assert term.tolist() == [4.0]
         (gradient,) = torch.autograd.grad(term.sum(), action)  # 8 · ¼ · (-2) / 4
         assert gradient.tolist() == [[-1.0, 0.0]]
-
-    def test_is_silent_until_trusted(self) -> None:
-        base = td3()
-        loss = lifeguard(base)
-        data = episodes(2)
-        assert not loss.active
-        assert torch.equal(loss.actor_loss(data)[0], base.actor_loss(data)[0])
-        assert trained(loss).active
-        assert not torch.equal(loss.actor_loss(data)[0], base.actor_loss(data)[0])
-
-    @pytest.mark.parametrize("penalty", ["probability", "label"])
-    @pytest.mark.parametrize("model", ["linear", "mlp"])
-    def test_a_traced_graph_follows_weight_and_classifier(self, model: str, penalty: str) -> None:
-        loss = trained(lifeguard(model=model, penalty=penalty, model_lr=1e-2))
-
-        def term(state: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-            return loss.actor_term(TensorDict({"observation": state, "action": action}, [len(state)]))[0]
-
-        inputs = 3 * torch.rand(7, 6), torch.rand(7, 2)
-        graph = make_fx(term)(*inputs)
-        torch.testing.assert_close(graph(*inputs), term(*inputs))
-        loss.observe(episodes(30, collided=False, arrived=True))
-        trained(loss, 1)
-        assert float(loss.weight) < 10
-        torch.testing.assert_close(graph(*inputs), term(*inputs))
 
     def test_a_wrong_width_is_refused(self) -> None:
         loss = LifeGuard(td3(), observations=3, actions=4)
@@ -465,8 +369,3 @@ def test_one_lifeguard_on_another() -> None:
 def test_unknown_settings_are_refused(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         lifeguard(**settings)
-
-
-def test_the_example_runs() -> None:
-    script = Path(__file__).parents[2] / "examples" / "lifeguard_pendulum.py"
-    subprocess.run([sys.executable, script, "400"], check=True, capture_output=True, timeout=600)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.composing import composed
+from tests.helpers.configs import composed
 from uavrl.configs import checked, conf_dir
 from uavrl.configs.pretrain import PretrainConfig, PretrainRecipe
 from uavrl.errors import UavrlError
@@ -59,38 +59,20 @@ def test_constructors_default_to_the_configuration() -> None:
     assert default(TrajectoryClassifier.__init__, "classifier_hidden") == recipe.classifier_hidden
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("seed", "-1"),
-        ("threads", "0"),
-        ("products", "blas"),
-        ("pretrain.states", "0"),
-        ("pretrain.features", "0"),
-        ("pretrain.hidden", "0"),
-        ("pretrain.tradeoff", "1.5"),
-        ("pretrain.psae_epochs", "0"),
-        ("pretrain.psae_batch_size", "0"),
-        ("pretrain.psae_lr", "0"),
-        ("pretrain.clusters", "[5,4,3,2,6]"),
-        ("pretrain.clusters", "[1,2,3,4,5]"),
-        ("pretrain.clusters", "[2,3]"),
-        ("pretrain.k", "1"),
-        ("pretrain.kmeans_batch_size", "0"),
-        ("pretrain.kmeans_iterations", "0"),
-        ("pretrain.classifier_hidden", "[]"),
-        ("pretrain.classifier_epochs", "0"),
-        ("pretrain.classifier_batch_size", "0"),
-        ("pretrain.classifier_lr", "-1"),
-        ("pretrain.held_out", "0"),
-        ("pretrain.held_out", "1"),
-        ("pretrain.compare_k", "0"),
-        ("pretrain.psae_lr", "nan"),
-    ],
-)
-def test_values_out_of_range_are_refused_by_name(key: str, value: str) -> None:
-    with pytest.raises(UavrlError, match=rf"\b{key} must be"):
-        settings(f"{key}={value}")
+OUT_OF_RANGE = """
+    seed=-1 threads=0 products=blas pretrain.states=0 pretrain.features=0 pretrain.hidden=0 pretrain.tradeoff=1.5
+    pretrain.psae_epochs=0 pretrain.psae_batch_size=0 pretrain.psae_lr=0 pretrain.clusters=[5,4,3,2,6]
+    pretrain.clusters=[1,2,3,4,5] pretrain.clusters=[2,3] pretrain.k=1 pretrain.kmeans_batch_size=0
+    pretrain.kmeans_iterations=0 pretrain.classifier_hidden=[] pretrain.classifier_epochs=0
+    pretrain.classifier_batch_size=0 pretrain.classifier_lr=-1 pretrain.held_out=0 pretrain.held_out=1
+    pretrain.compare_k=0 pretrain.psae_lr=nan
+"""
+
+
+@pytest.mark.parametrize("override", OUT_OF_RANGE.split())
+def test_values_out_of_range_are_refused_by_name(override: str) -> None:
+    with pytest.raises(UavrlError, match=rf"\b{override.partition('=')[0]} must be"):
+        settings(override)
 
 
 def test_a_given_k_needs_no_curve() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.pretraining.synthetic import walk
+from tests.helpers.states import walk
 from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.models import PSAE, mlp

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.reporting.folders import run_folder
+from tests.helpers.folders import run_folder
 from uavrl.reporting.groups import HOW_IT_RUNS, group_runs, label, same_task
 from uavrl.reporting.runs import read_runs
 from uavrl.runs.config import FREE_KEYS
@@ -48,7 +48,7 @@ def test_a_seed_counts_once_by_its_longest_run(tmp_path: Path) -> None:
     run_folder(tmp_path / "b", "acac")
     (group,), (left,) = group_runs(read_runs([tmp_path])[0])
     assert [run.name for run in group.runs] == ["b"]
-    assert (left.folder, left.reason) == ("a", "It has configuration and seed of b: a seed counts once.")
+    assert left.folder == "a" and "seed of b" in left.reason
 
 
 def test_another_task_is_left_out(tmp_path: Path) -> None:
@@ -58,8 +58,6 @@ def test_another_task_is_left_out(tmp_path: Path) -> None:
     run_folder(tmp_path / "d", "a", seed=0, perception__radius=2.0)
     kept, left_out = same_task(read_runs([tmp_path])[0])
     assert [run.name for run in kept] == ["a", "b"]
-    told = "It flies another task than most"
-    assert [left.reason for left in left_out] == [
-        f"{told} (env is dynamic, not static; env.world.planes is 3, not 0): give it a report of its own.",
-        f"{told} (perception.radius is 2, not 4): give it a report of its own.",
-    ]
+    dynamic, near = (left.reason for left in left_out)
+    assert "(env is dynamic, not static; env.world.planes is 3, not 0)" in dynamic
+    assert "(perception.radius is 2, not 4)" in near

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.reporting.folders import ROOT, episodes
+from tests.helpers.folders import ROOT, episodes
 from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import curves, moving_rates, steps_to
 from uavrl.runs.episodes import Episode

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.reporting.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.commands import in_process
+from tests.helpers.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
 from uavrl.cli.report import main
 from uavrl.reporting.figures import plotly_script
 from uavrl.reporting.page import page
@@ -137,14 +138,9 @@ def test_more_groups_than_colours(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def report(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["uavrl-report", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as end:
-            code = int(end.code or 0)
+        code = in_process(main, *map(str, arguments))
         return code, *capsys.readouterr()
 
     return run

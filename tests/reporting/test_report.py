@@ -8,18 +8,9 @@ from typing import Any
 
 import pytest
 
-from tests.reporting.folders import DOCUMENTED, ROOT, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import DOCUMENTED, ROOT, WHEREABOUTS, evaluation, run_folder
 from uavrl.errors import UavrlError
 from uavrl.reporting.report import make_report
-from uavrl.reporting.thesis import thesis
-from uavrl.runs.episodes import wilson
-
-
-def test_wilson_by_hand() -> None:
-    # z = 1.959964: centre (0.5 + z²/20) / (1 + z²/10) = 0.5, half width z √(0.025 + z²/400) / (1 + z²/10) = 0.26341
-    assert wilson(5, 10) == pytest.approx({"rate": 0.5, "low": 0.23659, "high": 0.76341}, abs=1e-5)
-    # z²/(n + z²) = 3.841459 / 13.841459
-    assert wilson(0, 10) == pytest.approx({"rate": 0.0, "low": 0.0, "high": 0.277533}, abs=1e-6)
 
 
 def test_the_numbers_of_two_seeds_by_hand(tmp_path: Path) -> None:
@@ -90,34 +81,6 @@ def test_evaluations_are_put_together_by_what_was_flown(tmp_path: Path) -> None:
     assert third["flown"] == "static, valleys 0, 10 tasks of seed 3, env.max_steps=9"
 
 
-def test_the_thesis_has_the_numbers_of_its_figures() -> None:
-    def rates(env: str, reward: str) -> dict[str, tuple[float, float | None]]:
-        rows = [r for r in thesis()["rates"] if (r["env"], r["reward"]) == (env, reward)]
-        return {row["learner"]: (row["success"], row["collision"]) for row in rows}
-
-    assert rates("static", "TR") == {
-        "ddpg": (0.378, 0.606),
-        "td3": (0.422, 0.51),
-        "td3_fork": (0.558, 0.386),
-        "td3_lg": (0.62, 0.264),
-    }
-    assert rates("static", "ABR⁺") == {
-        "ddpg": (0.586, 0.374),
-        "td3": (0.824, 0.116),
-        "td3_fork": (0.786, 0.182),
-        "td3_lg": (0.886, 0.088),
-    }
-    assert rates("dynamic", "TR") == {"td3": (0.37, 0.574)}
-    assert rates("dynamic", "ABR⁺") == {"td3": (0.696, 0.266), "td3_fork": (0.71, 0.252), "td3_lg": (0.734, 0.256)}
-    assert rates("static", "ABR") == {"td3": (0.848, None)} and rates("dynamic", "ABR") == {"td3": (0.632, None)}
-    assert [(r["env"], r["learner"], r["threshold"], r["steps"]) for r in thesis()["steps_to"]] == [
-        ("static", "td3_fork", 0.78, 950_000),
-        ("static", "td3_lg", 0.78, 410_000),
-        ("dynamic", "td3_fork", 0.74, 390_000),
-        ("dynamic", "td3_lg", 0.74, 320_000),
-    ]
-
-
 def test_groups_stand_beside_the_row_that_they_repeat(tmp_path: Path) -> None:
     run_folder(tmp_path / "a", "ca", {"reward": "traditional"})
     run_folder(tmp_path / "b", "aa", {"backward_reward": "abr_plus", "lifeguard": "mlp"})
@@ -154,12 +117,9 @@ def test_what_is_wrong_is_told_and_the_rest_reported(tmp_path: Path) -> None:
     (run_folder(tmp_path / "bad", "ca", seed=1) / "config.yaml").unlink()
     report = make_report([tmp_path, tmp_path / "nowhere"], window=5)
     assert [run["name"] for run in report.runs] == ["good"]
-    assert report.warnings() == [
-        "nowhere is left out. It holds no run: give the folder that uavrl-train printed.",
-        "bad is left out. config.yaml is missing: bring it back, or leave the folder out.",
-        "good: Unfinished: 2 of 7 episodes.",
-        "good: It has flown fewer than 5 episodes: its rates are over all 2.",
-    ]
+    told = ["nowhere is left out", "bad is left out. config.yaml is missing", "good: Unfinished: 2 of 7", "over all 2"]
+    for warning, fact in zip(report.warnings(), told, strict=True):
+        assert fact in warning
 
 
 def test_nothing_to_report_is_an_error(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from tests.reporting.folders import ROOT, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import ROOT, WHEREABOUTS, evaluation, run_folder
 from uavrl.configs import complete, compose
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_bad_input import in_process
-from tests.training.test_resume import SMALL
+from tests.helpers.commands import in_process
+from tests.helpers.runs import SMALL
 from uavrl.cli import train as train_command
 from uavrl.cli.errors import one_sentence
 from uavrl.errors import FolderTaken, Stopped

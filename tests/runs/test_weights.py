@@ -89,16 +89,6 @@ def test_truncated_or_missing_weights_are_refused(folder: Path) -> None:
         TrajectoryClassifier.load(folder)
 
 
-def test_a_pickle_is_not_opened(folder: Path) -> None:
-    import hashlib
-
-    torch.save(classifier().state_dict(), folder / "artifact.safetensors")
-    digest = hashlib.sha256((folder / "artifact.safetensors").read_bytes()).hexdigest()
-    change(folder, weights_sha256=digest)
-    with pytest.raises(UavrlError, match="is damaged"):
-        TrajectoryClassifier.load(folder)
-
-
 @pytest.mark.parametrize("sizes", [{"k": 8}, {"inputs": 105}, {"classifier_hidden": [7]}])
 def test_sizes_that_are_not_those_of_the_weights_are_refused(folder: Path, sizes: dict[str, object]) -> None:
     change(folder, sizes={**ARTIFACT.about(folder)["sizes"], **sizes})

@@ -74,7 +74,7 @@ def test_a_transposed_parameter_goes_on_from_what_was_saved_contiguous() -> None
 
 
 def test_a_parameter_that_shares_memory_is_refused() -> None:
-    with pytest.raises(UavrlError, match=r"shape \(2, 3\) with strides \(0, 1\): give each network weights of its own"):
+    with pytest.raises(UavrlError, match=r"shape \(2, 3\) with strides \(0, 1\)"):
         FusedAdam([torch.zeros(3).expand(2, 3)], lr=0.01)
 
 

@@ -15,14 +15,14 @@ from torch.nn.functional import softplus
 from torchrl.data import Bounded
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal
 
-from tests.losses import oracle
-from tests.losses.test_oracle import ACTIONS, STATE, batch_number, cast, plain
+from tests.helpers import oracle
+from tests.helpers.updates import ACTIONS, STATE, batch_number, cast, plain
 from uavrl.losses import ActorCriticLoss, SACLoss, TD3Loss
 from uavrl.models import Critic
 from uavrl.training.compiled_updates import Execution
 from uavrl.training.stepper import ActorCriticStepper
 
-UPDATES = 50
+UPDATES = 30
 
 
 class Doubled(Critic):
@@ -172,7 +172,7 @@ def double(dtype: torch.dtype) -> Iterator[None]:
     torch.set_default_dtype(before)
 
 
-QUICK = ("td3", "TorchRL's", torch.float32)  # compiled in every run of the tests; the others take long
+QUICK = [("td3", "TorchRL's", execution, torch.float32) for execution in ("eager", "compiled")]  # the others take long
 CASES = [
     pytest.param(
         algo,
@@ -180,7 +180,8 @@ CASES = [
         execution,
         dtype,
         id=f"{algo}-{make}-{execution}-{str(dtype)[6:]}",
-        marks=[pytest.mark.slow] if execution == "compiled" and (algo, make, dtype) != QUICK else [],
+        # Captured updates are eager ones bit for bit, as test_oracle.py holds.
+        marks=[] if execution == "captured" or (algo, make, execution, dtype) in QUICK else [pytest.mark.slow],
     )
     for algo in ("td3", "sac")
     for make in CRITICS

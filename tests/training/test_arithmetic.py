@@ -15,7 +15,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from tests.training.test_resume import assert_same_run, small_config
+from tests.helpers.runs import assert_same_run, small_config
 from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import rotation
 from uavrl.training import arithmetic
@@ -45,7 +45,7 @@ print(json.dumps(said))
 TWICE = """
 import sys
 from pathlib import Path
-from tests.training.test_resume import small_config
+from tests.helpers.runs import small_config
 from uavrl.training.run import create_run, train
 folder, products = sys.argv[1:]
 for name in ("one", "other"):
@@ -95,16 +95,14 @@ def test_bf16_multiplies_in_less_and_keeps_onednn_from_float32() -> None:
 def test_what_the_machine_cannot_do_is_one_sentence() -> None:
     without = errors("onednn", "bf16", "auto", isa="AVX2")
     assert without["onednn"][0] is None
-    assert without["onednn"][1] == (
-        "products=onednn is not possible here: PyTorch does not hand products to oneDNN on this machine; choose mkl."
-    )
-    assert without["bf16"][1].startswith("products=bf16 is not possible here: PyTorch does not hand")
+    for name in ("onednn", "bf16"):
+        assert without[name][1].startswith(f"products={name} is not possible here: PyTorch does not hand")
     assert without["auto"][0] == "mkl"
     assert errors("bf16", isa="AVX512_CORE")["bf16"][1].startswith("products=bf16 is not possible here: ")
 
 
 def test_another_name_is_refused() -> None:
-    with pytest.raises(UavrlError, match=r"^products must be one of auto, mkl, onednn, bf16, got 'blas'\.$"):
+    with pytest.raises(UavrlError, match=r"products must be one of .* got 'blas'"):
         chosen_products("blas")
 
 
@@ -160,7 +158,7 @@ def test_a_run_keeps_what_auto_chose(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(run_module, "chosen_products", lambda name, threads: {"auto": "onednn"}[name])
     run_dir = create_run(small_config(tmp_path / "run", "trainer.products=auto"))
     assert OmegaConf.load(run_dir / "config.yaml").trainer.products == "onednn"
-    with pytest.raises(UavrlError, match=r"^resume=.* and trainer\.products would change it: "):
+    with pytest.raises(UavrlError, match=r"trainer\.products would change it"):
         resume_config(run_dir, OmegaConf.create({"packages": [], "trainer": {"products": "mkl"}}), ["trainer.products"])
 
 

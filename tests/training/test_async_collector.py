@@ -17,7 +17,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from tests.training.test_resume import small_config
+from tests.helpers.runs import small_config
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.async_collector import AsyncCollector
@@ -155,7 +155,7 @@ STOPPED = """
 import sys
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from tests.training.test_resume import small_config
+from tests.helpers.runs import small_config
 from uavrl.training import run
 
 def stop(*about, **more):

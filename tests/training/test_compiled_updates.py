@@ -62,7 +62,7 @@ def check(gradients: LossGradients, loss: Noisy, batch: TensorDictBase) -> Gradi
 
 
 def test_another_execution_is_refused() -> None:
-    with pytest.raises(UavrlError, match=r"^execution must be eager, captured or compiled, got 'fast'\.$"):
+    with pytest.raises(UavrlError, match=r"execution must be .* got 'fast'"):
         gradients_of(Noisy(), "fast")  # type: ignore[arg-type]
 
 

@@ -11,9 +11,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.data import Bounded
 
-from tests.losses.test_fork import fork
-from tests.losses.test_lifeguard import episodes, lifeguard, sampler
-from tests.losses.test_sac import critics, stochastic_actor
+from tests.helpers.losses import critics, episodes, fork, lifeguard, sampler, stochastic_actor
 from uavrl.buffers import PrioritizedBuffer
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic
@@ -65,35 +63,6 @@ def moved(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor], part:
     keys = [key for key in before if key.startswith(part) and before[key].ndim > 1]
     assert keys, part
     return any(not torch.equal(before[key], after[key]) for key in keys)
-
-
-def test_actor_and_targets_follow_the_policy_delay() -> None:
-    loss = make_loss("td3")
-    stepper = ActorCriticStepper(loss, policy_delay=2)
-    start = parameters(loss)
-    stepper.step(None, batch())
-    first = parameters(loss)
-    assert moved(start, first, "qvalue_network_params")
-    assert not moved(start, first, "actor_network_params")
-    assert not moved(start, first, "target_qvalue_network_params")
-    assert not moved(start, first, "target_actor_network_params")
-    stepper.step(None, batch())
-    second = parameters(loss)
-    assert moved(first, second, "actor_network_params")
-    assert moved(first, second, "target_qvalue_network_params")
-    assert moved(first, second, "target_actor_network_params")
-
-
-def test_targets_move_by_tau() -> None:
-    loss = make_loss("td3")
-    stepper = ActorCriticStepper(loss, policy_delay=1, tau=0.25)
-    before = parameters(loss)
-    stepper.step(None, batch())
-    after = parameters(loss)
-    for key in before:
-        if key.startswith("target_"):
-            expected = 0.75 * before[key] + 0.25 * after[key.removeprefix("target_")]
-            torch.testing.assert_close(after[key], expected)
 
 
 @pytest.mark.parametrize("name", ["td3", "ddpg"])

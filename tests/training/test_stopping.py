@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_bad_input import in_process
-from tests.training.test_resume import SMALL, assert_same_run, small_config
+from tests.helpers.commands import in_process
+from tests.helpers.runs import SMALL, assert_same_run, small_config
 from uavrl.cli import train as train_command
 from uavrl.runs.checkpoint import rotation
 from uavrl.runs.episodes import Episode, read_episodes

@@ -13,8 +13,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from tests.training.test_resume import small_config
-from tests.training.test_walker import walker_config
+from tests.helpers.runs import small_config, walker_config
 from uavrl.runs.episodes import Episode, read_episodes
 from uavrl.training.run import create_run, train
 from uavrl.training.sync_collector import SyncCollector

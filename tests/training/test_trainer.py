@@ -11,7 +11,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from tests.training.test_resume import small_config
+from tests.helpers.runs import small_config
 from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs import TransformedEnv
 
-from tests.flying.flights import small_env
+from tests.helpers.flights import small_env
 from uavrl.envs import NavigationEnv
 from uavrl.envs.simulation import Simulation
 from uavrl.transforms import Mirror, NavigationState, mirror_action, mirror_observation

@@ -6,8 +6,8 @@ from tensordict import TensorDict
 from torch import tensor
 from torchrl.envs import CatFrames, Compose, TransformedEnv
 
-from tests.contracts import TransformContract
-from tests.transforms.small_env import SmallEnv
+from tests.helpers.contracts import TransformContract
+from tests.helpers.small_env import SmallEnv
 from uavrl.transforms import NavigationObservation, navigation_observation
 
 

@@ -6,8 +6,8 @@ from tensordict import NestedKey, TensorDict
 from torch import tensor
 from torchrl.envs import TransformedEnv, check_env_specs
 
-from tests.contracts import TransformContract
-from tests.transforms.small_env import SmallEnv
+from tests.helpers.contracts import TransformContract
+from tests.helpers.small_env import SmallEnv
 from uavrl.transforms import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
 from uavrl.transforms.rewards import SumOfTerms, fold_degrees
 from uavrl.transforms.sparse import SparseReward

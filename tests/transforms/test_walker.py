@@ -5,8 +5,8 @@ import torch
 from tensordict import TensorDict
 from torch import tensor
 
-from tests.contracts import TransformContract
-from tests.transforms.small_env import SmallEnv
+from tests.helpers.contracts import TransformContract
+from tests.helpers.small_env import SmallEnv
 from uavrl.transforms import WalkerReward, walker_reward
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
 
-from tests.composing import composed
+from tests.helpers.configs import composed
 from uavrl.configs import to_dataclass
 from uavrl.flying.baselines import StraightPolicy
 from uavrl.flying.record import record_flights
