@@ -13,9 +13,9 @@ from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase
 
 from uavrl.configs import TrainConfig
+from uavrl.training.actor_and_loss import make_actor
 from uavrl.training.factory import make_collector, make_env
-from uavrl.training.learner import make_actor
-from uavrl.training.spaces import spaces_of
+from uavrl.training.network_sizes import network_sizes
 
 CPU = torch.device("cpu")
 ALWAYS_RANDOM = 2**40  # steps
@@ -35,8 +35,8 @@ def flights(config: TrainConfig) -> BaseCollector:
 
 def flights_in(env: EnvBase, config: TrainConfig) -> BaseCollector:
     """The same in an environment of its configuration."""
-    spaces = spaces_of(env)
-    return make_collector(config, env, make_actor(config, spaces, CPU), spaces, CPU)
+    sizes = network_sizes(env)
+    return make_collector(config, env, make_actor(config, sizes, CPU), sizes, CPU)
 
 
 def flying(collector: BaseCollector, steps: int) -> Row:

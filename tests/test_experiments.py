@@ -12,7 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.helpers.configs import composed, with_hydra
-from uavrl.configs import TrainConfig, conf_dir, learner, to_dataclass
+from uavrl.configs import TrainConfig, conf_dir, learner_name, to_dataclass
 
 EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("*.yaml"))
 SCHEMES = sorted(path.stem for path in (conf_dir() / "scheme").glob("*.yaml"))
@@ -38,7 +38,7 @@ def cell(config: Any, settings: TrainConfig) -> tuple[str, str, str]:
     """Where a run stands in the thesis's tables: environment, learner and reward."""
     chosen = settings.choices
     reward = REWARDS[(chosen["reward"], chosen["backward_reward"])]
-    return chosen["env"], learner({**chosen, "backward_reward": "none"}), reward
+    return chosen["env"], learner_name({**chosen, "backward_reward": "none"}), reward
 
 
 def in_thesis(table: str, *sources: str) -> set[tuple[str, str, str]]:
@@ -80,7 +80,7 @@ def test_figure_4_2_is_a_plain_run_in_the_static_valley() -> None:
 def test_figure_4_6_flies_three_learners_on_the_walker() -> None:
     runs = [settings for _, settings in combinations("figure_4_6")]
     assert {settings.choices["env"] for settings in runs} == {"bipedal_hardcore"}
-    assert [learner(settings.choices) for settings in runs] == ["td3", "td3_fork_walker", "td3_lg"]
+    assert [learner_name(settings.choices) for settings in runs] == ["td3", "td3_fork_walker", "td3_lg"]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

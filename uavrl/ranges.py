@@ -3,8 +3,6 @@
 A type checker sees the number; a configuration is checked against the range.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any

@@ -5,8 +5,6 @@ TorchRL's does not tell it; a pickle can run any program. uavrl writes neither, 
 list of all that uavrl does write, and refused where it holds anything else.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -67,11 +65,7 @@ def check_archive(path: Path) -> dict[str, Any]:
 
 
 def check_links(folder: Path) -> None:
-    """Checks that no link in a folder leads out of it: what is written there would be written elsewhere.
-
-    Raises:
-        UavrlError: naming the link.
-    """
+    """Checks that no link in a folder leads out of it: what is written there would be written elsewhere."""
     inside = folder.resolve()
     for path in folder.rglob("*"):
         if path.is_symlink() and not path.resolve().is_relative_to(inside):

@@ -5,8 +5,6 @@ be imported: it stands in :data:`ATTRIBUTES`. ``tests/test_upstream.py`` tells w
 used and missing here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -12,7 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.helpers.configs import changed, composed
-from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner, to_dataclass
+from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner_name, to_dataclass
 from uavrl.configs.choices import known_keys
 from uavrl.configs.limits import MOST
 from uavrl.configs.memory import bytes_needed
@@ -129,7 +129,7 @@ def test_the_walkers_td3_has_the_numbers_of_the_published_code() -> None:
 )
 def test_run_folders_are_named_for_what_learns(overrides: list[str], name: str) -> None:
     config = composed("config", *overrides)
-    assert learner(config.choices) == name
+    assert learner_name(config.choices) == name
     assert f"_static_{name}_navigation_prize_seed0" in config.run_dir
 
 

@@ -34,8 +34,7 @@ def straight_leg(speed: float, backwards: bool = False, speeds: tuple[float, flo
     """A leg at the start of 10 m along x at 3 m height."""
     route = np.column_stack([np.linspace(0.0, 10.0, 41), np.zeros(41), np.full(41, 3.0), np.zeros(41)])
     leg = Leg(np.random.default_rng(0), [route], speeds or (speed, speed))
-    state = leg.state_dict() | {"flown": 0.0, "backwards": backwards, "speed": speed}
-    leg.load_state_dict(state)
+    leg.flown, leg.backwards, leg.speed = 0.0, backwards, speed
     return leg
 
 
@@ -91,7 +90,7 @@ def test_planes_fly_at_a_constant_speed_within_the_limits_and_look_ahead(world):
     poses, speeds = [], []
     for _ in range(1200):
         poses.append(traffic.advance(1, DT)[0])
-        speeds.append([leg["speed"] for leg in traffic.state_dict()["legs"]])
+        speeds.append([leg.speed for leg in traffic.legs])
     path, speed = np.array(poses), np.array(speeds)
     same = speed[1:] == speed[:-1]  # no new leg began
     assert 0.98 < same.mean() < 1.0
@@ -142,18 +141,6 @@ def test_positions_and_yaws_are_the_last_of_the_path(world):
         np.testing.assert_allclose(traffic.positions, last[:, :3], atol=1e-6)
         np.testing.assert_allclose(np.cos(traffic.yaws - last[:, 3]), 1.0, atol=1e-9)
         assert (np.abs(traffic.yaws) <= np.pi).all()
-
-
-def test_state_is_restored_exactly(world):
-    traffic = Traffic(world, np.random.default_rng(0))
-    traffic.advance(100, DT)
-    state = traffic.state_dict()
-    expected = traffic.advance(2000, DT)
-    other = Traffic(world, np.random.default_rng(9))
-    other.load_state_dict(state)
-    np.testing.assert_array_equal(other.advance(2000, DT), expected)
-    with pytest.raises(ValueError, match="6 planes"):
-        other.load_state_dict({"legs": state["legs"][:2]})
 
 
 def test_planes_begin_spread_over_their_routes():

@@ -15,7 +15,6 @@ from uavrl.configs.pretrain import PretrainConfig, PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.losses import PSAELoss
 from uavrl.models import PSAE, TrajectoryClassifier
-from uavrl.pretraining.networks import train_psae
 
 
 def settings(*overrides: str) -> Any:
@@ -54,10 +53,9 @@ def test_constructors_default_to_the_configuration() -> None:
         return inspect.signature(function).parameters[name].default
 
     recipe = PretrainRecipe()
-    for function in (PSAE.__init__, TrajectoryClassifier.__init__, train_psae):
+    for function in (PSAE.__init__, TrajectoryClassifier.__init__):
         assert (default(function, "features"), default(function, "hidden")) == (recipe.features, recipe.hidden)
-    for function in (PSAELoss.__init__, train_psae):
-        assert default(function, "tradeoff") == recipe.tradeoff
+    assert default(PSAELoss.__init__, "tradeoff") == recipe.tradeoff
     assert default(TrajectoryClassifier.__init__, "classifier_hidden") == recipe.classifier_hidden
 
 

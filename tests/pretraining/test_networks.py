@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.helpers.states import walk
+from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.models import PSAE, mlp
 from uavrl.pretraining import triple_centres
@@ -21,8 +22,9 @@ def states() -> tuple[np.ndarray, np.ndarray]:
 
 def trained(epochs: int, seed: int = 0, **kwargs: float) -> tuple[PSAE, dict[str, float]]:
     values, episode = states()
-    options = {"features": 4, "hidden": 16, "batch_size": 32, "lr": 1e-2, **kwargs}
-    return train_psae(values, triple_centres(episode), epochs=epochs, seed=seed, **options)  # type: ignore[arg-type]
+    options = {"features": 4, "hidden": 16, "psae_batch_size": 32, "psae_lr": 1e-2, **kwargs}
+    recipe = PretrainRecipe(psae_epochs=epochs, **options)  # type: ignore[arg-type]
+    return train_psae(values, triple_centres(episode), recipe, seed=seed)
 
 
 def test_the_autoencoder_learns_to_reconstruct_and_to_bring_neighbours_together() -> None:
@@ -46,7 +48,7 @@ def test_the_same_seed_gives_the_same_network_and_leaves_the_global_generator_al
 
 def test_a_loss_that_is_no_number_ends_the_training() -> None:
     with pytest.raises(UavrlError, match=r"loss became .*: lower pretrain\.psae_lr"):
-        trained(30, lr=1e30)
+        trained(30, psae_lr=1e30)
 
 
 def test_the_classifier_learns_nearest_centres() -> None:
@@ -56,7 +58,9 @@ def test_the_classifier_learns_nearest_centres() -> None:
     labels = torch.cdist(features, centres).argmin(-1)
     torch.manual_seed(0)
     network = mlp(3, [64], 8)
-    train_classifier(features[:1800], labels[:1800], network, batch_size=64)
+    train_classifier(
+        features[:1800], labels[:1800], network, PretrainRecipe(classifier_epochs=30, classifier_batch_size=64)
+    )
     assert accuracy(network, features[1800:], labels[1800:]) > 0.9
 
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.helpers.flights import small_recording
+from tests.helpers.flights import small_recording, unpack
 from tests.helpers.pages import Page
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.flying.recording import Recording
-from uavrl.reporting.flight_page import above_ground, make_page, pack, page_data, unpack, write_page
+from uavrl.reporting.flight_page import above_ground, make_page, pack, page_data, write_page
 from uavrl.reporting.flight_shapes import football
 from uavrl.transforms.functional import truncated_icosahedron_faces
 

@@ -23,7 +23,7 @@ from uavrl.training import run as run_module
 from uavrl.training import sweep as sweep_module
 from uavrl.training.arithmetic import carried, chosen_products, multiplied_by
 from uavrl.training.run import create_run, resume_config, train
-from uavrl.training.sweep import is_finished, place_of
+from uavrl.training.sweep import is_finished, run_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 ERROR = """
@@ -185,10 +185,10 @@ def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatc
 def test_a_sweep_started_again_finds_what_auto_chose_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweep_module, "chosen_products", lambda name, threads: "onednn")
     first = small_config(tmp_path / "run", "trainer.products=auto")
-    place_of(first).mkdir()
+    run_folder(first).mkdir()
     (Path(first.run_dir) / "config.yaml").write_text(OmegaConf.to_yaml(first, resolve=True))
     (Path(first.run_dir) / "summary.json").write_text(json.dumps({"episodes": 10_000}))
     monkeypatch.setattr(sweep_module, "chosen_products", lambda name, threads: "mkl")
     again = small_config(tmp_path / "run", "trainer.products=auto")
-    assert is_finished(place_of(again), episodes=10_000)
+    assert is_finished(run_folder(again), episodes=10_000)
     assert (again.run_dir, again.trainer.products) == (first.run_dir, "onednn")

@@ -16,7 +16,8 @@ from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
-from uavrl.training.run import _build, create_run, seed_everything, train
+from uavrl.training.build import build_trainer
+from uavrl.training.run import create_run, seed_everything, train
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 
 # The policy hardly moves, and no checkpoint comes between the first and the last.
@@ -44,7 +45,7 @@ def built(run_dir: Path, *overrides: str) -> EpisodeTrainer:
     config = small_config(run_dir, *overrides)
     settings = to_dataclass(config)
     seed_everything(settings.seed)
-    return _build(settings, config, create_run(config))
+    return build_trainer(settings, config, create_run(config))
 
 
 def flown(run_dir: Path, *overrides: str, lift: float | None = None) -> Run:

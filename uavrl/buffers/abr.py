@@ -1,7 +1,5 @@
 """The two backward rewards of the thesis, with the classifiers that make them."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The backward reward as a replay buffer's transform."""
 
-from __future__ import annotations
-
 import time
 from typing import Any, Protocol
 
@@ -15,15 +13,7 @@ from uavrl.buffers.history import TrajectoryHistory
 
 
 class StateClassifier(Protocol):
-    """Anything that puts states into classes: a function, or a module (whose state then goes into checkpoints).
-
-    Examples:
-        >>> def by_quadrant(states: Tensor) -> Tensor:
-        ...     return 2 * (states[:, 0] > 0).long() + (states[:, 1] > 0).long()
-        >>> classifier: StateClassifier = by_quadrant
-        >>> classifier(torch.tensor([[0.3, -1.0], [2.0, 0.1]])).tolist()
-        [2, 3]
-    """
+    """Anything that puts states into classes: a function, or a module (whose state then goes into checkpoints)."""
 
     def __call__(self, states: Tensor, /) -> Tensor:
         """States ``[N, *S]``, in the order flown, to int64 labels ``[N]``."""
@@ -38,11 +28,8 @@ class BackwardReward(Transform):
     from before. Sampling changes nothing, and neither does a write change the data that it is given.
 
     The state that stands for a window is s_Z of Algorithm 3.1, in which the window's last action is taken: the
-    ``observation`` of the window's last transition, not the one after it. Its ``frames`` stacked observations are
-    those that the window's actions answered, and the first window ends where no frame is padding any more. For
-    the other reading pass ``observation=("next", "observation")``.
-
-    All keys are full keys.
+    ``observation`` of the window's last transition, not the one after it. For the other reading pass
+    ``observation=("next", "observation")``. All keys are full keys.
 
     Args:
         classifier: puts states into classes.
@@ -65,16 +52,12 @@ class BackwardReward(Transform):
         >>> from torchrl.data import LazyTensorStorage, ReplayBuffer
         >>> transform = BackwardReward(lambda states: (states[:, 0] > 0).long(), multiplier=0.5)
         >>> buffer = ReplayBuffer(storage=LazyTensorStorage(100), transform=transform)
-        >>> last = torch.arange(7)[:, None] == 6
-        >>> reward = torch.tensor([[1.0], [1.0], [1.0], [2.0], [2.0], [2.0], [5.0]])
-        >>> after = TensorDict({"reward": reward, "done": last, "arrived": last}, [7])
-        >>> _ = buffer.extend(TensorDict({"observation": torch.ones(7, 2), "next": after}, [7]))
+        >>> last = torch.arange(6)[:, None] == 5
+        >>> reward = torch.tensor([[1.0], [1.0], [1.0], [2.0], [2.0], [2.0]])
+        >>> after = TensorDict({"reward": reward, "done": last, "arrived": last}, [6])
+        >>> _ = buffer.extend(TensorDict({"observation": torch.ones(6, 2), "next": after}, [6]))
         >>> buffer[:]["next", "reward"].squeeze(-1).tolist()
-        [1.0, 1.0, 1.0, 2.5, 2.5, 2.5, 5.0]
-        >>> buffer[:]["next", "reward_raw"].squeeze(-1).tolist()
-        [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 5.0]
-        >>> transform.history.values(1)
-        [3, 6]
+        [1.0, 1.0, 1.0, 2.5, 2.5, 2.5]
     """
 
     # A buffer that processes share would give each process a history of its own: TorchRL refuses it.
@@ -163,13 +146,7 @@ class BackwardReward(Transform):
         return new
 
     def diagnostics(self) -> dict[str, float]:
-        """What to log.
-
-        Returns:
-            ``backward_extra``: mean extra reward a step of the last episode that arrived; ``backward_episodes``:
-            episodes relabelled; ``backward_classes`` and ``backward_values``: size of the history;
-            ``backward_seconds``: spent relabelling since the object was made.
-        """
+        """What to log: extra reward a step of the last arrival, episodes relabelled, size of the history, seconds."""
         return {
             "backward_extra": self.mean_extra,
             "backward_episodes": self.episodes,

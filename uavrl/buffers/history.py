@@ -1,7 +1,5 @@
 """What the backward reward remembers: the distinct sums seen in each class of trajectories, sorted."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from operator import index
@@ -40,28 +38,12 @@ class TrajectoryHistory:
         """The classes seen, in ascending order."""
         return sorted(self._values)
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the state dict."""
-        return sum(tensor.nbytes for tensor in self.state_dict().values())
-
     def values(self, label: int) -> list[int]:
         """The distinct values of a class in ascending order; none for a class not seen."""
         return list(self._values.get(label, ()))
 
     def insert_and_rank(self, label: int, value: int) -> int:
-        """Inserts a value into its class, unless it is there, and tells its place (Algorithm 3.1, "return m").
-
-        Args:
-            label: the class l.
-            value: the floored sum R.
-
-        Returns:
-            m: how many values of the class are smaller.
-
-        Raises:
-            TypeError: when either is no integer.
-        """
+        """How many values of class l are below R, which is inserted unless it is there (Algorithm 3.1, "return m")."""
         label, value = index(label), index(value)
         known = self._values.setdefault(label, SortedList())
         rank = known.bisect_left(value)
@@ -70,11 +52,9 @@ class TrajectoryHistory:
         return rank
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything as three flat int64 tensors.
+        """Everything as int64 tensors: ``labels [C]`` ascending, ``values [M]`` class after class, ``offsets [C + 1]``.
 
-        Returns:
-            ``labels [C]`` in ascending order, ``values [M]`` class after class, and ``offsets [C + 1]``: the
-            values of class ``labels[c]`` are ``values[offsets[c] : offsets[c + 1]]``.
+        The values of class ``labels[c]`` are ``values[offsets[c] : offsets[c + 1]]``.
         """
         lists = [self._values[label] for label in self.classes]
         sizes = torch.tensor([0, *map(len, lists)], dtype=torch.int64)
@@ -85,11 +65,7 @@ class TrajectoryHistory:
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
-        """Replaces everything by what :meth:`state_dict` gave.
-
-        Raises:
-            ValueError: when the tensors do not fit together.
-        """
+        """Replaces everything by what :meth:`state_dict` gave; ValueError when its tensors do not fit together."""
         labels, offsets, values = (state_dict[name].tolist() for name in ("labels", "offsets", "values"))
         parts = [values[start:end] for start, end in pairwise(offsets)]
         whole = offsets[:1] == [0] and offsets[-1:] == [len(values)] and offsets == sorted(offsets)

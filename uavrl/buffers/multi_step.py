@@ -1,7 +1,5 @@
 """n-step returns of whole episodes."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform

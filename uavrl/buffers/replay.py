@@ -1,7 +1,5 @@
 """Replay buffers of whole episodes, as a run chooses among them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
@@ -81,10 +79,10 @@ class FailureBiasedBuffer(EpisodeBuffer):
 
     Args:
         capacity: transitions.
-        success_return: as in :class:`FailureBias`.
-        probability: as in :class:`FailureBias`.
-        falls_per_success: as in :class:`FailureBias`.
-        updates_when_left_out: updates of all but actor and targets after an episode that is not stored.
+        success_return: this and what follows as in :class:`FailureBias`.
+        probability: of a success to be stored.
+        falls_per_success: that a stored success takes from the counter.
+        updates_when_left_out: of all but actor and targets after an episode that is not stored.
         seed: of the coin.
         **kwargs: as in :class:`EpisodeBuffer`.
 

@@ -1,7 +1,5 @@
 """What the commands that Hydra configures share: mistakes on the command line end in one sentence."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import wraps
@@ -80,12 +78,7 @@ class _Mistakes:
 
 
 def explained(error: Exception, name: str) -> str:
-    """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``.
-
-    Examples:
-        >>> explained(ConfigCompositionException("Could not override 'algo.gama'."), "config")
-        "There is no key 'algo.gama': did you mean algo.gamma?"
-    """
+    """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``."""
     first = next(iter(str(error).splitlines()), type(error).__name__)
     if isinstance(error, OverrideParseException):
         return f"The override {error.override!r} cannot be read: write KEY=VALUE, and quotes around special characters."

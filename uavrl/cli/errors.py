@@ -1,7 +1,5 @@
 """Turns errors into one sentence and an exit code."""
 
-from __future__ import annotations
-
 import logging
 import os
 import sys
@@ -12,12 +10,7 @@ from uavrl.errors import Stopped, UavrlError, was_interrupted
 
 
 def sentence(error: BaseException | None) -> str:
-    """What the user can mend.
-
-    Examples:
-        >>> sentence(UavrlError("Give a run.")), sentence(OSError("No space left"))
-        ('Give a run.', 'No space left. Check the folder and the space left on its disk.')
-    """
+    """What the user can mend."""
     return f"{error}. Check the folder and the space left on its disk." if isinstance(error, OSError) else str(error)
 
 

@@ -1,7 +1,5 @@
 """``uavrl-evaluate``: flies fixed tasks with the policy of a run, or with a policy that learns nothing."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``uavrl-export``: the policy of a run on its own, small enough to give away."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What ``--help`` says, made of the comments in the yaml files."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys
@@ -21,7 +19,7 @@ ABOUT = {
 EXAMPLES = {
     "config": ["preset=fast", "env=dynamic algo=sac seed=1", "-m seed=0,1,2 algo.gamma=0.98,0.99", "resume=RUN_FOLDER"],
     "evaluate": ["policy=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
-    "replay": ["policy=static tasks=[0,1,2,3]", "run=RUN_FOLDER task=7 video=flight.mp4"],
+    "replay": ["policy=static tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
 MOST_USED = {
@@ -41,7 +39,7 @@ MOST_USED = {
         "packages",
     ],
     "evaluate": ["run", "policy", "episodes", "suite", "valleys", "output", "seed", "checkpoint", "num_uavs"],
-    "replay": ["run", "policy", "task", "tasks", "output", "video", "checkpoint"],
+    "replay": ["run", "policy", "task", "tasks", "output", "checkpoint"],
     "pretrain": ["run", "output", "seed"],
 }
 LONGEST = 24  # characters of a name beside its meaning
@@ -49,13 +47,7 @@ _KEY = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>.*?)(?:\s+#\s*(?P<mean
 
 
 class Key(NamedTuple):
-    """A key of a yaml file.
-
-    Args:
-        name: dotted.
-        value: as written.
-        meaning: its comment.
-    """
+    """A key of a yaml file."""
 
     name: str
     value: str
@@ -63,23 +55,13 @@ class Key(NamedTuple):
 
 
 def wanted(arguments: list[str]) -> str | None:
-    """Which help the command line asks for: ``short``, ``all``, or none.
-
-    Examples:
-        >>> wanted(["env=dynamic", "--help"]), wanted(["--help=all"]), wanted(["seed=1"])
-        ('short', 'all', None)
-    """
+    """Which help the command line asks for: ``short``, ``all``, or none."""
     asked = {"--help": "short", "-h": "short", "--help=all": "all"}
     return next((asked[argument] for argument in arguments if argument in asked), None)
 
 
 def help_text(name: str, *, every_key: bool = False) -> str:
-    """What the command whose configuration is ``conf/NAME.yaml`` takes, for a screen or in full.
-
-    Examples:
-        >>> print(help_text("pretrain").splitlines()[0])
-        uavrl-pretrain: Learns the trajectory classifier of ABR⁺ from a run's states.
-    """
+    """What the command whose configuration is ``conf/NAME.yaml`` takes, for a screen or in full."""
     command, about = ABOUT[name]
     main = conf_dir() / f"{name}.yaml"
     groups = {
@@ -108,12 +90,7 @@ def help_text(name: str, *, every_key: bool = False) -> str:
 
 
 def keys(path: Path, prefix: str = "") -> list[Key]:
-    """The keys of a yaml file that have a comment, in its order.
-
-    Examples:
-        >>> keys(conf_dir() / "trainer" / "default.yaml", "trainer.")[0].name
-        'trainer.episodes'
-    """
+    """The keys of a yaml file that have a comment, in its order."""
     found, above = [], list[tuple[int, str]]()
     for line in path.read_text(encoding="utf-8").splitlines():
         match = _KEY.match(line)

@@ -1,7 +1,5 @@
 """``uavrl``: all commands by one name; ``uavrl train …`` is ``uavrl-train …``."""
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 

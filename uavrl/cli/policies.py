@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 import uavrl
-from uavrl.configs import EvaluateConfig, TrainConfig, to_dataclass
-from uavrl.configs.replay import ReplayConfig
+from uavrl.configs import TrainConfig, to_dataclass
+from uavrl.configs.evaluate import FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.runs.weights import POLICY
 
@@ -50,21 +50,13 @@ class Chosen:
 
 
 def choose(
-    settings: EvaluateConfig | ReplayConfig,
+    settings: FlyingConfig,
     config: DictConfig,
     overrides: list[str],
     folder: Path | None,
     device: torch.device,
 ) -> Chosen:
-    """Loads what the command line asks for.
-
-    Args:
-        settings: of the command.
-        config: the same as Hydra composed it.
-        overrides: what was given on the command line.
-        folder: where the policy lies, as :func:`policy_folder` says.
-        device: where it computes.
-    """
+    """Loads what the command line asks for."""
     from uavrl.training.policies import load_policy
 
     if folder is None:
@@ -114,23 +106,13 @@ def distinguishing(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS
 
 
 def name_of_output(stem: str, overrides: Sequence[str]) -> str:
-    """A file name without suffix in which the overrides stand.
-
-    Examples:
-        >>> name_of_output("evaluation", ["valleys=[100,101]"])
-        'evaluation_valleys=100-101'
-    """
+    """A file name without suffix in which the overrides stand."""
     told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
     return "_".join([stem, *told])
 
 
 def packaged_policies() -> list[str]:
-    """The names of the policies that come with the package.
-
-    Examples:
-        >>> "static" in packaged_policies()
-        True
-    """
+    """The names of the policies that come with the package."""
     return sorted(path.parent.name for path in PACKAGED.glob(f"*/{POLICY.json}"))
 
 

@@ -1,7 +1,5 @@
 """``uavrl-pretrain``: from the states of a run to the trajectory classifier that ABR⁺ loads."""
 
-from __future__ import annotations
-
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command

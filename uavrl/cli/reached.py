@@ -1,60 +1,36 @@
 """``python -m uavrl.cli.reached RUN_FOLDER``: three lines about a run that was trained, evaluated and replayed."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.errors import UavrlError
 from uavrl.runs.names import SUMMARY
 
 
-def reached(summary: dict[str, Any], evaluation: dict[str, Any], folder: str, page: str) -> str:
-    """What was reached, where it is, and how to look at it.
-
-    Args:
-        summary: what ``summary.json`` holds.
-        evaluation: what ``uavrl-evaluate`` wrote.
-        folder: the run's.
-        page: the flights that ``uavrl-replay`` drew.
-
-    Examples:
-        >>> success = {"rate": 0.86, "low": 0.779, "high": 0.915}
-        >>> told = reached({"episodes": 600, "steps": 81234, "minutes": 7.25}, {"success": success}, "run", "x.html")
-        >>> print(told.splitlines()[0])
-        Reached: 86 % of fixed tasks without noise (78-92 %), after 600 flights, 81,234 steps and 7.2 minutes.
-    """
-    success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
-    return (
-        f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
-        f"{summary['episodes']} flights, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
-        f"Where:   {folder} (uavrl-evaluate run={folder} flies it again, uavrl-export keeps the policy on its own)\n"
-        f"Look:    open {page} in a browser"
-    )
-
-
 def main() -> None:
     """Reads the files of the run folder that was named, of several evaluations the newest."""
     configure_logging()
     with one_sentence():
-        print(read(Path(sys.argv[1])))
+        print(reached(Path(sys.argv[1])))
 
 
-def read(folder: Path) -> str:
-    """The three lines about a run folder.
-
-    Raises:
-        UavrlError: where the run has not ended or was not evaluated.
-    """
+def reached(folder: Path) -> str:
+    """What was reached, where it is, and how to look at it."""
     evaluations = sorted(folder.glob("evaluation*.json"), key=lambda path: path.stat().st_mtime)
     if not evaluations:
         raise UavrlError(f"{folder} holds no evaluation: run uavrl-evaluate run={folder} first.")
     try:
         summary, evaluation = (json.loads(path.read_text()) for path in (folder / SUMMARY, evaluations[-1]))
-        return reached(summary, evaluation, str(folder), str(folder / "replay.html"))
+        success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
+        again = f"uavrl-evaluate run={folder} flies it again, uavrl-export keeps the policy on its own"
+        return (
+            f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
+            f"{summary['episodes']} flights, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
+            f"Where:   {folder} ({again})\n"
+            f"Look:    open {folder / 'replay.html'} in a browser"
+        )
     except (OSError, ValueError, KeyError) as error:
         raise UavrlError(f"Expected a run that has ended and was evaluated in {folder}: {error}.") from error
 

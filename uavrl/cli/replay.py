@@ -1,4 +1,4 @@
-"""``uavrl-replay``: flies a few tasks without noise and shows them in a page, and in a film."""
+"""``uavrl-replay``: flies a few tasks without noise and shows them in a page."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ from uavrl.runs.weights import POLICY
 if TYPE_CHECKING:
     from uavrl.flying.recording import Recording
 
-VIDEO_SUFFIXES = (".mp4", ".mkv", ".webm", ".avi", ".mov")
-
 
 @command("replay")
 def main(config: DictConfig) -> None:
@@ -36,12 +34,9 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     from uavrl.flying.recording import load_recording, save_recording
     from uavrl.flying.whereabouts import whereabouts_lines
     from uavrl.reporting.flight_page import needs_plotly, write_page
-    from uavrl.reporting.flight_video import needs_imageio, write_video
     from uavrl.training.arithmetic import multiplied_by
 
     needs_plotly()
-    if settings.video:
-        needs_imageio()
     # All that can be wrong with the input is found before a folder is made or anything is flown.
     loaded = load_recording(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
     outputs = _outputs(settings, overrides)
@@ -57,21 +52,18 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     write_page(shown, outputs["output"])
     if settings.data:
         save_recording(shown, outputs["data"])
-    if settings.video:
-        write_video(shown.flights[0], shown.scenery(shown.flights[0]), outputs["video"], progress=settings.progress)
     for path in outputs.values():
         print(f"Written to {path}")
 
 
 def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
-    """Where page, data and film go, found writable before anything is flown."""
-    plain = ("run", "flight", "output", "video", "data", "points", "device", "threads", "products", "progress")
+    """Where page and data go, found writable before anything is flown."""
+    plain = ("run", "flight", "output", "data", "points", "device", "threads", "products", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
     name = name_of_output("replay", distinguishing(overrides, plain)) + ".html"
     paths = {"output": Path(settings.output or folder / name)}
-    if settings.video and Path(settings.video).suffix.lower() not in VIDEO_SUFFIXES:
-        raise UavrlError(f"video must end in {', '.join(VIDEO_SUFFIXES)}, got {settings.video}.")
-    paths |= {key: Path(path) for key in ("data", "video") if (path := getattr(settings, key))}
+    if settings.data:
+        paths["data"] = Path(settings.data)
     return {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
 
 

@@ -1,15 +1,13 @@
 """``uavrl-report``: one page and one JSON file about any number of runs."""
 
-from __future__ import annotations
-
 import argparse
-import errno
 import sys
 from collections.abc import Sized
 from pathlib import Path
 
 from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
+from uavrl.runs.files import replacing, writable
 
 
 def main() -> None:
@@ -26,11 +24,6 @@ def main() -> None:
     parser.add_argument("--window", type=int, default=500, help="episodes that a rate covers (default: 500)")
     parser.add_argument("--threshold", type=float, default=0.78, help="success rate to be reached (default: 0.78)")
     parser.add_argument("--title", default=None, help="of the page")
-    parser.add_argument(
-        "--cdn",
-        action="store_true",
-        help="fetch plotly when the page is opened instead of carrying it: needs a network, saves 5 MB",
-    )
     with one_sentence():
         _report(parser.parse_args())
 
@@ -40,16 +33,17 @@ def _report(args: argparse.Namespace) -> None:
     from uavrl.reporting.page import page
     from uavrl.reporting.report import make_report
 
-    for option, path in (("--output", args.output), ("--json", args.json)):
-        if path is not None and (not path.name or path.is_dir()):
-            raise UavrlError(f"{path} cannot be written (it is a folder): name a file with {option}.")
+    report = make_report(args.folders, window=args.window, threshold=args.threshold, title=args.title)
+    writable(args.output, "--output FILE")
     facts = args.json or args.output.with_suffix(".json")
     if facts.resolve() == args.output.resolve():
         raise UavrlError(f"Page and facts cannot both go to {facts}: name another file with --json.")
-    report = make_report(args.folders, window=args.window, threshold=args.threshold, title=args.title)
+    writable(facts, "--json FILE")
     for warning in report.warnings():
         print(f"uavrl: {warning}", file=sys.stderr)
-    _write({args.output: page(report, cdn=args.cdn), facts: report.to_json()})
+    for path, text in {args.output: page(report), facts: report.to_json()}.items():
+        with replacing(path) as partial:
+            partial.write_text(text, encoding="utf-8")
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
     print(f"{_count(report.runs, 'run')} in {_count(report.groups, 'group')} (seeds): {groups}")
     best = report.groups[0]
@@ -63,26 +57,6 @@ def _report(args: argparse.Namespace) -> None:
 
 def _count(things: Sized, name: str) -> str:
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
-
-
-def _write(texts: dict[Path, str]) -> None:
-    """Writes all files or none."""
-    partials = {path: path.with_name(f"{path.name}.partial") for path in texts}
-    try:
-        for path, text in texts.items():
-            try:
-                if path.is_dir():
-                    raise IsADirectoryError(errno.EISDIR, "it is a folder")
-                path.parent.mkdir(parents=True, exist_ok=True)
-                partials[path].write_text(text, encoding="utf-8")
-            except OSError as error:
-                raise UavrlError(f"{path} cannot be written ({error.strerror}): choose another file.") from error
-        for path, partial in partials.items():
-            partial.replace(path)
-    finally:
-        for partial in partials.values():
-            if partial.parent.is_dir():
-                partial.unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """``uavrl-evaluate suite=…``: one policy in every scenario of the suite, and one table."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -1,7 +1,5 @@
 """``uavrl-train``: trains one policy, or with ``-m`` one for each combination of values."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import time
@@ -53,9 +51,9 @@ def main() -> None:
         with one_sentence():
             time.sleep(LOOK_AGAIN)
     if _swept.ended:
-        from uavrl.training.sweep import standing
+        from uavrl.training.sweep import summary_lines
 
-        print(standing(_swept.ended))
+        print(summary_lines(_swept.ended))
 
 
 @command("config")
@@ -131,9 +129,9 @@ def _train_in_sweep(config: DictConfig) -> None:
     from uavrl.runs.config import FREE_KEYS
     from uavrl.training.claim import locked
     from uavrl.training.run import create_run, resume_config
-    from uavrl.training.sweep import is_begun, is_finished, place_of
+    from uavrl.training.sweep import is_begun, is_finished, run_folder
 
-    run_dir = place_of(config)
+    run_dir = run_folder(config)
     config = complete(config)
     if is_finished(run_dir, config.trainer.episodes):
         print(f"Finished: {run_dir}")

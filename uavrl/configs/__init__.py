@@ -2,7 +2,7 @@
 
 from uavrl.configs.checked import checked, complete, to_dataclass
 from uavrl.configs.evaluate import EvaluateConfig
-from uavrl.configs.registry import compose, conf_dir, learner, register_resolvers
+from uavrl.configs.registry import compose, conf_dir, learner_name, register_resolvers
 from uavrl.configs.train import TrainConfig
 
 __all__ = [
@@ -12,7 +12,7 @@ __all__ = [
     "complete",
     "compose",
     "conf_dir",
-    "learner",
+    "learner_name",
     "register_resolvers",
     "to_dataclass",
 ]

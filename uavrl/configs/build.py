@@ -1,7 +1,5 @@
 """From a part of a configuration to the object: the one place where a name in a file becomes a class."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import Any, TypeVar
@@ -15,21 +13,7 @@ T = TypeVar("T")
 
 
 def resolve(target: str, kind: type[T], packages: Iterable[str] = ()) -> type[T]:
-    """The class of a name, found to be allowed and of the right kind.
-
-    Args:
-        target: dotted name.
-        kind: what it must be a subclass of.
-        packages: packages that the user trusts, beside uavrl.
-
-    Raises:
-        UavrlError: for a name that is not allowed, that does not exist, or of something else than such a class.
-
-    Examples:
-        >>> from uavrl.envs.lidar import LidarConfig
-        >>> resolve("uavrl.envs.lidar.LidarConfig", LidarConfig)
-        <class 'uavrl.envs.lidar.LidarConfig'>
-    """
+    """The class of a name, found to be allowed and of the right kind."""
     packages = tuple(packages)
     require_allowed(target, packages)
     module, _, name = target.rpartition(".")
@@ -46,23 +30,7 @@ def resolve(target: str, kind: type[T], packages: Iterable[str] = ()) -> type[T]
 def build(
     part: Mapping[str, Any], kind: type[T], *, packages: Iterable[str] = (), key: str = "", **offered: Any
 ) -> T | None:
-    """Makes what a part names; None where it names nothing.
-
-    Args:
-        part: plain data with ``_target_`` and what the constructor takes; other keys are somebody else's.
-        kind: what the class must be a subclass of.
-        packages: packages that the user trusts, beside uavrl.
-        key: what the part is called, for messages.
-        **offered: what the run has to give; the constructor gets what it names.
-
-    Raises:
-        UavrlError: when the class is refused, or refuses what it is given.
-
-    Examples:
-        >>> from uavrl.envs.lidar import LidarConfig
-        >>> build({"_target_": "uavrl.envs.lidar.LidarConfig", "dropout": 0.1}, LidarConfig, max_range=4.0, seed=0)
-        LidarConfig(max_range=4.0, min_range=0.0, range_noise=0.0, dropout=0.1, motion_distortion=False)
-    """
+    """Makes what a part names; None where it names nothing."""
     if part[TARGET] is None:
         return None
     made = resolve(part[TARGET], kind, packages)

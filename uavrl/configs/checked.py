@@ -1,7 +1,5 @@
 """From what Hydra composed, or a run has written, to checked settings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any, TypeVar, cast, get_type_hints

@@ -1,7 +1,5 @@
 """One clear sentence for a value out of range."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 from typing import Any
@@ -18,12 +16,7 @@ def require(condition: bool, key: str, expected: str, value: Any) -> None:
 
 
 def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: str = "") -> str:
-    """A question about the nearest known name, or what is said where none is near.
-
-    Examples:
-        >>> did_you_mean("td4", ["td3", "sac"])
-        'did you mean td3?'
-    """
+    """A question about the nearest known name, or what is said where none is near."""
     near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)
     text = f"did you mean {near[0]}?" if near else otherwise
     return before + text if text else "."

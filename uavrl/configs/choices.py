@@ -1,7 +1,5 @@
 """Which choices and keys there are on the command line, and which of them contradict each other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -32,12 +30,7 @@ def known_keys(name: str) -> list[str]:
 
 
 def choices_with(key: str) -> list[str]:
-    """The choices of a group whose yaml has a dotted key of it.
-
-    Examples:
-        >>> choices_with("lifeguard.capacity")
-        ['linear', 'mlp']
-    """
+    """The choices of a group whose yaml has a dotted key of it."""
     group, _, below = key.partition(".")
     folder = conf_dir() / group
 
@@ -57,17 +50,7 @@ def _dotted(node: object) -> set[str]:
 
 
 def check_choices(choices: Mapping[str, str | None]) -> None:
-    """Refuses choices that a scheme or a learner contradicts.
-
-    Args:
-        choices: what every group's choice is, by the group.
-
-    Raises:
-        UavrlError: naming the two choices of which one must go.
-
-    Examples:
-        >>> check_choices({"scheme": "tr", "reward": "traditional", "backward_reward": "none"})
-    """
+    """Refuses choices that a scheme or a learner contradicts."""
     for row in ROWS:
         path = conf_dir() / row / f"{choices.get(row)}.yaml"
         for entry in OmegaConf.load(path).defaults if path.is_file() else []:

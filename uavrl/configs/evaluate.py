@@ -1,7 +1,5 @@
 """Settings of an evaluation. Meanings and units stand in the yaml."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -16,8 +14,8 @@ Valleys = Annotated[
 
 
 @dataclass
-class EvaluateConfig:
-    """conf/evaluate.yaml: one evaluation."""
+class FlyingConfig:
+    """What flies where, without learning."""
 
     env: DictConfig
     perception: DictConfig
@@ -26,14 +24,20 @@ class EvaluateConfig:
     packages: tuple[str, ...] = ()
     run: str | None = None
     policy: str | None = None
-    episodes: Count = 500
+    checkpoint: str | None = None
     seed: Seed = 20_000
     valleys: Valleys | None = None
-    suite: str | tuple[str, ...] | None = None
-    checkpoint: str | None = None
     output: str | None = None
-    num_uavs: Count = 8
     device: str = "cpu"
     threads: Count = 1
     products: Products = "mkl"
     progress: bool = True
+
+
+@dataclass
+class EvaluateConfig(FlyingConfig):
+    """conf/evaluate.yaml: one evaluation."""
+
+    episodes: Count = 500
+    suite: str | tuple[str, ...] | None = None
+    num_uavs: Count = 8

@@ -1,7 +1,5 @@
 """The most that a value may be where more has no sense: it would only keep the user waiting, or fill the memory."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from uavrl.configs.checks import require
@@ -46,17 +44,7 @@ MOST: dict[str, float] = {
 
 
 def check_most(key: str, value: Any) -> None:
-    """Refuses a number above what its key may be, or below the negative of that.
-
-    Raises:
-        UavrlError: naming the key.
-
-    Examples:
-        >>> check_most("trainer.updates_per_step", 1.0)
-        >>> check_most("seed", 1e30)  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        uavrl.errors.UavrlError: seed must be at most 1e+15, got 1e+30: change it ...
-    """
+    """Refuses a number above what its key may be, or below the negative of that."""
     most = MOST.get(key, MOST_OF_ALL)
     if isinstance(value, (int, float)) and abs(value) > most:
         side = f"at most {most:,.10g}" if value > 0 else f"at least {-most:,.10g}"

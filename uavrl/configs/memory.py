@@ -1,7 +1,5 @@
 """How much memory a training takes, told before any of it is taken."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -20,14 +18,7 @@ GIGABYTE = 1e9
 
 
 def bytes_needed(settings: TrainConfig) -> dict[str, float]:
-    """An estimate of what a training takes, by the key that decides most of it: of two critics, in a valley.
-
-    Examples:
-        >>> from uavrl.configs import compose, to_dataclass
-        >>> settings = to_dataclass(compose("run_dir=here"))
-        >>> {key: round(value / 1e6) for key, value in bytes_needed(settings).items() if value > 1e6}
-        {'env.num_uavs': 28, 'buffer.capacity': 191, 'algo.hidden': 15, 'algo.batch_size': 4}
-    """
+    """An estimate of what a training takes, by the key that decides most of it: of two critics, in a valley."""
     uavs, frames = settings.env.get("num_uavs", 1), settings.perception.get("frames", 1)
     frame, actions = 35, 4
     state, batch, capacity = frame * frames, settings.algo.batch_size, settings.buffer.get("capacity", 0)
@@ -57,15 +48,7 @@ def bytes_needed(settings: TrainConfig) -> dict[str, float]:
 
 
 def require_memory(settings: TrainConfig, memory: float | None = None) -> None:
-    """Refuses a training that this machine's memory cannot hold.
-
-    Args:
-        settings: the training.
-        memory: bytes of memory; the machine's if None.
-
-    Raises:
-        UavrlError: naming the key that takes most.
-    """
+    """Refuses a training that this machine's memory cannot hold."""
     parts = bytes_needed(settings)
     memory = machine_memory() if memory is None else memory
     if (total := sum(parts.values())) > memory:

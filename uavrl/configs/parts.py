@@ -1,7 +1,5 @@
 """The parts of a run: each names its class, and holds what its constructor takes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, is_dataclass
 from typing import Annotated, Any, get_type_hints
@@ -85,13 +83,6 @@ def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str
 
     A key of ``algo`` goes to the loss, to the optimisation step or to the loop, one of ``perception`` to the transform
     or to the environment: whichever takes it.
-
-    Args:
-        parts: plain data by the parts' names.
-        packages: which packages the user trusts beside uavrl.
-
-    Raises:
-        UavrlError: in one sentence, naming the key.
     """
     taken: dict[str, dict[str, Any]] = {
         name: get_type_hints(reader, include_extras=True) for name, reader in _LOOP.items()
@@ -134,11 +125,6 @@ def require_allowed(target: str, packages: Iterable[str], key: str = TARGET) -> 
     """Refuses a class that is neither ours nor of a package that the user lists: what a file names is imported.
 
     A name is of identifiers alone: ``uavrl./their/folder.X`` would have a file outside of uavrl read, and run.
-
-    Examples:
-        >>> require_allowed("os.system", [])  # doctest: +ELLIPSIS
-        Traceback (most recent call last):
-        uavrl.errors.UavrlError: _target_ names os.system, and os is no package that you have listed: ...
     """
     allowed = (*ALLOWED, *packages)
     top, *below = target.split(".")
@@ -152,12 +138,7 @@ def require_allowed(target: str, packages: Iterable[str], key: str = TARGET) -> 
 
 
 def plain(value: Any) -> Any:
-    """Dataclasses as mappings and tuples as lists, as yaml has them.
-
-    Examples:
-        >>> plain({"hidden": (400, 300)})
-        {'hidden': [400, 300]}
-    """
+    """Dataclasses as mappings and tuples as lists, as yaml has them."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, Mapping):

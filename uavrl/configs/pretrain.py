@@ -1,7 +1,5 @@
 """Typed configuration of ``uavrl-pretrain``. Meanings and units stand in the yaml."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from uavrl.configs.checks import require

@@ -1,7 +1,5 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -62,20 +60,15 @@ def with_choices(config: DictConfig, choices: Mapping[str, Any]) -> DictConfig:
 
 
 def run_name(choices: Mapping[str, str]) -> str:
-    """What a run is called: environment, what learns, reward.
-
-    Examples:
-        >>> run_name({"env": "static", "algo": "td3", "fork": "on", "lifeguard": "mlp", "reward": "traditional"})
-        'static_td3_fork_lg_mlp_traditional'
-    """
-    return f"{choices['env']}_{learner(choices)}_{choices['reward']}"
+    """What a run is called: environment, what learns, reward."""
+    return f"{choices['env']}_{learner_name(choices)}_{choices['reward']}"
 
 
-def learner(choices: Mapping[str, str]) -> str:
+def learner_name(choices: Mapping[str, str]) -> str:
     """What learns in a run, as part of a name.
 
     Examples:
-        >>> learner({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
+        >>> learner_name({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
         'ddpg_lg_abr_plus'
     """
     usual = {"fork": ("fork", "on"), "lifeguard": ("lg", "linear"), "enhancer": ("", ""), "backward_reward": ("", "")}
@@ -103,12 +96,7 @@ def _with_traditional_reward(value: float, otherwise: float, *, _root_: DictConf
 
 
 def expected_steps(episodes: int, max_steps: int) -> int:
-    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take.
-
-    Examples:
-        >>> expected_steps(60, 300), expected_steps(60, 12)
-        (3000, 720)
-    """
+    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take."""
     return max(episodes * min(max_steps, 50), episodes * max_steps // 6)
 
 

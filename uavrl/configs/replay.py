@@ -1,45 +1,24 @@
 """Settings of ``uavrl-replay``. Meanings and units stand in the yaml."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass, field
-
-from omegaconf import DictConfig
+from dataclasses import dataclass
 
 from uavrl.configs.checks import require
-from uavrl.configs.evaluate import Valleys
-from uavrl.configs.train import Products
-from uavrl.ranges import Count, Seed
+from uavrl.configs.evaluate import FlyingConfig
+from uavrl.ranges import Count
 
 MOST_FLIGHTS = 50  # in one page
 
 
 @dataclass
-class ReplayConfig:
+class ReplayConfig(FlyingConfig):
     """conf/replay.yaml: the flights of one page."""
 
-    env: DictConfig
-    perception: DictConfig
-    reward: DictConfig
-    choices: dict[str, str] = field(default_factory=dict)
-    packages: tuple[str, ...] = ()
-    run: str | None = None
-    policy: str | None = None
     flight: str | None = None
     task: int | None = None
     tasks: tuple[int, ...] | None = None
     episodes: Count | None = None
-    seed: Seed = 20_000
-    valleys: Valleys | None = None
-    checkpoint: str | None = None
-    output: str | None = None
-    video: str | None = None
     data: str | None = None
     points: Count = 1500
-    device: str = "cpu"
-    threads: Count = 1
-    products: Products = "mkl"
-    progress: bool = True
 
     def __post_init__(self) -> None:
         """Checks what belongs together."""

@@ -1,7 +1,5 @@
 """What a constructor takes, read from its source: nothing is imported, so that a mistake is told before torch loads."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache
@@ -34,16 +32,6 @@ def signature(target: str) -> dict[str, Any] | None:
     """The types of the arguments that a class takes by name; ``Any`` where none is told.
 
     A constructor with ``**kwargs`` also takes what the last of its bases takes.
-
-    Args:
-        target: dotted name of the class.
-
-    Returns:
-        The types by the arguments' names, or None where there is no such class in the source.
-
-    Examples:
-        >>> signature("uavrl.envs.lidar.LidarConfig")["motion_distortion"]
-        <class 'bool'>
     """
     module, _, name = target.rpartition(".")
     statement = _statements(module).get(name)
@@ -62,12 +50,7 @@ def signature(target: str) -> dict[str, Any] | None:
 
 
 def classes(module: str) -> list[str]:
-    """The names of the classes that a module holds or imports.
-
-    Examples:
-        >>> "TD3Loss" in classes("uavrl.losses")
-        True
-    """
+    """The names of the classes that a module holds or imports."""
     held = _statements(module).items()
     return [name for name, node in held if isinstance(node, ast.ClassDef | ast.ImportFrom) and name[:1].isupper()]
 

@@ -1,7 +1,5 @@
 """Settings of a training. Meanings and units stand in the yaml."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

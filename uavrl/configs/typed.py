@@ -1,7 +1,5 @@
 """Plain data of a configuration, held against the types of what it is for."""
 
-from __future__ import annotations
-
 import math
 import types
 import typing
@@ -19,20 +17,7 @@ _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 def typed(value: Any, hint: Any, key: str) -> Any:
-    """The value as a type has it.
-
-    Args:
-        value: plain data: numbers, texts, lists, mappings.
-        hint: the type; of ``Annotated`` types the :class:`~uavrl.ranges.Range` holds. ``Any`` takes all.
-        key: dotted name of the setting, for the message.
-
-    Raises:
-        UavrlError: in one sentence, naming the key.
-
-    Examples:
-        >>> typed([400, 300], tuple[int, ...], "algo.hidden"), typed(1, float, "algo.tau")
-        ((400, 300), 1.0)
-    """
+    """The value as a type has it."""
     if isinstance(value, float):
         require(math.isfinite(value), key, "a finite number", value)
     check_most(key, value)
@@ -101,12 +86,7 @@ def _made(value: Any, kind: type, key: str) -> Any:
 
 
 def below(key: str, said: str, names: Iterable[str]) -> str:
-    """What a class says of its arguments, for somebody who knows them by the keys of a configuration.
-
-    Examples:
-        >>> below("env.world", "size must be above 0.", ["size"]), below("env", "It cannot fly.", ["world"])
-        ('env.world.size must be above 0.', 'env: It cannot fly.')
-    """
+    """What a class says of its arguments, for somebody who knows them by the keys of a configuration."""
     if not key or said.startswith(key):
         return said
     first = said.split(maxsplit=1)[0].partition(".")[0]

@@ -1,7 +1,5 @@
 """Environments: the valley, its quadrotors, their LiDAR and the navigation task; and the bipedal walker."""
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

@@ -1,7 +1,5 @@
 """Gymnasium's hard-core bipedal walker, with the signals that a training reads."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

@@ -1,7 +1,5 @@
 """The bodies of a PyBullet world: fixed triangle meshes and vehicles, in collision groups."""
 
-from __future__ import annotations
-
 from uavrl.envs.bullet import pybullet
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Airframe

@@ -1,7 +1,5 @@
 """PyBullet without the lines that its C code prints at import and at every connection."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """How near vehicles are to everything else."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -18,13 +16,7 @@ SLACK = 0.02  # m: Bullet's distances are right within its collision margins
 
 
 def surface_samples(mesh: Mesh, spacing: float) -> np.ndarray:
-    """Returns points ``[P, 3]`` of the surface: the middles of its triangles, cut up until no edge is over ``spacing``.
-
-    Examples:
-        >>> triangle = Mesh(np.array([[0, 0, 0], [6, 0, 0], [0, 6, 0]]), np.array([[0, 1, 2]]))  # edges up to 8.5 m
-        >>> surface_samples(triangle, 7.0).tolist()
-        [[3.0, 1.0, 0.0], [1.0, 3.0, 0.0]]
-    """
+    """The middles ``[P, 3]`` of a surface's triangles, cut up until no edge is over ``spacing``."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     return cut_up(corners, lambda pieces: edge_lengths(pieces).max(axis=1) <= spacing).mean(axis=1)
 
@@ -34,12 +26,6 @@ class Clearance:
 
     Bullet looks at every triangle within the distance that it is asked for, so it is asked for no more than what the
     nearest sample of the static surface shows to be enough. The samples are made when they are first needed.
-
-    Args:
-        client: PyBullet's physics client.
-        statics: The geometry that never moves.
-        bodies: Ids of all bodies, those of ``statics`` and those that move.
-        airframe: Gives the hull.
     """
 
     def __init__(self, client: int, statics: Sequence[Mesh], bodies: Sequence[int], airframe: Airframe) -> None:
@@ -58,12 +44,7 @@ class Clearance:
         return np.minimum(nearest + SLACK, CLOSEST_DISTANCE_CAP)
 
     def distances(self, vehicles: Sequence[int], positions: np.ndarray) -> np.ndarray:
-        """Returns ``[N]``: m from each hull to the nearest body, at most 5; below 0 inside.
-
-        Args:
-            vehicles: Ids of N bodies.
-            positions: ``[N, 3]``, the middles of their hulls in m.
-        """
+        """Returns ``[N]``: m from each hull to the nearest body, at most 5; below 0 inside."""
         distances = self.bounds(positions)
         for row, vehicle in enumerate(vehicles):
             for body in self._bodies:

@@ -1,7 +1,5 @@
 """The flight controller: velocity command → force → attitude → body rates → moments → rotor thrusts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -38,11 +36,6 @@ def feasible_command(command: np.ndarray, airframe: Airframe, aerodynamics: Aero
 
     Returns:
         ``[N, 4]``, with x and y scaled where needed.
-
-    Examples:
-        >>> command = np.array([[2.0, 2.0, 0.0, 0.0], [2.0, 2.0, 0.0, 2.0]])
-        >>> feasible_command(command, Airframe(), Aerodynamics()).round(1)[:, 0].tolist()
-        [2.0, 1.9]
     """
     per_mass = aerodynamics.coefficients[0] / airframe.total_mass
     speed = np.sqrt((command[:, :3] ** 2).sum(1))
@@ -69,12 +62,6 @@ def to_world(
 
     Returns:
         Two ``[N, 3]``, in m/s and m/s².
-
-    Examples:
-        >>> left = np.array([[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])  # yawed by 90°
-        >>> velocity, acceleration = to_world(np.array([[2.0, 0.0, 1.0, 0.5]]), left)
-        >>> velocity.tolist(), acceleration.tolist()
-        ([[0.0, 2.0, 1.0]], [[-1.0, 0.0, 0.0]])
     """
     head = rotation[:, :2, 0]
     cos, sin = (head / np.sqrt(np.maximum(np.add.reduce(head * head, axis=1, keepdims=True), 1e-12))).T
@@ -95,10 +82,6 @@ def limit_force(force: np.ndarray, airframe: Airframe) -> np.ndarray:
 
     Returns:
         ``[N, 3]`` in N.
-
-    Examples:
-        >>> limit_force(np.array([[10.0, 0.0, 10.0]]), Airframe(tilt_limit=np.pi / 8)).round(2).tolist()
-        [[4.14, 0.0, 10.0]]
     """
     most = (1 - THRUST_RESERVE) * airframe.max_total_thrust * math.cos(airframe.tilt_limit)
     vertical = np.minimum(np.maximum(force[:, 2:], 0.3 * airframe.total_mass * GRAVITY), most)
@@ -116,10 +99,6 @@ def tilt_error(direction: np.ndarray) -> np.ndarray:
 
     Returns:
         ``[N, 2]``, about x and y, near rad. It grows up to 180°, so that a vehicle on its back turns over.
-
-    Examples:
-        >>> tilt_error(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])).round(3).tolist()
-        [[0.0, 0.0], [0.0, 1.414]]
     """
     half_cosine = np.sqrt(np.maximum(0.5 + 0.5 * direction[:, 2:], 1e-3))
     return direction[:, :2] @ _QUARTER_TURN / half_cosine
@@ -129,14 +108,6 @@ class Mixer:
     """Thrust and moments → thrusts of the four rotors, each within [0, a quarter of the total limit].
 
     Where not everything fits, roll and pitch come first, then the total thrust, then yaw.
-
-    Args:
-        airframe: Gives geometry and limits.
-
-    Examples:
-        >>> mixer = Mixer(Airframe())
-        >>> mixer(np.array([[20.0, 0.0, 0.0, 0.0], [99.0, 0.0, 0.0, 0.0]])).round(9).tolist()
-        [[5.0, 5.0, 5.0, 5.0], [9.5, 9.5, 9.5, 9.5]]
     """
 
     def __init__(self, airframe: Airframe) -> None:
@@ -181,14 +152,6 @@ class VelocityController:
 
     Attributes:
         disturbance: ``[N, 3]``, estimate of the unknown forces in world axes in N.
-
-    Examples:
-        >>> controller = VelocityController(1, Airframe(), Aerodynamics())
-        >>> command, level, rest = np.zeros((1, 4)), np.eye(3)[None], np.zeros((1, 2, 3))
-        >>> weight = Airframe().total_mass * 9.81
-        >>> controller.track(command, level, rest[:, 0], rest, np.array([weight]), dt=1 / 80)
-        >>> bool(abs(controller.thrusts(level, rest).sum() - weight) < 1e-9)
-        True
     """
 
     def __init__(self, count: int, airframe: Airframe, aerodynamics: Aerodynamics) -> None:

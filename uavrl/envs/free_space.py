@@ -1,7 +1,5 @@
 """The free space of a valley: how far its points are from the geometry, and which of them a vehicle can reach."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,14 +36,7 @@ def grid_points(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Clearances on a grid of points in a valley's frame.
-
-    Args:
-        x: ``[X]`` in metres, ascending.
-        y: ``[Y]`` likewise.
-        z: ``[Z]`` likewise.
-        clearance: ``[X, Y, Z]``, a lower bound in metres of the distance to the geometry, cut at the longest asked for.
-    """
+    """Clearances on a grid of points in a valley's frame."""
 
     x: np.ndarray
     y: np.ndarray
@@ -63,15 +54,6 @@ class FreeSpace:
         Two neighbours h apart are joined by a straight line whose clearance is nowhere less than half of what is left
         when h is taken from the sum of theirs: the ball flies along it if that is at least its radius. This proves
         corridors in all three dimensions. The inside of a closed mesh is no part of the space around it.
-
-        Args:
-            allowed: ``bool [X, Y, Z]``, where the ball's middle may be.
-            radius: Of the ball, in metres.
-
-        Examples:
-            >>> space = FreeSpace(np.arange(4.0), np.zeros(1), np.zeros(1), np.array([2, 1.5, 0.5, 2]).reshape(4, 1, 1))
-            >>> space.largest_part(np.ones((4, 1, 1), bool), 0.6).ravel().tolist()
-            [True, True, False, False]
         """
         index = np.arange(allowed.size).reshape(allowed.shape)
         ends = []

@@ -1,39 +1,22 @@
 """The two angles between a UAV and its goal (Chansuparp (2022), §3.2), for N vehicles at once."""
 
-from __future__ import annotations
-
 import numpy as np
 
 
 def wrap_degrees(angle: np.ndarray) -> np.ndarray:
-    """An angle in radians as degrees in [0, 360), in float32.
-
-    Examples:
-        >>> wrap_degrees(np.array([-np.pi / 2, -1e-12])).tolist()
-        [270.0, 0.0]
-    """
+    """An angle in radians as degrees in [0, 360), in float32."""
     degrees = (np.degrees(angle) % 360.0).astype(np.float32)
     return np.where(degrees < 360.0, degrees, np.float32(0.0))  # float32 rounds 360 - 1e-12 up to 360
 
 
 def goal_heading_deg(position: np.ndarray, yaw: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """H (§3.2): the horizontal angle from the UAV's head to the goal, degrees in [0, 360), left positive.
-
-    Examples:
-        >>> goal_heading_deg(np.zeros((1, 3)), np.zeros(1), np.array([[0.0, 1.0, 5.0]])).tolist()
-        [90.0]
-    """
+    """H (§3.2): the horizontal angle from the UAV's head to the goal, degrees in [0, 360), left positive."""
     to_goal = goal - position
     return wrap_degrees(np.arctan2(to_goal[:, 1], to_goal[:, 0]) - yaw)
 
 
 def goal_elevation_deg(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """G (§3.2): the elevation angle from the UAV's position to the goal, degrees in [0, 360).
-
-    Examples:
-        >>> goal_elevation_deg(np.zeros((1, 3)), np.array([[3.0, 4.0, -5.0]])).tolist()
-        [315.0]
-    """
+    """G (§3.2): the elevation angle from the UAV's position to the goal, degrees in [0, 360)."""
     to_goal = goal - position
     return wrap_degrees(np.arctan2(to_goal[:, 2], np.hypot(to_goal[:, 0], to_goal[:, 1])))
 
@@ -42,10 +25,6 @@ def goal_course_deg(position: np.ndarray, velocity: np.ndarray, goal: np.ndarray
     """The other reading of g: the angle between the direction of motion and the goal, degrees in [0, 180].
 
     It is 0 where the UAV or the distance to the goal is at rest (below 1e-6).
-
-    Examples:
-        >>> goal_course_deg(np.zeros((1, 3)), np.array([[0.0, 2.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])).tolist()
-        [90.0]
     """
     to_goal = goal - position
     norms = np.sqrt((to_goal**2).sum(1) * (velocity**2).sum(1))

@@ -1,7 +1,5 @@
 """The navigation task as a Gymnasium environment, for users of other RL libraries."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import gymnasium

@@ -25,11 +25,7 @@ LARGEST = {
 
 
 def check_world_size(world: WorldConfig) -> None:
-    """Refuses worlds that would take many minutes to build, or more memory than there is.
-
-    Raises:
-        UavrlError: naming what to lower.
-    """
+    """Refuses worlds that would take many minutes to build, or more memory than there is."""
     for name, most in LARGEST.items():
         value = getattr(world, name)
         if (max(value) if isinstance(value, tuple) else value) > most:
@@ -53,11 +49,7 @@ def check_world_size(world: WorldConfig) -> None:
 
 
 def check_hull(airframe: Airframe, world: WorldConfig) -> None:
-    """Refuses vehicles that touch something wherever they start.
-
-    Raises:
-        UavrlError: naming what to lower.
-    """
+    """Refuses vehicles that touch something wherever they start."""
     reach = max(airframe.collision_radius, airframe.collision_height / 2)
     if reach > max(world.min_clearance, world.uav_radius):
         raise UavrlError(

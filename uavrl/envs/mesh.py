@@ -12,12 +12,7 @@ MOST_FACES = 10_000  # of one PyBullet shape: 30,000 indices stay below its leas
 
 @dataclass(frozen=True)
 class Mesh:
-    """An indexed triangle mesh in metres.
-
-    Args:
-        vertices: ``float32 [V, 3]``.
-        faces: ``int32 [F, 3]``, indices into ``vertices``.
-    """
+    """An indexed triangle mesh in metres."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -36,13 +31,7 @@ class Mesh:
         return Mesh(self.vertices + np.asarray(list(offset), dtype=np.float32), self.faces)
 
     def split(self, part: np.ndarray | None = None) -> list[Mesh]:
-        """Returns a mesh for each number in ``part [F]``, in order; without it, parts that PyBullet takes.
-
-        Examples:
-            >>> mesh = Mesh(np.eye(3), np.zeros((5, 3)))
-            >>> [len(part.faces) for part in mesh.split(np.array([7, 0, 7, 7, 0]))]
-            [2, 3]
-        """
+        """Returns a mesh for each number in ``part [F]``, in order; without it, parts that PyBullet takes."""
         part = np.arange(len(self.faces)) // MOST_FACES if part is None else part
         parts = []
         for number in np.unique(part):

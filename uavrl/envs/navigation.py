@@ -1,7 +1,5 @@
 """The navigation task as a natively batched TorchRL environment."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Literal
 
@@ -121,8 +119,6 @@ class NavigationEnv(EnvBase):
         self._make_specs()
         self.set_seed(seed)
 
-    # ------------------------------------------------------------------ specs and seeds
-
     def _make_specs(self) -> None:
         n, device = self.num_uavs, self.device
 
@@ -197,8 +193,6 @@ class NavigationEnv(EnvBase):
         """How many tasks were drawn since ``set_seed``: the number of the next one."""
         return self._next_task
 
-    # ------------------------------------------------------------------ reset and step
-
     def _reset(self, tensordict: TensorDictBase | None = None, *, task: int | None = None, **_: object) -> TensorDict:
         mask = np.ones(self.num_uavs, dtype=bool)
         if tensordict is not None and (reset := tensordict.get("_reset", None)) is not None:
@@ -255,8 +249,6 @@ class NavigationEnv(EnvBase):
                 f"{came}: check the policy's output."
             )
         return action.detach().cpu().numpy().astype(np.float64)
-
-    # ------------------------------------------------------------------ what is seen
 
     def _distance(self) -> np.ndarray:
         return np.sqrt(((self._goal - self.simulation.position) ** 2).sum(1))
@@ -337,8 +329,6 @@ class NavigationEnv(EnvBase):
             for key, v in data.items()
         }
         return TensorDict(tensors, batch_size=self.batch_size, device=self.device)
-
-    # ------------------------------------------------------------------ end
 
     def close_simulation(self) -> None:
         """Frees the PyBullet world, if there is one."""

@@ -1,7 +1,5 @@
 """Obstacles of the valley, about equally dense from the ground to the ceiling and from wall to wall."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,14 +19,7 @@ TALL = 6.5  # m: what towers over the ceiling of 5 m is at least this tall
 
 @dataclass(frozen=True)
 class Obstacle:
-    """One obstacle in its valley's frame.
-
-    Args:
-        kind: A key of ``KINDS``.
-        position: x, y and the ground's height under its middle, in metres.
-        radius: Radius in metres of the circle around its outline seen from above.
-        mesh: Its triangles: closed parts that may reach into each other.
-    """
+    """One obstacle in its valley's frame."""
 
     kind: str
     position: tuple[float, float, float]

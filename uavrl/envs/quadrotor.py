@@ -5,8 +5,6 @@ Meyer, Sendobry, Kohlbrecher, Klingauf and von Stryk (2012), "Comprehensive Simu
 Gazebo". Axes are x forward, y left, z up. Gravity and rigid-body motion (Eq. 2.3 and 2.4) are the physics engine's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated
@@ -195,10 +193,6 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
 
     Returns:
         ``[N, 3, 3]``, body to world.
-
-    Examples:
-        >>> rotation_from_quaternion(np.array([[0.0, 0.0, 1.0, 0.0]]))[0].tolist()
-        [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
     return (products @ _PRODUCTS).reshape(-1, 3, 3)
@@ -212,10 +206,6 @@ def mixing_matrix(airframe: Airframe) -> np.ndarray:
 
     Returns:
         ``[4, 4]`` from N to (N, N m, N m, N m).
-
-    Examples:
-        >>> (mixing_matrix(Airframe()) @ np.ones(4)).tolist()  # equal thrusts lift without turning
-        [4.0, 0.0, 0.0, 0.0]
     """
     x, y = airframe.arm * ROTOR_DIRECTIONS.T
     return np.stack([np.ones(4), y, -x, airframe.torque_to_thrust * ROTOR_SPINS])
@@ -232,11 +222,6 @@ def drag(twist: np.ndarray, coefficients: np.ndarray, limit: np.ndarray | float 
 
     Returns:
         ``[N, 2, 3]``: force in N and moment in N m, in body axes.
-
-    Examples:
-        >>> twist = np.array([[[3.0, -12.0, 4.0], [0.0, 0.0, 0.0]]])
-        >>> drag(twist, np.full((2, 3), 0.1))[0, 0].round(2).tolist()
-        [-3.9, 15.6, -5.2]
     """
     magnitude = np.sqrt(np.add.reduce(twist * twist, axis=2, keepdims=True))
     return -np.minimum(coefficients * magnitude, limit) * twist
@@ -256,10 +241,6 @@ def gust_step(
 
     Returns:
         ``[N, 3]`` in m/s.
-
-    Examples:
-        >>> gust_step(np.ones((1, 3)), 0.0, 1.0, np.log(2.0), np.random.default_rng(0)).round(3).tolist()
-        [[0.5, 0.5, 0.5]]
     """
     kept = np.exp(-dt / time_constant)
     return kept * gust + intensity * np.sqrt(1 - kept**2) * rng.standard_normal(gust.shape)

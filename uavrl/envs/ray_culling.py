@@ -1,7 +1,5 @@
 """Which rays of a short-range scan can hit anything at all: most cannot, and need no ray casting."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -19,22 +17,6 @@ class RayCuller:
     Each triangle in reach is seen as its bounding sphere (large ones as several), which covers an interval of azimuths
     and an interval of elevations. The rays in none of these rectangles cannot hit, and need not be cast. The rays come
     in a grid: firing cycles at even azimuth steps, clockwise from straight ahead, times lasers at even elevation steps.
-
-    Args:
-        mesh: the triangles in the world frame.
-        max_range: farthest range in metres.
-        cycles: firing cycles per revolution, a multiple of 8.
-        azimuth_step: clockwise turn from cycle to cycle in radians; ``cycles`` of them make one turn, short of one
-            step at most.
-        elevations: the lasers' elevations in radians, evenly spaced once they are sorted.
-
-    Examples:
-        >>> import numpy as np
-        >>> ahead = Mesh(np.array([[2, -0.1, 0], [2, 0.1, 0], [2, 0, 0.1]]), np.array([[0, 1, 2]]))
-        >>> culler = RayCuller(ahead, 4.0, 360, np.radians(1.0), np.radians([-10.0, 0.0, 10.0]))
-        >>> grid = culler.candidates(np.zeros((1, 3)), np.eye(3)[None])
-        >>> grid.shape, np.unique(np.argwhere(grid)[:, 1]).tolist(), np.unique(np.argwhere(grid)[:, 2]).tolist()
-        ((1, 360, 3), [0, 1, 2, 3, 4, 5, 6, 7, 352, 353, 354, 355, 356, 357, 358, 359], [1])
     """
 
     _BIN = 8  # firing cycles that are kept or dropped together

@@ -1,17 +1,10 @@
 """Registration with Gymnasium, kept free of heavy imports: ``import uavrl`` runs it."""
 
-from __future__ import annotations
-
 
 def register_envs() -> None:
     """Registers ``uavrl/Valley-v0`` where Gymnasium is installed.
 
     Gymnasium 1.0 loads no plugins: it imports what stands before the colon of ``uavrl:uavrl/Valley-v0``.
-
-    Examples:
-        >>> import gymnasium, uavrl
-        >>> gymnasium.spec("uavrl/Valley-v0").entry_point
-        'uavrl.envs.gym_env:ValleyEnv'
     """
     try:
         from gymnasium.envs.registration import register, registry

@@ -1,7 +1,5 @@
 """Routes of planes: over the wall, down between the obstacles, along the valley and out over another wall."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -27,14 +25,7 @@ CLIMBING_MOVES = ((2, 0, 1), (2, 0, -1), (0, 2, 1), (0, 2, -1))
 
 
 class Airspace:
-    """Where planes can fly in one valley, below its ceiling and above its walls.
-
-    Args:
-        mesh: The valley's ground and obstacles in its own frame.
-        size: The valley's extent along x and y in metres.
-        top: Height in metres at which planes come in and leave, free of geometry at the border.
-        radius: Half the wingspan in metres.
-    """
+    """Where planes can fly in one valley, below its ceiling and above its walls."""
 
     def __init__(self, mesh: Mesh, size: tuple[float, float], top: float, radius: float) -> None:
         self.radius = radius
@@ -58,13 +49,7 @@ class Airspace:
         return np.stack([index[low][both], index[high][both]])
 
     def graph(self, rng: np.random.Generator, level: float, ceiling: float) -> csr_array:
-        """Costs of all moves for a plane that likes a level: it dives to it between the obstacles.
-
-        Args:
-            rng: Makes every search prefer other ways.
-            level: The height in metres that costs least.
-            ceiling: In metres; above it every metre costs three times as much.
-        """
+        """Costs of all moves for a plane that likes a level: it dives to it between the obstacles."""
         first, second = self._ends
         points = self.points.reshape(-1, 3)
         length = np.linalg.norm(points[first] - points[second], axis=1)
@@ -83,30 +68,7 @@ def plan_routes(
     radius: float,
     count: int,
 ) -> list[np.ndarray]:
-    """Plans ways for planes through a valley that keep clear of all its geometry.
-
-    Args:
-        rng: Source of entries, exits, levels and ways.
-        mesh: The valley's ground and obstacles in its own frame.
-        size: The valley's extent along x and y in metres.
-        top: Height in metres over the walls at which planes come in and leave.
-        ceiling: Height in metres below which UAVs fly; each route likes another level below it.
-        radius: Half the planes' wingspan in metres.
-        count: Number of routes.
-
-    Returns:
-        For each route ``[P, 4]``: x, y, z in metres and yaw in rad, ``STEP`` apart.
-
-    Raises:
-        UavrlError: If no way leads from edge to edge below the ceiling.
-
-    Examples:
-        >>> from uavrl.envs.terrain import valley_ground
-        >>> ground = valley_ground(np.random.default_rng(0), (40.0, 30.0))
-        >>> routes = plan_routes(np.random.default_rng(0), Mesh.merge(ground.tiles()), (40.0, 30.0), 10.0, 5.0, 1.2, 2)
-        >>> bool(routes[0][0, 2] > 9.0), bool(routes[0][:, 2].min() < 5.0)
-        (True, True)
-    """
+    """Ways for planes that keep clear of a valley's geometry, ``[P, 4]`` each: x, y, z in metres and yaw in rad."""
     airspace = Airspace(mesh, size, top, radius)
     routes: list[np.ndarray] = []
     levels = rng.permutation(np.linspace(radius / 2, ceiling, count))
@@ -145,12 +107,7 @@ def _search(rng: np.random.Generator, airspace: Airspace, level: float, ceiling:
 
 
 def smoothed(corners: np.ndarray) -> np.ndarray:
-    """Returns a polyline ``[C, 3]`` as points ``STEP`` apart with rounded bends, and their yaws: ``[P, 4]``.
-
-    Examples:
-        >>> smoothed(np.array([[0.0, 0.0, 2.0], [0.0, 10.0, 2.0]]))[-1, 2:].round(2).tolist()
-        [2.0, 1.57]
-    """
+    """Returns a polyline ``[C, 3]`` as points ``STEP`` apart with rounded bends, and their yaws: ``[P, 4]``."""
     fine = _resampled(corners, STEP)
     points = _resampled(gaussian_filter1d(fine, BEND / STEP, axis=0, mode="nearest"), STEP)
     ahead = np.gradient(points, axis=0)

@@ -1,7 +1,5 @@
 """Closed triangle shapes from which obstacles and planes are put together."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

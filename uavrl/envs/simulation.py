@@ -1,7 +1,5 @@
 """Quadrotors, static geometry and moving planes in one PyBullet world."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -55,15 +53,6 @@ class Simulation:
         lidar_position: ``[N, 3]``, the LiDAR's centre in m.
         rotor_speed: ``[N, 4]`` in rad/s.
         motors_on: Set it to False to stop all rotors at once.
-
-    Examples:
-        >>> simulation = Simulation([], count=1)
-        >>> simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.5]]), np.array([0.0]))
-        >>> for _ in range(20):
-        ...     touched = simulation.step(np.array([[1.0, 0.0, 0.0, 0.0]]))
-        >>> simulation.velocity.round(1).tolist(), touched.tolist()
-        ([[1.0, 0.0, 0.0]], [False])
-        >>> simulation.close()
     """
 
     def __init__(
@@ -96,8 +85,6 @@ class Simulation:
         self._prepare_model()
         self._build(meshes, plane_mesh, plane_count)
         self.reset(np.arange(count), np.zeros((count, 3)), np.zeros(count))
-
-    # ------------------------------------------------------------------ building
 
     def _prepare_model(self) -> None:
         """Keeps what every physics step needs as arrays."""
@@ -132,16 +119,8 @@ class Simulation:
         self._clearance = Clearance(self._client, meshes, self._statics + self._planes, self.airframe)
         self._row = {body: row for row, body in enumerate(self._vehicles)}
 
-    # ------------------------------------------------------------------ reset and step
-
     def reset(self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray) -> None:
-        """Places vehicles level and at rest, with hovering rotors, in still air: in equilibrium.
-
-        Args:
-            index: ``int [M]``, which vehicles.
-            positions: ``[M, 3]`` in m.
-            yaws: ``[M]`` in rad.
-        """
+        """Places vehicles ``int [M]`` at ``[M, 3]`` m with yaws ``[M]`` rad: level, at rest, hovering, in still air."""
         for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
             body, attitude = self._vehicles[row], (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
             pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)
@@ -166,9 +145,6 @@ class Simulation:
 
         Returns:
             ``bool [N]``: which vehicles touched anything in any of the physics steps.
-
-        Raises:
-            ValueError: if a command is NaN, or for other shapes.
         """
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
         path: list[list[list[float]]] = []
@@ -209,8 +185,6 @@ class Simulation:
             pybullet.resetBasePositionAndOrientation(
                 body, (x, y, z), (0.0, 0.0, sin, cos), physicsClientId=self._client
             )
-
-    # ------------------------------------------------------------------ one physics step
 
     def _read(self) -> None:
         """Reads all states; Bullet gives the centre of mass, and velocities in world axes."""
@@ -267,8 +241,6 @@ class Simulation:
                 for body in contact[1:3]:
                     if body in self._row:
                         touched[self._row[body]] = True
-
-    # ------------------------------------------------------------------ what is seen
 
     def _publish(self) -> None:
         """Turns the last state into the public quantities."""

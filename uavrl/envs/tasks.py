@@ -1,7 +1,5 @@
 """Where a flight may start and end: tasks that have a free corridor in three dimensions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,15 +15,7 @@ JITTER = CELL / 2**0.5  # m, farthest a start or goal is from its point of the m
 
 @dataclass(frozen=True)
 class Task:
-    """One flight to make.
-
-    Args:
-        start: ``[3]``, the UAV's first position in metres.
-        yaw: Its first heading in rad, in [-π, π).
-        goal: ``[3]`` in metres: the goal cylinder's axis at its mid-height.
-        valley: Index of the valley in the world.
-        world_seed: The valley's seed.
-    """
+    """One flight to make."""
 
     start: np.ndarray
     yaw: float
@@ -36,13 +26,7 @@ class Task:
 
 @dataclass(frozen=True)
 class FlightMap:
-    """What a UAV can fly through in one valley, from the ground to the ceiling.
-
-    Args:
-        space: Clearances, in the valley's frame.
-        corridor: ``bool [X, Y, Z]``: the largest part of the space between any two points of which the UAV can fly.
-        candidates: ``[C, 2]`` in metres: places at flight level in the corridor where a flight may start or end.
-    """
+    """What a UAV can fly through in one valley, from the ground to the ceiling."""
 
     space: FreeSpace
     corridor: np.ndarray
@@ -59,17 +43,7 @@ def flight_map(
     min_clearance: float,
     min_distance: float,
 ) -> FlightMap:
-    """Maps a valley's free space once, so that a task is drawn in microseconds and is solvable by construction.
-
-    Args:
-        ground: The valley's height field.
-        obstacles: All its obstacles, closed meshes.
-        level: The flight level in metres.
-        ceiling: Height above the ground in metres at which flights end.
-        uav_radius: Radius in metres of a ball around the UAV.
-        min_clearance: Least clearance of starts and goals in metres.
-        min_distance: Least horizontal distance from start to goal in metres.
-    """
+    """Maps a valley's free space once, so that a task is drawn in microseconds and is solvable by construction."""
     needed = min_clearance + JITTER
     x, y = (np.arange(CELL / 2 - length / 2, length / 2, CELL) for length in ground.size)
     z = level + RISE * np.arange(-((level + FLOOR_AMPLITUDE) // RISE), (ceiling + FLOOR_AMPLITUDE - level) // RISE + 1)

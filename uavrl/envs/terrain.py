@@ -1,7 +1,5 @@
 """The valley's ground: a height field with raised walls at its border."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,17 +15,7 @@ WALL_WIDTH = 2.5  # m, mean width of the slope from the floor to the top of the 
 
 @dataclass(frozen=True)
 class HeightField:
-    """Heights over a regular grid around the origin, triangulated.
-
-    Args:
-        heights: ``[X, Y]`` in metres. The first and the last rows and columns lie on the border.
-        size: Extent along x and y in metres.
-
-    Examples:
-        >>> slope = HeightField(np.array([[0.0, 0.0], [1.0, 1.0]]), (2.0, 2.0))
-        >>> slope.at(np.array([[-1.0, 0.0], [0.0, 0.0], [9.0, 0.0]])).tolist()
-        [0.0, 0.5, 1.0]
-    """
+    """Heights over a regular grid around the origin, triangulated."""
 
     heights: np.ndarray
     size: tuple[float, float]

@@ -1,9 +1,6 @@
 """Planes that cross the valleys between the obstacles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -16,16 +13,7 @@ WING_GAP = 0.36  # between the two wings of a plane, as a share of its wingspan
 
 
 def plane_mesh(wingspan: float) -> Mesh:
-    """Returns a biplane around the origin: nose along +x, wings along y, fin along +z.
-
-    Args:
-        wingspan: In metres; all else is in proportion to it.
-
-    Examples:
-        >>> mesh = plane_mesh(2.0)
-        >>> np.ptp(mesh.vertices, axis=0).astype(float).round(1).tolist()
-        [1.7, 2.0, 0.8]
-    """
+    """Returns a biplane around the origin: nose along +x, wings along y, fin along +z."""
     fuselage = tube(
         np.stack([np.array([0.45, 0.38, 0.2, -0.15, -0.35]), np.zeros(5)], -1),
         np.array([0.015, 0.06, 0.09, 0.06, 0.02]),
@@ -56,20 +44,7 @@ def _sections(span: np.ndarray, chord: np.ndarray, lead: np.ndarray, thickness: 
 
 
 class Leg:
-    """The flight of one plane along a route of its valley, and the plane's own source of the next ones.
-
-    Args:
-        rng: The plane's own generator.
-        routes: As :func:`uavrl.envs.routes.plan_routes` gives them; each can be flown either way.
-        speed: Least and greatest speed in m/s.
-
-    Examples:
-        >>> along = np.linspace(0.0, 10.0, 41)
-        >>> route = np.stack([along, np.zeros(41), np.full(41, 3.0), np.zeros(41)], -1)
-        >>> path = Leg(np.random.default_rng(0), [route], (2.5, 4.0)).fly(steps=3, dt=0.1)
-        >>> path.shape, bool(0.25 <= abs(path[1, 0] - path[0, 0]) <= 0.4)
-        ((3, 4), True)
-    """
+    """The flight of one plane along a route of its valley, and the plane's own source of the next ones."""
 
     def __init__(self, rng: np.random.Generator, routes: Sequence[np.ndarray], speed: tuple[float, float]) -> None:
         self._rng, self._routes, self._speeds = rng, routes, speed
@@ -108,17 +83,6 @@ class Leg:
         self.flown += self.speed * (steps * dt - elapsed)
         return np.array(path).reshape(steps, 4)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Returns all that the rest of the flight depends on."""
-        names = ("route", "backwards", "speed", "flown")
-        return {"generator": self._rng.bit_generator.state} | {name: getattr(self, name) for name in names}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Flies on as the leg that ``state_dict`` was taken from."""
-        self._rng.bit_generator.state = state["generator"]
-        self.route, self.backwards = int(state["route"]), bool(state["backwards"])
-        self.speed, self.flown = float(state["speed"]), float(state["flown"])
-
 
 class Traffic:
     """All planes of the world: they fly on whatever the episodes do, and do not see the UAVs.
@@ -129,16 +93,6 @@ class Traffic:
 
     Source: Chansuparp (2022), §4.1: three planes at the UAV's flight level with a constant speed above 2 m/s. A UAV may
     leave that level, so the planes' levels are spread over all heights below the ceiling (this library's choice).
-
-    Args:
-        world: Gives the valleys and, in its config, the number, speed and wingspan of the planes.
-        rng: Source of all legs.
-
-    Examples:
-        >>> from uavrl.envs.world import WorldConfig
-        >>> traffic = Traffic(World(WorldConfig(planes=3)), np.random.default_rng(0))
-        >>> traffic.advance(steps=24, dt=1 / 240).shape, traffic.positions.shape
-        ((24, 3, 4), (3, 3))
     """
 
     def __init__(self, world: World, rng: np.random.Generator) -> None:
@@ -147,7 +101,7 @@ class Traffic:
         self.valleys = np.repeat(np.arange(len(world.valleys)), config.planes)
         self._origins = np.array([world.valleys[v].origin for v in self.valleys]).reshape(-1, 2)
         seeds = rng.integers(2**63, size=len(self.valleys))
-        self._legs = [
+        self.legs = [
             Leg(np.random.default_rng(seed), world.valleys[valley].routes, config.plane_speed)
             for seed, valley in zip(seeds, self.valleys, strict=True)
         ]
@@ -163,35 +117,13 @@ class Traffic:
         return self._poses()[:, 3]
 
     def advance(self, steps: int, dt: float) -> np.ndarray:
-        """Flies on by ``steps`` times ``dt`` seconds.
-
-        Args:
-            steps: Number of time steps.
-            dt: Length of one in seconds.
-
-        Returns:
-            ``[steps, K, 4]``: x, y, z in metres and yaw in rad after each of the steps.
-        """
-        paths = [leg.fly(steps, dt) for leg in self._legs]
+        """Flies on by ``steps`` times ``dt`` s: x, y, z in m and yaw in rad after each, ``[steps, K, 4]``."""
+        paths = [leg.fly(steps, dt) for leg in self.legs]
         return self._in_world(np.stack(paths, axis=1) if paths else np.zeros((steps, 0, 4)))
-
-    def state_dict(self) -> dict[str, Any]:
-        """Returns all that the rest of the traffic depends on."""
-        return {"legs": [leg.state_dict() for leg in self._legs]}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Flies on as the traffic that ``state_dict`` was taken from."""
-        if len(state["legs"]) != len(self._legs):
-            raise ValueError(
-                f"This traffic has {len(self._legs)} planes, the state has {len(state['legs'])}; "
-                "load it into a world with the same planes and seeds."
-            )
-        for leg, saved in zip(self._legs, state["legs"], strict=True):
-            leg.load_state_dict(saved)
 
     def _poses(self) -> np.ndarray:
         """Returns x, y, z and yaw ``[K, 4]`` now."""
-        poses = [leg.pose(np.array([leg.flown]))[0] for leg in self._legs]
+        poses = [leg.pose(np.array([leg.flown]))[0] for leg in self.legs]
         return self._in_world(np.array(poses).reshape(-1, 4))
 
     def _in_world(self, poses: np.ndarray) -> np.ndarray:

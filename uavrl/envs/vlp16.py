@@ -1,7 +1,5 @@
 """The firing pattern of the Velodyne VLP-16 at 10 Hz (Velodyne VLP-16 user manual 63-9243)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -35,13 +33,6 @@ def firing_directions() -> np.ndarray:
 
     The order is firing cycle (1808), then laser id (16). The sensor starts straight ahead and turns clockwise seen from
     above, as the VLP-16 does: 0.1991° from cycle to cycle and 0.0083° from laser to laser within a cycle.
-
-    Returns:
-        ``float32 [28928, 3]`` in the sensor frame: x forward, y left, z up.
-
-    Examples:
-        >>> firing_directions()[1].round(4).tolist()  # laser 1 at +1°, 0.0083° to the right
-        [0.9998000264167786, -9.999999747378752e-05, 0.017500000074505806]
     """
     azimuth = _SPIN_RATE * FIRING_TIMES
     elevation = np.radians(np.tile(np.asarray(LASER_ELEVATIONS, dtype=np.float64), AZIMUTH_STEPS))

@@ -1,7 +1,5 @@
 """The world: valleys of terrain and obstacles, and the tasks to fly in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,16 +82,7 @@ class WorldConfig:
 
 @dataclass(frozen=True)
 class Valley:
-    """One valley of the world.
-
-    Args:
-        seed: It alone, with the config, decides the valley.
-        origin: ``[2]``, the valley's middle in the world in metres. All else is in the valley's own frame around it.
-        ground: The height field.
-        obstacles: What stands on it.
-        flight: Its free space, from the ground to the ceiling.
-        routes: Ways of planes through it, ``[P, 4]`` each: x, y, z in metres and yaw in rad; none without planes.
-    """
+    """One valley of the world."""
 
     seed: int
     origin: np.ndarray
@@ -111,11 +100,7 @@ class Valley:
 
 
 def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
-    """Builds one valley around ``origin [2]`` and maps its free space.
-
-    Raises:
-        UavrlError: If no start and goal can be found in it.
-    """
+    """Builds one valley around ``origin [2]`` and maps its free space."""
     ground = valley_ground(np.random.default_rng([seed, 0]), config.size)
     obstacles = place_obstacles(np.random.default_rng([seed, 1]), config.obstacles, config.obstacle_scale, ground)
     flight = flight_map(

@@ -1,7 +1,5 @@
 """Flies chosen tasks without noise and keeps every step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
@@ -61,14 +59,6 @@ def record_flight(
     """Flies one task to its end, without exploration noise, and keeps every step.
 
     The traffic starts anew, so that the flight depends on ``seed`` and ``task`` alone.
-
-    Args:
-        env: One navigation environment (``num_uavs=1``) that keeps its ``point_cloud`` and emits ``clearance``.
-        policy: Reads the environment's output, writes ``action``.
-        task: Number of the task, from 0.
-        seed: Seed of the tasks.
-        risk: From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
-        max_points: Points kept of each scan.
     """
     if env.batch_size != torch.Size([1]):
         raise ValueError(f"Expected an environment of one vehicle, got {tuple(env.batch_size)}: pass num_uavs=1.")
@@ -142,18 +132,7 @@ def record_flights(
     max_points: int = 1500,
     progress: bool = False,
 ) -> Recording:
-    """Flies several tasks, each as :func:`record_flight` does.
-
-    Args:
-        env: As :func:`record_flight` takes it, with a reduction of the scan in its transform.
-        policy: Reads the environment's output, writes ``action``.
-        tasks: Numbers of the tasks, from 0.
-        seed: Seed of the tasks.
-        source: Kept with the flights, for a heading.
-        risk: From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
-        max_points: Points kept of each scan.
-        progress: Show a progress line.
-    """
+    """Flies several tasks, each as :func:`record_flight` does."""
     if not tasks:
         raise ValueError("Expected at least one task to fly, got none.")
     flights = tuple(

@@ -1,7 +1,5 @@
 """The scenarios of ``uavrl-evaluate suite=…``, and one table of what came of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,12 +15,7 @@ HOW = {"steps_per_arrival": ".0f", "median_clearance": ".2f"}  # arrivals flew, 
 
 
 def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
-    """What each scenario of ``conf/suite.yaml`` that is asked for changes; ``"all"`` asks for every one.
-
-    Examples:
-        >>> scenarios(["dense"])
-        {'dense': ['env=static', 'env.world.obstacles=90']}
-    """
+    """What each scenario of ``conf/suite.yaml`` that is asked for changes; ``"all"`` asks for every one."""
     suite: dict[str, list[str]] = yaml.safe_load((conf_dir() / "suite.yaml").read_text())
     if asked == "all":
         return suite
@@ -35,15 +28,7 @@ def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
 
 
 def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rates of each scenario with their Wilson 95 % intervals, and how arrivals flew.
-
-    Examples:
-        >>> rate = {"rate": 0.5, "low": 0.4, "high": 0.6}
-        >>> result = dict(success=rate, collision=rate, time_out=rate, steps_per_arrival=100.0, median_clearance=None)
-        >>> print(suite_table({"dense": result}))
-        scenario         success  (95 %)        collision  time-out  steps per arrival  clearance
-        dense              50.0%  40.0–60.0         50.0%     50.0%                100          –
-    """
+    """The rates of each scenario with their Wilson 95 % intervals, and how arrivals flew."""
     heads = f"{'collision':>12}{'time-out':>10}{'steps per arrival':>19}{'clearance':>11}"
     lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
     for name, result in results.items():

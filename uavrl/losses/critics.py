@@ -1,7 +1,5 @@
 """Several critics evaluated as one."""
 
-from __future__ import annotations
-
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -12,14 +10,6 @@ def is_stackable(network: nn.Module) -> bool:
 
     A network does that wraps a module whose ``forward`` has a ``forward_stacked`` beside it, in the same class: where a
     subclass has another ``forward``, the inherited ``forward_stacked`` is that of another network.
-
-    Examples:
-        >>> from uavrl.models import Critic
-        >>> class Doubled(Critic):
-        ...     def forward(self, observation, action):
-        ...         return 2 * super().forward(observation, action)
-        >>> [is_stackable(TensorDictModule(c(6, 4), ["s", "a"], ["q"])) for c in (Critic, Doubled)]
-        [True, False]
     """
     if _owner(network, "forward") is not TensorDictModule or network._kwargs is not None or network.method is not None:
         return False

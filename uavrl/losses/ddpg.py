@@ -1,7 +1,5 @@
 """DDPG (Lillicrap et al. 2015) as the thesis uses it, on TorchRL's loss."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Self
 
@@ -35,10 +33,7 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         >>> from uavrl.models import Actor, Critic
         >>> critic = Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"])
         >>> loss = DDPGLoss(Mod(Actor(6, 4), ["observation"], ["action"]), critic)
-        >>> data = TensorDict({"observation": torch.zeros(5, 6), "action": torch.zeros(5, 4), "next": {
-        ...     "observation": torch.zeros(5, 6), "reward": torch.ones(5, 1),
-        ...     "done": torch.zeros(5, 1, dtype=torch.bool), "terminated": torch.zeros(5, 1, dtype=torch.bool)}}, [5])
-        >>> loss.actor_loss(data)[0].shape
+        >>> loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))[0].shape
         torch.Size([])
     """
 
@@ -91,14 +86,7 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         return self.value_network_params
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 2.8: the squared temporal-difference error.
-
-        Args:
-            tensordict: ``[*B]`` with state, action and ``"next"``.
-
-        Returns:
-            The reduced loss and metadata, ``td_error`` among them.
-        """
+        """Eq. 2.8: the reduced squared error of transitions ``[*B]``, and metadata with ``td_error``."""
         return self.loss_value(tensordict)
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -74,8 +74,6 @@ class Enhancer(ActorCriticLoss, LossModule):
                 if hasattr(keys, name):
                     setattr(self.tensor_keys, name, getattr(keys, name))
 
-    # ------------------------------------------------------------------ what a subclass gives
-
     @abstractmethod
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """What is added to the objective of each sample ``[*B]``, and detached metadata."""
@@ -94,8 +92,6 @@ class Enhancer(ActorCriticLoss, LossModule):
         """The losses ``loss_*`` of the models, for :meth:`forward`."""
         return {}
 
-    # ------------------------------------------------------------------ what TorchRL asks of a loss
-
     @property
     def in_keys(self) -> list[NestedKey]:
         """What :meth:`forward` reads."""
@@ -107,8 +103,7 @@ class Enhancer(ActorCriticLoss, LossModule):
     def set_keys(self, **kwargs: NestedKey | None) -> None:
         """Renames keys here and in the base, wherever they are known; None restores a default.
 
-        Raises:
-            ValueError: for a key that none of the losses knows.
+        Raises ValueError for a key that none of the losses knows.
         """
         accepted = self._accepted_keys()
         if unknown := set(kwargs) - accepted:
@@ -122,11 +117,7 @@ class Enhancer(ActorCriticLoss, LossModule):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The base's losses, the enhanced ``loss_actor``, and the losses of the models.
-
-        Args:
-            tensordict: ``[*B]`` transitions; the base writes its priority into them.
-        """
+        """The base's losses of transitions ``[*B]``, the enhanced ``loss_actor``, and the losses of the models."""
         losses = self.base(tensordict)
         losses.update(self.model_losses(tensordict))  # first: the actor's term may depend on how good they are
         loss_actor, metadata = self.actor_loss(tensordict)
@@ -152,8 +143,6 @@ class Enhancer(ActorCriticLoss, LossModule):
         """Draws the weights of all networks anew, the base's and its own; what was observed stays."""
         self.base.reset_parameters_recursive()
         super().reset_parameters_recursive()
-
-    # ------------------------------------------------------------------ what is asked of the base
 
     @property
     def enhancers(self) -> list[Enhancer]:

@@ -1,7 +1,5 @@
 """FORK, the forward-looking actor (Wei & Ying (2020), arXiv 2010.01652), for any actor–critic loss."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -41,11 +39,9 @@ class Fork(Enhancer):
 
     Args:
         base: the loss to enhance, or another enhancer. Its actor reads one key, the state.
-        system_network: reads the state and ``action``, writes the next state: a module of these two tensors
-            such as :class:`uavrl.models.SystemNet`, or a TensorDictModule.
-        reward_network: reads the state, the next state and ``action``, writes the reward ``[*B, 1]``: a module
-            of these three tensors such as :class:`uavrl.models.RewardNet`, or a TensorDictModule. The bipedal
-            variant has none.
+        system_network: of state and ``action`` to the next state, such as :class:`uavrl.models.SystemNet`.
+        reward_network: of state, next state and ``action`` to the reward ``[*B, 1]``, such as
+            :class:`uavrl.models.RewardNet`; none in the bipedal variant.
         observations: width of the state.
         max_reward: return at which the weight is 0; by default 300 for the bipedal variant.
         gamma: discount γ of the predicted steps.
@@ -53,14 +49,12 @@ class Fork(Enhancer):
         threshold: the term counts while the system loss is below this.
         return_window: how many of the last returns are averaged.
         variant: ``"fork"`` or ``"bipedal"``.
-        backprop_through_model: let the actor's gradient flow through the predicted states; the authors detach
-            them.
+        backprop_through_model: let the actor's gradient flow through predicted states; the authors detach them.
         clamp: clamp predicted states to the range observed so far, each dimension by itself.
         model_lr: Adam's step for both networks, for whoever trains them.
 
     Raises:
-        ValueError: for an unknown variant, a missing or needless network, a missing ``max_reward``, or an actor
-            that reads several keys.
+        ValueError: for an unknown variant, a network too many or too few, no ``max_reward``, or several state keys.
 
     Examples:
         >>> from torchrl.data import Bounded
@@ -72,14 +66,9 @@ class Fork(Enhancer):
         >>> td3 = TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,)))
         >>> loss = Fork(
         ...     td3, system_network=SystemNet(6, 2), reward_network=RewardNet(6, 2), observations=6, max_reward=500.0)
-        >>> done = torch.tensor([[False], [False], [True]])
-        >>> episode = TensorDict({"observation": torch.rand(3, 6), "action": torch.rand(3, 2), "next": {
-        ...     "observation": torch.rand(3, 6), "reward": torch.ones(3, 1), "done": done, "terminated": done}}, [3])
-        >>> loss.observe(episode)
-        >>> system_loss, _ = loss.system_loss(episode)
-        >>> loss.update_gate(system_loss)
-        >>> loss.diagnostics()["fork_weight"]  # 0.6 (1 - 3 / 500)
-        0.5964000225067139
+        >>> loss.update_gate(0.01)
+        >>> loss.active, loss.diagnostics()["fork_gate"]
+        (True, 1.0)
     """
 
     @dataclass
@@ -172,8 +161,6 @@ class Fork(Enhancer):
         self._gate_open = False
         self._last_losses = (math.nan, math.nan)
 
-    # ------------------------------------------------------------------ the actor
-
     @property
     def active(self) -> bool:
         """Whether the gate is open, because the last system loss was under the threshold."""
@@ -184,11 +171,7 @@ class Fork(Enhancer):
         return super().actor_objective(acted, target=target or self.variant == "bipedal")
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The term of each sample ``[*B]`` (Eq. 2.14).
-
-        Args:
-            acted: ``[*B]`` with the state and the actor's action.
-        """
+        """The term of each sample ``[*B]`` (Eq. 2.14), and metadata."""
         first = self._advance(acted)
         second = self._advance(first)
         if self.variant == "bipedal":
@@ -211,8 +194,6 @@ class Fork(Enhancer):
         step = acted.select(key, self.tensor_keys.action).set(unravel_key(("next", key)), following.get(key))
         return _call(self.reward_network, self.reward_network_params.detach(), step).reshape(acted.batch_size)
 
-    # ------------------------------------------------------------------ the models
-
     @property
     def model_params(self) -> list[Tensor]:
         """The parameters that the models' optimiser moves."""
@@ -226,14 +207,7 @@ class Fork(Enhancer):
         return [Model(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
 
     def system_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Smooth-L1 of the predicted next state, clamped to the observed range (bipedal: masked squared error).
-
-        Args:
-            tensordict: ``[*B]`` with state, action and the next state (bipedal: and ``("next", "done")``).
-
-        Returns:
-            The reduced loss and the mean ``system_loss``, detached.
-        """
+        """Smooth-L1 of the clamped next state (bipedal: masked squared error), reduced; and its mean."""
         target = self._next(tensordict, self.tensor_keys.observation)
         prediction = _call(self.system_network, self.system_network_params, tensordict)
         if self.variant == "bipedal":
@@ -244,17 +218,7 @@ class Fork(Enhancer):
         return self._reduced(errors, tensordict), {"system_loss": errors.detach().mean()}
 
     def reward_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared error of the predicted reward.
-
-        Args:
-            tensordict: ``[*B]`` with state, action, the next state and ``("next", "reward")``.
-
-        Returns:
-            The reduced loss and the mean ``reward_loss``, detached.
-
-        Raises:
-            ValueError: for the bipedal variant, which predicts no rewards.
-        """
+        """Squared error of the predicted reward, reduced; and its mean. ValueError for the bipedal variant."""
         if self.variant == "bipedal":
             raise ValueError("reward_loss expected a reward network, the bipedal variant has none: use system_loss.")
         target = self._next(tensordict, self.tensor_keys.reward).reshape(tensordict.batch_size)
@@ -287,16 +251,10 @@ class Fork(Enhancer):
         weights = self._maybe_get_priority_weight(tensordict)
         return self._reduce_loss(errors, tensordict=tensordict, weights=weights)
 
-    # ------------------------------------------------------------------ gate and weight
-
     def update_gate(self, system_loss: Tensor | float, reward_loss: Tensor | float = math.nan) -> None:
-        """Opens the gate if the system loss is under the threshold, else closes it.
+        """Opens the gate if the system network's mean loss on a batch is under the threshold, else closes it.
 
         :meth:`forward` calls it; a training loop of single losses calls it after each update of the models.
-
-        Args:
-            system_loss: mean loss of the system network on a batch.
-            reward_loss: that of the reward network, for :meth:`diagnostics`.
         """
         self._last_losses = (_number(system_loss), _number(reward_loss))
         self._gate_open = self._last_losses[0] < self.threshold
@@ -304,13 +262,9 @@ class Fork(Enhancer):
         self._updates += 1
 
     def observe(self, episodes: TensorDictBase) -> None:
-        """Takes in new episodes: the range of the states, the returns, and so the weight.
+        """Takes in whole episodes ``[T]``, end to end: the range of the states, the returns, and so the weight.
 
-        Args:
-            episodes: ``[T]``, whole episodes end to end, split where ``("next", "done")`` is true.
-
-        Raises:
-            ValueError: when the last step ends no episode, states have another width, or a value is not finite.
+        Raises ValueError when the last step ends no episode, states have another width, or a value is not finite.
         """
         keys = self.tensor_keys
         states = torch.cat([episodes.get(keys.observation), self._next(episodes, keys.observation)])

@@ -1,24 +1,16 @@
 """LifeGuard's arithmetic as pure tensor functions (Chansuparp (2022), §3.5)."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from uavrl.models.collision_classifier import confusion_rates
 
 
 def lifeguard_penalty(probability: Tensor, weight: Tensor | float) -> Tensor:
-    """Chansuparp (2022), Eq. 3.11: what the actor's objective ``-(Q - p_cp c)`` has beyond ``-Q``: ``p_cp c``.
+    """Chansuparp (2022), Eq. 3.11: what the actor's ``-(Q - p_cp c)`` has beyond ``-Q``: ``p_cp c``, ``[*B]``.
 
     Args:
         probability: c(o, μ(s)), ``[*B]``.
-        weight: p_cp, a scalar.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: for a weight that is not a scalar.
+        weight: p_cp, a scalar, else ValueError.
 
     Examples:
         >>> import torch

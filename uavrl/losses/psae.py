@@ -1,7 +1,5 @@
 """The all-positive Siamese autoencoder's loss (Chansuparp (2022), Eq. 3.3) as a TorchRL loss module."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -88,24 +86,13 @@ class PSAELoss(LossModule):
         """There is no value estimator."""
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> NoReturn:
-        """Not for use.
-
-        Raises:
-            UavrlError: always.
-        """
+        """Raises UavrlError: the loss knows no values."""
         raise UavrlError(
             "PSAELoss compares states and knows no values: make the value estimator of your critic's loss."
         )
 
     def psae_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 3.3.
-
-        Args:
-            tensordict: ``[*B]`` with the state, the one before and the one after; it is not modified.
-
-        Returns:
-            The reduced loss and the mean of both sums, detached.
-        """
+        """Eq. 3.3 on triples ``[*B]``, reduced, and the means of both sums, detached."""
         weights = self._maybe_get_priority_weight(tensordict)
         states = torch.stack([tensordict.get(key) for key in self.in_keys])
         data = TensorDict({self.network.in_keys[0]: states}, states.shape[:-1])
@@ -120,10 +107,6 @@ class PSAELoss(LossModule):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """``loss_psae`` and the mean of its two sums.
-
-        Args:
-            tensordict: ``[*B]`` with the state, the one before and the one after.
-        """
+        """``loss_psae`` and the means of its two sums, of triples ``[*B]``."""
         loss, metadata = self.psae_loss(tensordict)
         return TensorDict({"loss_psae": loss, **metadata})

@@ -1,7 +1,5 @@
 """The all-positive Siamese autoencoder's loss as pure tensor functions (Chansuparp (2022), Eq. 3.3)."""
 
-from __future__ import annotations
-
 import torch.nn.functional as F
 from torch import Tensor
 
@@ -18,17 +16,11 @@ def _check_triples(**tensors: Tensor) -> None:
 
 
 def reconstruction_error(states: Tensor, reconstructions: Tensor) -> Tensor:
-    """The first sum of Eq. 3.3, ``Σ_i ‖s_i - s̃_i‖²`` over the three networks.
+    """The first sum of Eq. 3.3, ``Σ_i ‖s_i - s̃_i‖²`` over the three networks, ``[*B]``.
 
     Args:
-        states: ``[3, *B, D]``, the states at t-1, t and t+1.
-        reconstructions: ``[3, *B, D]``.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: for other shapes.
+        states: at t-1, t and t+1, ``[3, *B, D]``.
+        reconstructions: ``[3, *B, D]``, else ValueError.
 
     Examples:
         >>> import torch
@@ -45,16 +37,10 @@ def reconstruction_error(states: Tensor, reconstructions: Tensor) -> Tensor:
 
 
 def neighbour_similarity(features: Tensor) -> Tensor:
-    """The second sum of Eq. 3.3, ``cos(ŝ_t, ŝ_{t-1}) + cos(ŝ_t, ŝ_{t+1})``.
+    """The second sum of Eq. 3.3, ``cos(ŝ_t, ŝ_{t-1}) + cos(ŝ_t, ŝ_{t+1})``, ``[*B]`` in [-2, 2].
 
     Args:
-        features: ``[3, *B, F]``, of the states at t-1, t and t+1.
-
-    Returns:
-        ``[*B]``, in [-2, 2].
-
-    Raises:
-        ValueError: for other shapes.
+        features: of the states at t-1, t and t+1, ``[3, *B, F]``, else ValueError.
 
     Examples:
         >>> import torch
@@ -67,18 +53,12 @@ def neighbour_similarity(features: Tensor) -> Tensor:
 
 
 def psae_loss(error: Tensor, similarity: Tensor, tradeoff: float = 0.7) -> Tensor:
-    """Eq. 3.3: ``p Σ_i ‖s_i - s̃_i‖² - (1 - p) Σ_j cos(ŝ_t, ŝ_{t+j})``, j = -1, 1.
+    """Eq. 3.3: ``p Σ_i ‖s_i - s̃_i‖² - (1 - p) Σ_j cos(ŝ_t, ŝ_{t+j})``, j = -1, 1; ``[*B]``.
 
     Args:
         error: ``[*B]``, of :func:`reconstruction_error`.
-        similarity: ``[*B]``, of :func:`neighbour_similarity`.
+        similarity: ``[*B]``, of :func:`neighbour_similarity`; ValueError for another shape than the error's.
         tradeoff: p_wae.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: when the two differ in shape.
 
     Examples:
         >>> import torch

@@ -1,7 +1,5 @@
 """Actor and critic networks (Chansuparp (2022), §2.3–2.4): plain modules, no TorchRL."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -118,15 +116,9 @@ class Critic(nn.Module):
         return self.net(torch.cat([observation, action], -1))
 
     def forward_stacked(self, parameters: Mapping[str, Tensor], observation: Tensor, action: Tensor) -> Tensor:
-        """Evaluates K critics with stacked parameters, linear layers in one batched product.
+        """K critics at once, ``[K, B, 1]``, of states and actions ``[K, B, *]``, linear layers in one batched product.
 
-        Args:
-            parameters: ``net.<i>.weight [K, out, in]``, ``net.<i>.bias [K, out]``, and whatever other layers have.
-            observation: ``[K, B, observations]``.
-            action: ``[K, B, actions]``.
-
-        Returns:
-            ``[K, B, 1]``.
+        ``parameters`` are stacked: ``net.<i>.weight [K, out, in]``, ``net.<i>.bias [K, out]`` and so on.
         """
         return _stacked(self.net, _below("net", parameters), torch.cat([observation, action], -1))
 

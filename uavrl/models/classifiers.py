@@ -1,7 +1,5 @@
 """Classifiers of "this action collides" (Chansuparp (2022), §3.5), and the scaling of their features."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch
@@ -49,15 +47,7 @@ class LinearClassifier(nn.Module):
         return decision_function(x, self.weight.to(x.dtype), self.intercept.to(x.dtype))
 
     def partial_fit(self, x: Tensor, y: Tensor) -> None:
-        """Takes one step of Eq. 3.10 for each sample, in the order given.
-
-        Args:
-            x: features ``[N, F]``.
-            y: labels in {0, 1}, ``[N]``.
-
-        Raises:
-            ValueError: for other shapes, or features that are not finite.
-        """
+        """One step of Eq. 3.10 for each of finite features ``[N, F]`` with labels ``[N]`` in {0, 1}, in order."""
         weight, intercept, t = sgd_epoch(self.weight, self.intercept, x, y, int(self.t), self.alpha)
         self.weight.copy_(weight)
         self.intercept.copy_(intercept)
@@ -88,25 +78,9 @@ class MLPClassifier(nn.Module):
 
 
 def min_max_scale(x: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Scales features to (0, 1): ``(x - low) / (high - low)``, and 0 where high does not exceed low.
+    """Scales features ``[*B, F]`` to (0, 1): ``(x - low) / (high - low)``, 0 where high does not exceed low.
 
     Values outside [low, high] are not clamped, so that the gradient in x does not vanish there.
-
-    Args:
-        x: ``[*B, F]``.
-        low: ``[F]``.
-        high: ``[F]``.
-
-    Returns:
-        ``[*B, F]``.
-
-    Raises:
-        ValueError: for other shapes.
-
-    Examples:
-        >>> t = torch.tensor
-        >>> min_max_scale(t([[1.0, 7.0, 3.0]]), t([0.0, 7.0, 1.0]), t([4.0, 7.0, 2.0])).tolist()
-        [[0.25, 0.0, 2.0]]
     """
     if low.ndim != 1 or high.shape != low.shape or x.shape[-1:] != low.shape:
         raise ValueError(

@@ -1,7 +1,5 @@
 """Models of the environment that FORK learns (Chansuparp (2022), §2.5): plain modules, no TorchRL."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """A linear classifier and its stochastic gradient descent as pure functions (Chansuparp (2022), Eq. 3.7-3.10)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -13,18 +11,12 @@ _SMALLEST_SCALE = 1e-9
 
 
 def decision_function(x: Tensor, weight: Tensor, intercept: Tensor) -> Tensor:
-    """Chansuparp (2022), Eq. 3.7: ``c(x) = w·x + j``, the logit of the class 1.
+    """Chansuparp (2022), Eq. 3.7: ``c(x) = w·x + j``, the logit ``[*B]`` of the class 1.
 
     Args:
         x: features ``[*B, F]``.
-        weight: w, ``[F]``.
+        weight: w, ``[F]``, else ValueError.
         intercept: j, a scalar.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: for other shapes.
 
     Examples:
         >>> decision_function(torch.tensor([[1.0, 2.0]]), torch.tensor([3.0, -1.0]), torch.tensor(0.5)).tolist()
@@ -36,19 +28,13 @@ def decision_function(x: Tensor, weight: Tensor, intercept: Tensor) -> Tensor:
 
 
 def logistic_loss(logit: Tensor, y: Tensor) -> Tensor:
-    """Chansuparp (2022), Eq. 3.9: ``log(1 + exp(-y c))`` with y in {-1, 1}, here from labels in {0, 1}.
+    """Chansuparp (2022), Eq. 3.9: ``log(1 + exp(-y c))`` with y in {-1, 1}, here from labels in {0, 1}; ``[*B]``.
 
     The text names labels in {0, 1} and prints the loss for {-1, 1}: with 0 it would be a constant.
 
     Args:
         logit: c(x), ``[*B]``.
-        y: labels in {0, 1}, ``[*B]``, bool or float.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: for differing shapes.
+        y: labels in {0, 1}, bool or float ``[*B]``, else ValueError.
 
     Examples:
         >>> logistic_loss(torch.tensor([0.0, 2.0]), torch.tensor([0.0, 1.0]))
@@ -63,12 +49,9 @@ def regularized_error(loss: Tensor, weights: list[Tensor], alpha: float) -> Tens
     """Chansuparp (2022), Eq. 3.8 for each sample: ``L_i + α R(w)`` with ``R = ½ ‖w‖²``; its mean is E.
 
     Args:
-        loss: ``[*B]``, the losses of Eq. 3.9.
+        loss: the losses of Eq. 3.9, ``[*B]``.
         weights: the regularised tensors: w, or the matrices of a network; the intercept is not among them.
         alpha: α.
-
-    Returns:
-        ``[*B]``.
 
     Examples:
         >>> regularized_error(torch.tensor([1.0, 2.0]), [torch.tensor([3.0, 4.0])], 0.1).tolist()
@@ -81,10 +64,7 @@ def regularized_error(loss: Tensor, weights: list[Tensor], alpha: float) -> Tens
 def initial_time(alpha: float) -> float:
     """``t_0`` of Eq. 3.10 by Bottou's heuristic, as scikit-learn's ``learning_rate="optimal"`` has it.
 
-    It makes the first step the size ``α^(-1/4)`` that a weight is expected to have.
-
-    Raises:
-        ValueError: if ``alpha`` is not positive.
+    It makes the first step the size ``α^(-1/4)`` that a weight is expected to have. ValueError unless α is positive.
 
     Examples:
         >>> round(initial_time(1e-4), 6)
@@ -108,11 +88,7 @@ def learning_rate(t: float, alpha: float) -> float:
         >>> round(learning_rate(0, 1e-4), 6), round(learning_rate(1000, 1e-4), 6)
         (10.0, 5.0)
     """
-    return _step(t, alpha, initial_time(alpha))
-
-
-def _step(t: float, alpha: float, t_0: float) -> float:
-    return 1.0 / (alpha * (t_0 + (t + 1) - 1))
+    return 1.0 / (alpha * (initial_time(alpha) + (t + 1) - 1))
 
 
 def sgd_epoch(
@@ -126,7 +102,7 @@ def sgd_epoch(
     Args:
         weight: w, ``[F]``; it is not modified.
         intercept: j, a scalar; it is not regularised.
-        x: features ``[N, F]``.
+        x: features ``[N, F]``, finite, else ValueError.
         y: labels in {0, 1}, ``[N]``.
         t: number of samples seen before.
         alpha: α.
@@ -134,15 +110,9 @@ def sgd_epoch(
     Returns:
         The new w ``[F]`` and j (float64, on the CPU), and t + N.
 
-    Raises:
-        ValueError: for other shapes, or features that are not finite.
-
     Examples:
-        One sample at zero weights: the error is ½ - 1, the step 10.
-
-        >>> zero = torch.zeros(())
-        >>> w, j, t = sgd_epoch(torch.zeros(2), zero, torch.tensor([[1.0, 0.5]]), torch.ones(1), 0, 1e-4)
-        >>> w, j, t
+        >>> w, j, t = sgd_epoch(torch.zeros(2), torch.zeros(()), torch.tensor([[1.0, 0.5]]), torch.ones(1), 0, 1e-4)
+        >>> w, j, t  # at zero weights: the error is ½ - 1, the step 10
         (tensor([5.0000, 2.5000], dtype=torch.float64), tensor(5., dtype=torch.float64), 1)
     """
     if x.ndim != 2 or x.shape[1:] != weight.shape or y.shape != x.shape[:1]:
@@ -155,10 +125,9 @@ def sgd_epoch(
     rows = x.detach().double().cpu().numpy()
     if not np.isfinite(rows).all():
         raise ValueError("Expected finite features, got a NaN or an infinity: clean the data first.")
-    t_0 = initial_time(alpha)
     scale = 1.0  # the weights are scale * w: their decay costs one product
     for row, label in zip(rows, y.tolist(), strict=True):
-        step = _step(t, alpha, t_0)
+        step = learning_rate(t, alpha)
         # Summed in order: early steps amplify a rounding error thirtyfold a sample, so another order is another model.
         logit = scale * float(np.add.accumulate(w * row)[-1]) + j
         update = -step * _slope(logit, label)

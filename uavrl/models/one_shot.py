@@ -1,7 +1,5 @@
 """One-shot classification of states by convolutional features (Chansuparp (2022), §3.3; the classifier of ABR)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch
@@ -19,14 +17,6 @@ def convolve_frames(states: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 
     Returns:
         ReLU features of length 1, ``[N, channels * (frames - kernel + 1)]``; where all are 0 they become equal.
-
-    Raises:
-        ValueError: for states that are not finite or hold no whole number of frames.
-
-    Examples:
-        >>> weight, bias = torch.tensor([[[1.0, 0.0]], [[0.0, 1.0]]]), torch.zeros(2)
-        >>> convolve_frames(torch.tensor([[3.0, 0.0, 4.0]]), weight, bias)  # (3, 0) and (0, 4), channel after channel
-        tensor([[0.6000, 0.0000, 0.0000, 0.8000]])
     """
     width, kernel = weight.shape[1:]
     if states.ndim != 2 or states.shape[1] % width or states.shape[1] < width * kernel:
@@ -50,12 +40,6 @@ def join_or_found(features: Tensor, exemplars: Tensor, threshold: float, max_cla
 
     Returns:
         Labels ``[N]`` and the exemplars ``[C', F]``, the new ones last.
-
-    Examples:
-        >>> features = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
-        >>> labels, exemplars = join_or_found(features, torch.empty(0, 2), 0.75, 100)
-        >>> labels.tolist(), len(exemplars)
-        ([0, 1, 1, 0], 2)
     """
     best = features.new_full((len(features),), -torch.inf)
     labels = torch.zeros(len(features), dtype=torch.int64, device=features.device)
@@ -99,10 +83,8 @@ class OneShotClassifier(nn.Module):
         ValueError: for settings that do not fit; at a call, for states that do not fit or are not finite.
 
     Examples:
-        >>> classifier = OneShotClassifier(width=4)
-        >>> states = torch.randn(3, 12, generator=torch.Generator().manual_seed(0))
-        >>> classifier(torch.cat([states, 1.01 * states])).tolist(), len(classifier)
-        ([0, 1, 2, 0, 1, 2], 3)
+        >>> OneShotClassifier(width=4)(torch.ones(2, 12)).tolist()
+        [0, 0]
     """
 
     weight: Tensor
@@ -142,11 +124,6 @@ class OneShotClassifier(nn.Module):
     def __len__(self) -> int:
         """How many classes there are."""
         return len(self.exemplars)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the exemplars."""
-        return self.exemplars.nbytes
 
     @torch.no_grad()
     def forward(self, states: Tensor) -> Tensor:

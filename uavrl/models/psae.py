@@ -1,7 +1,5 @@
 """The all-positive Siamese autoencoder's network (Chansuparp (2022), §3.3, Figure 3.3): a plain module."""
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 
 from uavrl.models.actor_critic import mlp

@@ -60,46 +60,23 @@ class TrajectoryClassifier(nn.Module):
 
     @torch.no_grad()
     def encode(self, states: Tensor) -> Tensor:
-        """States ``[*B, inputs]`` to scaled features ``[*B, features]``.
-
-        Raises:
-            UavrlError: for states of another width.
-        """
+        """States ``[*B, inputs]`` to scaled features ``[*B, features]``; UavrlError for another width."""
         if states.shape[-1:] != (self.inputs,):
             raise UavrlError(f"Expected states [*B, {self.inputs}], got {list(states.shape)}: use another artifact.")
         return (self.encoder(states) - self.mean) / self.scale
 
     @torch.no_grad()
     def forward(self, states: Tensor) -> Tensor:
-        """The class ``[*B]`` (int64, from 0) of each state ``[*B, inputs]``.
-
-        Raises:
-            UavrlError: for states of another width.
-        """
+        """The class ``[*B]`` (int64, from 0) of each state ``[*B, inputs]``; UavrlError for another width."""
         return self.classifier(self.encode(states)).argmax(-1)
 
     def save(self, path: Path, report: Mapping[str, Any]) -> dict[str, Any]:
-        """Writes an artifact into a folder.
-
-        Args:
-            path: the folder, which exists.
-            report: what else ``artifact.json`` tells.
-
-        Returns:
-            What ``artifact.json`` holds.
-        """
+        """Writes an artifact into a folder that exists; returns what ``artifact.json`` holds, ``report`` among it."""
         return ARTIFACT.save(path, self.state_dict(), {"sizes": self.sizes, **report})
 
     @classmethod
     def load(cls, path: str | Path) -> TrajectoryClassifier:
-        """Loads the artifact that ``uavrl-pretrain`` wrote; nothing in it is unpickled.
-
-        Args:
-            path: the artifact's folder.
-
-        Raises:
-            UavrlError: when it is missing, of another format or version, or damaged.
-        """
+        """The artifact in a folder; nothing is unpickled. UavrlError when it is missing or damaged."""
         about, weights = ARTIFACT.load(Path(path))
         try:
             with torch.device("meta"):  # takes no memory, whatever sizes are named
@@ -115,11 +92,7 @@ class TrajectoryClassifier(nn.Module):
 
 
 def packaged_artifact(name: str = "abr_plus_static") -> Path:
-    """The folder of an artifact that comes with the package.
-
-    Raises:
-        UavrlError: when there is none of that name.
-    """
+    """The folder of an artifact that comes with the package."""
     path = Path(__file__).resolve().parent.parent / "artifacts" / name
     if not ARTIFACT.is_in(path):
         raise UavrlError(f"Expected the artifact {name} in {path} and found none: {ARTIFACT.remedy}.")

@@ -4,8 +4,6 @@ Features are standardised before they are clustered, each by itself to mean 0 an
 scale of a feature, so that the scale it comes with means nothing, and k-means would listen to the largest alone.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,32 +37,14 @@ class Clusters:
 
 
 def standardization(features: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and deviation ``[F]`` of features ``[N, F]``; 1 in place of a deviation of 0.
-
-    Examples:
-        >>> standardization(torch.tensor([[1.0, 5.0], [3.0, 5.0]]))
-        (tensor([2., 5.]), tensor([1., 1.]))
-    """
+    """Mean and deviation ``[F]`` of features ``[N, F]``; 1 in place of a deviation of 0."""
     scale = features.double().std(0, correction=0)
     scale = torch.where(scale > 1e-6, scale, 1.0)
     return features.double().mean(0).to(features.dtype), scale.to(features.dtype)
 
 
 def cluster(features: Tensor, k: int, *, batch_size: int = 4096, iterations: int = 30, seed: int = 0) -> Clusters:
-    """k-means by scikit-learn's ``MiniBatchKMeans``, the same for every k so that the errors compare.
-
-    Args:
-        features: ``[N, F]``, N at least k.
-        k: number of clusters.
-        batch_size: features in a batch.
-        iterations: passes over the features at most.
-        seed: seeds the first centres and the batches.
-
-    Examples:
-        >>> found = cluster(torch.tensor([[0.0], [0.2], [10.0], [10.2]]), 2)
-        >>> found.labels[0] == found.labels[1], found.labels[0] == found.labels[2], found.sse < 0.1
-        (tensor(True), tensor(False), True)
-    """
+    """k-means by scikit-learn's ``MiniBatchKMeans``, the same for every k so that the errors compare."""
     from sklearn.cluster import MiniBatchKMeans
     from sklearn.exceptions import ConvergenceWarning
 
@@ -89,19 +69,7 @@ def cluster_each(features: Tensor, ks: Sequence[int], *, progress: bool = False,
 
 
 def elbow(ks: Sequence[int], sse: Sequence[float]) -> int:
-    """The k at which the error stops to fall steeply, by Kneedle (Satopää et al. 2011).
-
-    Args:
-        ks: ``[M]``, ascending.
-        sse: ``[M]``, the error at each k.
-
-    Raises:
-        UavrlError: when the curve has no elbow.
-
-    Examples:
-        >>> elbow([1, 2, 3, 4, 5, 6], [100.0, 50.0, 10.0, 8.0, 7.0, 6.0])
-        3
-    """
+    """The k at which the error stops to fall steeply, by Kneedle (Satopää et al. 2011)."""
     from kneed import KneeLocator
 
     with warnings.catch_warnings():
@@ -116,20 +84,10 @@ def elbow(ks: Sequence[int], sse: Sequence[float]) -> int:
 
 
 def class_sizes(labels: Tensor, k: int | None = None) -> Tensor:
-    """How many of the labels ``[N]`` say each class, ``[k]``.
-
-    Examples:
-        >>> class_sizes(torch.tensor([0, 2, 2]), 4)
-        tensor([1, 0, 2, 0])
-    """
+    """How many of the labels ``[N]`` say each class, ``[k]``."""
     return torch.bincount(labels.reshape(-1), minlength=k or 0)
 
 
 def size_deviation(sizes: Tensor) -> float:
-    """The standard deviation of class sizes (of all classes, not of a sample), as in Figure 4.2.
-
-    Examples:
-        >>> size_deviation(torch.tensor([1, 3]))
-        1.0
-    """
+    """The standard deviation of class sizes (of all classes, not of a sample), as in Figure 4.2."""
     return sizes.double().std(correction=0).item()

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.losses.psae import PSAELoss
 from uavrl.models.psae import PSAE
@@ -27,56 +28,27 @@ def progress_bar(values: Iterable[T], description: str, show: bool) -> tqdm[T]:
 def train_psae(
     states: np.ndarray,
     centres: np.ndarray,
+    recipe: PretrainRecipe,
     *,
-    features: int = 20,
-    hidden: int = 64,
-    tradeoff: float = 0.7,
-    epochs: int = 30,
-    batch_size: int = 256,
-    lr: float = 1e-3,
     seed: int = 0,
     progress: bool = False,
 ) -> tuple[PSAE, dict[str, float]]:
-    """Trains the autoencoder by Eq. 3.3 with Adam; the learning rate falls to 0 along a cosine.
-
-    Args:
-        states: ``[N, width]``.
-        centres: ``[M]``, the middle of each triple, as :func:`uavrl.pretraining.triple_centres` gives them.
-        features: width of the latent space.
-        hidden: width of the hidden layers.
-        tradeoff: p_wae.
-        epochs: passes over the triples.
-        batch_size: triples in a batch.
-        lr: Adam's learning rate at the start.
-        seed: seeds weights and batches.
-        progress: show a progress bar.
-
-    Returns:
-        The network, and the means of the last epoch: ``loss``, ``reconstruction_error`` and ``similarity``.
-
-    Raises:
-        UavrlError: when the loss is no longer finite.
-
-    Examples:
-        >>> network, final = train_psae(np.random.rand(40, 6), np.arange(1, 39), features=2, hidden=8, epochs=2)
-        >>> network.encode(torch.zeros(1, 6)).shape, sorted(final)
-        (torch.Size([1, 2]), ['loss', 'reconstruction_error', 'similarity'])
-    """
+    """Trains the autoencoder by Eq. 3.3 with Adam; the learning rate falls to 0 along a cosine."""
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        network = PSAE(states.shape[1], features, hidden)
-    loss_module = PSAELoss(network, tradeoff=tradeoff)
+        network = PSAE(states.shape[1], recipe.features, recipe.hidden)
+    loss_module = PSAELoss(network, tradeoff=recipe.tradeoff)
     before, anchor, after = (torch.as_tensor(states[centres + i], dtype=torch.float32) for i in (-1, 0, 1))
     triples = TensorDict({"previous": {"observation": before}, "observation": anchor, "next": {"observation": after}})
     triples.auto_batch_size_(1)
-    optimizer = torch.optim.Adam(loss_module.parameters(), lr)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
+    optimizer = torch.optim.Adam(loss_module.parameters(), recipe.psae_lr)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, recipe.psae_epochs)
     final: dict[str, float] = {}
-    bar = progress_bar(range(epochs), "autoencoder, epochs", progress)
+    bar = progress_bar(range(recipe.psae_epochs), "autoencoder, epochs", progress)
     for _ in bar:
         sums, batches = torch.zeros(3), 0
-        for index in _batches(len(triples), batch_size, generator):
+        for index in _batches(len(triples), recipe.psae_batch_size, generator):
             loss, metadata = loss_module.psae_loss(triples[index])
             optimizer.zero_grad()
             loss.backward()
@@ -95,43 +67,19 @@ def train_classifier(
     features: Tensor,
     labels: Tensor,
     network: nn.Module,
+    recipe: PretrainRecipe,
     *,
-    epochs: int = 30,
-    batch_size: int = 512,
-    lr: float = 3e-3,
     seed: int = 0,
     progress: bool = False,
 ) -> None:
-    """Trains a network in place to say the label of a feature, by cross-entropy with Adam.
-
-    Args:
-        features: ``[N, F]``.
-        labels: ``[N]`` int64.
-        network: from ``[B, F]`` to logits ``[B, k]``.
-        epochs: passes over the features.
-        batch_size: features in a batch.
-        lr: Adam's learning rate at the start; it falls to 0 along a cosine.
-        seed: seeds the batches.
-        progress: show a progress bar.
-
-    Raises:
-        UavrlError: when the loss is no longer finite.
-
-    Examples:
-        >>> features = torch.tensor([[-1.0], [1.0]]).repeat(50, 1)
-        >>> network = nn.Linear(1, 2)
-        >>> _ = nn.init.zeros_(network.weight), nn.init.zeros_(network.bias)
-        >>> train_classifier(features, (features[:, 0] > 0).long(), network, batch_size=10)
-        >>> accuracy(network, features, (features[:, 0] > 0).long())
-        1.0
-    """
+    """Trains a network in place to say the label of a feature, by cross-entropy with Adam."""
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.Adam(network.parameters(), lr)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
-    bar = progress_bar(range(epochs), "classifier, epochs", progress)
+    optimizer = torch.optim.Adam(network.parameters(), recipe.classifier_lr)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, recipe.classifier_epochs)
+    bar = progress_bar(range(recipe.classifier_epochs), "classifier, epochs", progress)
     for _ in bar:
         total = torch.zeros(())
-        for index in _batches(len(features), batch_size, generator):
+        for index in _batches(len(features), recipe.classifier_batch_size, generator):
             loss = F.cross_entropy(network(features[index]), labels[index])
             optimizer.zero_grad()
             loss.backward()

@@ -1,7 +1,5 @@
 """The SSE curve with its elbow, and the class sizes side by side (Chansuparp (2022), Figure 4.2)."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,15 +13,7 @@ log = logging.getLogger(__name__)
 
 
 def draw(output: Path, ks: Sequence[int], sse: Sequence[float], elbow: int | None, sizes: Mapping[str, Tensor]) -> None:
-    """Draws ``elbow.png`` and ``class_sizes.png`` into a folder; says so where matplotlib is not installed.
-
-    Args:
-        output: the folder.
-        ks: numbers of clusters; without any there is no ``elbow.png``.
-        sse: the error at each.
-        elbow: which of them is marked.
-        sizes: class sizes ``[k]`` by the title of their picture.
-    """
+    """Draws ``elbow.png`` and ``class_sizes.png`` into a folder; says so where matplotlib is not installed."""
     try:
         import matplotlib
 

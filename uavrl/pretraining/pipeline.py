@@ -1,7 +1,5 @@
 """From the states of a run to one artifact: autoencoder, clusters, classifier, statistics and pictures."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
@@ -59,14 +57,7 @@ class Sample:
 
 
 def pretrain(config: PretrainConfig) -> dict[str, Any]:
-    """Makes the artifact.
-
-    Args:
-        config: as ``conf/pretrain.yaml`` describes it.
-
-    Returns:
-        What ``artifact.json`` holds, and under ``"output"`` the folder.
-    """
+    """Makes the artifact."""
     if config.run is None:
         raise UavrlError("Give run=RUN_FOLDER, of a training whose states are learned from: uavrl-train makes one.")
     torch.set_num_threads(config.threads)
@@ -107,12 +98,7 @@ def draw_sample(flown: States, recipe: PretrainRecipe, seed: int) -> Sample:
 
 
 def one_shot_sizes(states: Tensor, frames: int = 3) -> Tensor | None:
-    """Class sizes of one-shot learning on states ``[N, width]``, or None where the width is not one of whole frames.
-
-    Args:
-        states: in the order flown.
-        frames: observations in a state.
-    """
+    """Class sizes of one-shot learning on states ``[N, width]``, or None where the width is not one of whole frames."""
     if states.shape[1] % frames:
         log.info("One-shot learning is left out: states of %d numbers are not %d frames.", states.shape[1], frames)
         return None
@@ -120,15 +106,16 @@ def one_shot_sizes(states: Tensor, frames: int = 3) -> Tensor | None:
 
 
 def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Path) -> dict[str, Any]:
-    recipe, show = config.pretrain, config.progress
-    psae, psae_report = _train_psae(flown.states, sample.centres, recipe, config.seed, show)
+    recipe = config.pretrain
+    training: dict[str, Any] = {"seed": config.seed, "progress": config.progress}
+    psae, final = train_psae(flown.states, sample.centres, recipe, **training)
     states = torch.as_tensor(flown.states[sample.index], dtype=torch.float32)
     features = psae.encode(states)
     mean, scale = standardization(features)
     scaled = (features - mean) / scale
 
     options = {"batch_size": recipe.kmeans_batch_size, "iterations": recipe.kmeans_iterations, "seed": config.seed}
-    found = cluster_each(scaled, recipe.clusters, progress=show, **options)
+    found = cluster_each(scaled, recipe.clusters, progress=config.progress, **options)
     curve = [found[k].sse for k in recipe.clusters]
     at_elbow = elbow(recipe.clusters, curve) if len(recipe.clusters) >= 5 else None
     k = recipe.k or at_elbow
@@ -137,7 +124,8 @@ def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Pat
         found[other] = cluster(scaled, other, **options)
 
     classifier = _assemble(psae, mean, scale, found[k], recipe)
-    learned = _train_classifier(classifier, scaled, found[k].labels, sample.held_out, recipe, config.seed, show)
+    labels, learned_from = found[k].labels, ~sample.held_out
+    train_classifier(scaled[learned_from], labels[learned_from], classifier.classifier, recipe, **training)
     sizes = {f"PSAE and k-means, k = {k}": class_sizes(found[k].labels, k)}
     sizes[f"PSAE and classifier, k = {k}"] = class_sizes(predict(classifier.classifier, scaled), k)
     if recipe.compare_k is not None and recipe.compare_k != k:
@@ -153,9 +141,9 @@ def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Pat
         "source": _source(flown, sample),
         "config": _settings(config),
         "config_sha256": hashlib.sha256(json.dumps(_settings(config), sort_keys=True).encode()).hexdigest(),
-        "psae": psae_report,
+        "psae": {"triples": len(sample.centres), **final},
         "sse": {"k": list(recipe.clusters), "sse": curve, "elbow": at_elbow},
-        "classifier": learned,
+        "classifier": _accuracies(classifier, scaled, labels, sample.held_out),
         "class_sizes": {name: _spread(size) for name, size in sizes.items()},
         "versions": {
             "python": platform.python_version(),
@@ -164,24 +152,6 @@ def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Pat
     }
     draw(output, recipe.clusters, curve, at_elbow, sizes)
     return classifier.save(output, report)
-
-
-def _train_psae(
-    states: np.ndarray, centres: np.ndarray, recipe: PretrainRecipe, seed: int, show: bool
-) -> tuple[PSAE, dict[str, Any]]:
-    psae, final = train_psae(
-        states,
-        centres,
-        features=recipe.features,
-        hidden=recipe.hidden,
-        tradeoff=recipe.tradeoff,
-        epochs=recipe.psae_epochs,
-        batch_size=recipe.psae_batch_size,
-        lr=recipe.psae_lr,
-        seed=seed,
-        progress=show,
-    )
-    return psae, {"triples": len(centres), **final}
 
 
 def _assemble(
@@ -199,25 +169,7 @@ def _assemble(
     return classifier
 
 
-def _train_classifier(
-    classifier: TrajectoryClassifier,
-    scaled: Tensor,
-    labels: Tensor,
-    held_out: Tensor,
-    recipe: PretrainRecipe,
-    seed: int,
-    show: bool,
-) -> dict[str, Any]:
-    train_classifier(
-        scaled[~held_out],
-        labels[~held_out],
-        classifier.classifier,
-        epochs=recipe.classifier_epochs,
-        batch_size=recipe.classifier_batch_size,
-        lr=recipe.classifier_lr,
-        seed=seed,
-        progress=show,
-    )
+def _accuracies(classifier: TrajectoryClassifier, scaled: Tensor, labels: Tensor, held_out: Tensor) -> dict[str, Any]:
     return {
         "accuracy": accuracy(classifier.classifier, scaled[~held_out], labels[~held_out]),
         "held_out_accuracy": accuracy(classifier.classifier, scaled[held_out], labels[held_out]),

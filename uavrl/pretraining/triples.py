@@ -1,7 +1,5 @@
 """Consecutive states of one episode."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

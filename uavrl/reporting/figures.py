@@ -1,9 +1,5 @@
 """The figures of a report, as plotly draws them; colours are those of Okabe and Ito (2008)."""
 
-from __future__ import annotations
-
-import base64
-import hashlib
 from typing import Any
 
 from uavrl.errors import UavrlError
@@ -13,32 +9,18 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8
 QUANTITIES = {"success": "Success", "collision": "Collision", "time_out": "Time-out", "return": "Return"}
 AXES = {"steps": "environment steps", "episodes": "episodes"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-CDN = "https://cdn.plot.ly"
 _GREY = "#7d8490"  # readable on white and on dark pages
 
 
-def plotly_script(cdn: bool = False) -> str:
-    """The script element that brings plotly into the page, to be put there once.
+def plotly_script() -> str:
+    """The script element that brings plotly into the page, to be put there once."""
+    from plotly.offline import get_plotlyjs
 
-    Args:
-        cdn: fetch plotly when the page is opened, the same file by its hash, instead of carrying its 5 MB.
-    """
-    from plotly.offline import get_plotlyjs, get_plotlyjs_version
-
-    javascript = get_plotlyjs()
-    if not cdn:
-        return f"<script>{javascript}</script>"
-    digest = base64.b64encode(hashlib.sha256(javascript.encode()).digest()).decode()
-    address = f"{CDN}/plotly-{get_plotlyjs_version()}.min.js"
-    return f'<script src="{address}" integrity="sha256-{digest}" crossorigin="anonymous"></script>'
+    return f"<script>{get_plotlyjs()}</script>"
 
 
 def figure() -> Any:
-    """An empty figure.
-
-    Raises:
-        UavrlError: where plotly is not installed.
-    """
+    """An empty figure."""
     try:
         from plotly.graph_objects import Figure
     except ImportError:

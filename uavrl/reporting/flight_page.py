@@ -1,7 +1,5 @@
 """One page that plays flights back in three dimensions and needs no network."""
 
-from __future__ import annotations
-
 import base64
 import json
 from dataclasses import fields
@@ -21,11 +19,7 @@ POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four cha
 
 
 def needs_plotly() -> str:
-    """Returns plotly's JavaScript, which goes into the page.
-
-    Raises:
-        UavrlError: when plotly is not installed.
-    """
+    """Returns plotly's JavaScript, which goes into the page."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError as error:
@@ -34,16 +28,7 @@ def needs_plotly() -> str:
 
 
 def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:
-    """An array as JSON: little-endian bytes in base64.
-
-    Args:
-        values: Any shape; whole numbers become int32, others float32.
-        scale: Worth of one step where int16 is enough.
-
-    Examples:
-        >>> pack(np.array([[1, 2]]))
-        {'type': 'i4', 'shape': [1, 2], 'data': 'AQAAAAIAAAA='}
-    """
+    """An array as JSON: little-endian bytes in base64."""
     values = np.asarray(values)
     if scale is not None:
         kind, stored = "i2", np.round(values / scale)
@@ -53,39 +38,23 @@ def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:
     return {"type": kind, "shape": list(values.shape), **({} if scale is None else {"scale": scale}), "data": data}
 
 
-def unpack(packed: dict[str, Any]) -> np.ndarray:
-    """What :func:`pack` packed, to within half a step of its scale.
-
-    Examples:
-        >>> unpack(pack(np.array([0.5, -1.0]), scale=0.5)).tolist()
-        [0.5, -1.0]
-    """
-    raw = np.frombuffer(base64.b64decode(packed["data"]), dtype=f"<{packed['type']}").reshape(packed["shape"])
-    return raw * packed["scale"] if "scale" in packed else raw
-
-
-def page_data(replay: Recording) -> dict[str, Any]:
-    """All that the page shows, as JSON.
-
-    Examples:
-        >>> page_data(Recording({"policy": "straight"}, (), {}))["flights"]
-        []
-    """
-    scans = sum(len(flight.times) for flight in replay.flights)
+def page_data(recording: Recording) -> dict[str, Any]:
+    """All that the page shows, as JSON."""
+    scans = sum(len(flight.times) for flight in recording.flights)
     most = max(POINT_BYTES // (6 * max(scans, 1)), 20)
-    balls = {scenery.ball for scenery in replay.sceneries.values()} or {4.0}
+    balls = {scenery.ball for scenery in recording.sceneries.values()} or {4.0}
     shape = football(min(balls))
     parts = vehicle()
     return {
-        "source": replay.source,
+        "source": recording.source,
         "colours": {**OUTCOMES, "body": BODY, "plane": PLANE, "goal": GOAL},
         "vehicle": [
             {"vertices": pack(part.mesh.vertices), "triangles": pack(part.mesh.faces), "colour": part.colour}
             for part in parts
         ],
         "ball": {name: pack(value) for name, value in shape._asdict().items()},
-        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in replay.sceneries.items()},
-        "flights": [_flight(flight, most) for flight in replay.flights],
+        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in recording.sceneries.items()},
+        "flights": [_flight(flight, most) for flight in recording.flights],
     }
 
 
@@ -132,13 +101,9 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
     }
 
 
-def make_page(replay: Recording) -> str:
-    """The page, with its data, its programs and plotly's inside.
-
-    Raises:
-        UavrlError: when plotly is not installed.
-    """
-    data = json.dumps(page_data(replay), separators=(",", ":")).replace("<", "\\u003c")
+def make_page(recording: Recording) -> str:
+    """The page, with its data, its programs and plotly's inside."""
+    data = json.dumps(page_data(recording), separators=(",", ":")).replace("<", "\\u003c")
     assets = resources.files("uavrl.reporting") / "assets"
     texts = {name: (assets / name).read_text("utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")}
     # No fragment holds another one's mark, so the order of the replacements does not matter.
@@ -150,17 +115,8 @@ def make_page(replay: Recording) -> str:
     return page
 
 
-def write_page(replay: Recording, output: Path) -> None:
-    """Writes the page of some flights.
-
-    Args:
-        replay: The flights.
-        output: The HTML file.
-
-    Raises:
-        UavrlError: when plotly is not installed.
-        OSError: when the file cannot be written.
-    """
-    text = make_page(replay)
+def write_page(recording: Recording, output: Path) -> None:
+    """Writes the page of some flights."""
+    text = make_page(recording)
     with replacing(output) as partial:
         partial.write_text(text, encoding="utf-8")

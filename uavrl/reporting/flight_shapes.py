@@ -1,7 +1,5 @@
 """Shapes to draw: the vehicle and the truncated icosahedron around it."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -21,26 +19,14 @@ BODY, HEAD, PLANE, GOAL = "#0072B2", "#CC79A7", "#7b3fa0", "#f0c419"
 
 
 class Part(NamedTuple):
-    """A part of one colour.
-
-    Args:
-        mesh: In body axes: x ahead, y left, z up, in m.
-        colour: ``#rrggbb``.
-    """
+    """A part of one colour."""
 
     mesh: Mesh
     colour: str
 
 
 class Football(NamedTuple):
-    """The truncated icosahedron as triangles and edges.
-
-    Args:
-        vertices: ``[60, 3]`` in m around the origin.
-        triangles: ``[116, 3]``, fans over the faces.
-        faces: ``[116]``, the face that each triangle belongs to, in the order of the reduction's 32 numbers.
-        edges: ``[90, 2]``.
-    """
+    """The truncated icosahedron as triangles and edges."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -49,15 +35,7 @@ class Football(NamedTuple):
 
 
 def vehicle(airframe: Airframe | None = None) -> list[Part]:
-    """Returns the quadrotor: arms, rotors, LiDAR and a nose that shows the heading.
-
-    Args:
-        airframe: Gives lengths.
-
-    Examples:
-        >>> [len(part.mesh.faces) for part in vehicle()]
-        [136, 168, 128]
-    """
+    """Returns the quadrotor: arms, rotors, LiDAR and a nose that shows the heading."""
     frame = airframe or Airframe()
     arms = [_bar(-direction * frame.arm, direction * frame.arm, 0.025) for direction in np.eye(3)[:2]]
     rotors = [_disc(np.append(d * frame.arm, 0.04), ROTOR_RADIUS, 0.012, 14) for d in ROTOR_DIRECTIONS]
@@ -93,36 +71,8 @@ def _bar(start: np.ndarray, end: np.ndarray, width: float) -> Mesh:
     return loft(np.stack([ring + start, ring + end]))
 
 
-def cage(radius: float, height: float, width: float = 0.07, sides: int = 24) -> Mesh:
-    """Returns three rings and some bars around a cylinder about the origin, which can be seen through.
-
-    Args:
-        radius: In m.
-        height: In m.
-        width: Of the bars in m.
-        sides: Corners of a ring.
-
-    Examples:
-        >>> mesh = cage(1.0, 7.0)
-        >>> float(mesh.vertices[:, 2].max().round(1))
-        3.5
-    """
-    ring = _ring(radius, sides)
-    after = np.roll(ring, -1, axis=0)
-    levels = [np.array([0.0, 0.0, share * height]) for share in (-0.5, 0.0, 0.5)]
-    bars = [_bar(a + z, b + z, width) for z in levels for a, b in zip(ring, after, strict=True)]
-    bars += [_bar(corner + levels[0], corner + levels[2], width) for corner in ring[:: sides // 8]]
-    return Mesh.merge(bars)
-
-
 def football(radius: float) -> Football:
-    """Returns the truncated icosahedron of a circumradius in m.
-
-    Examples:
-        >>> shape = football(4.0)
-        >>> [part.shape for part in shape]
-        [(60, 3), (116, 3), (116,), (90, 2)]
-    """
+    """Returns the truncated icosahedron of a circumradius in m."""
     shape = truncated_icosahedron_faces(radius)
     normals, offsets = shape.normals.double().numpy(), shape.offsets.double().numpy()
     vertices = HalfspaceIntersection(np.column_stack([normals, -offsets]), np.zeros(3)).intersections

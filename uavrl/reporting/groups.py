@@ -1,7 +1,5 @@
 """Which runs are seeds of one another, what their groups are called and which settings tell them apart."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,14 +35,7 @@ class Group:
 
 
 def label(choices: Mapping[str, str]) -> str:
-    """What a group is called: what learns, its backward reward, and what pays.
-
-    Examples:
-        >>> label({"algo": "td3", "fork": "on", "lifeguard": "mlp", "reward": "traditional"})
-        'TD3-FORK-LG (MLP), TR'
-        >>> label({"algo": "td3", "lifeguard": "none", "backward_reward": "abr_plus", "reward": "navigation_prize"})
-        'TD3 + ABR⁺, prize'
-    """
+    """What a group is called: what learns, its backward reward, and what pays."""
 
     def named(group: str) -> list[str]:
         choice = choices.get(group, NONE)
@@ -55,34 +46,19 @@ def label(choices: Mapping[str, str]) -> str:
 
 
 def below(key: str, names: Iterable[str]) -> bool:
-    """Whether a dotted key is one of ``names`` or stands below one.
-
-    Examples:
-        >>> below("env.world.size", ["env"]), below("environment", ["env"])
-        (True, False)
-    """
+    """Whether a dotted key is one of ``names`` or stands below one."""
     return any(key == name or key.startswith(f"{name}.") for name in names)
 
 
 def shown(value: Any) -> str:
-    """A setting as a person reads it.
-
-    Examples:
-        >>> shown(None), shown(True), shown([400, 300]), shown(1e-4)
-        ('–', 'true', '[400, 300]', '0.0001')
-    """
+    """A setting as a person reads it."""
     if value is None:
         return "–"
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def differences(settings: Sequence[dict[str, Any]], without: Iterable[str] = ()) -> dict[str, list[Any]]:
-    """The keys whose values are not all equal, with the values; ``None`` where one has no such key.
-
-    Examples:
-        >>> differences([{"a": 1, "b": 2}, {"a": 1, "b": 3, "c": 4}])
-        {'b': [2, 3], 'c': [None, 4]}
-    """
+    """The keys whose values are not all equal, with the values; ``None`` where one has no such key."""
     keys = dict.fromkeys(key for flat in settings for key in flat if not below(key, without))
     values = {key: [flat.get(key) for flat in settings] for key in keys}
     return {key: row for key, row in values.items() if any(value != row[0] for value in row)}

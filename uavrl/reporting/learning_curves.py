@@ -1,7 +1,5 @@
 """Rates and returns over steps and episodes, from the ``episodes.csv`` of runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,12 +11,7 @@ POINTS = 240  # of a curve: enough for a screen
 
 
 def moving_mean(values: Sequence[float] | np.ndarray, window: int) -> np.ndarray:
-    """Mean of the last ``window`` values (or of as many as there are), after each value.
-
-    Examples:
-        >>> moving_mean([0.0, 1.0, 2.0, 3.0], window=2).tolist()
-        [0.0, 0.5, 1.5, 2.5]
-    """
+    """Mean of the last ``window`` values (or of as many as there are), after each value."""
     total = np.concatenate([[0.0], np.cumsum(np.asarray(values, float))])
     ends = np.arange(1, len(total))
     starts = np.maximum(ends - window, 0)
@@ -32,17 +25,7 @@ def moving_rates(episodes: Sequence[Episode], window: int = 500) -> tuple[np.nda
 
 
 def curves(group: Sequence[Sequence[Episode]], window: int) -> dict[str, dict[str, dict[str, Any]]]:
-    """Rolling success, collision and time-out rates and return of the seeds of a group.
-
-    Args:
-        group: the episodes of each seed.
-        window: number of episodes that a point covers. The first points cover as many as there are, and a curve begins
-            after a tenth of them: a rate over two or three episodes is noise.
-
-    Returns:
-        By quantity (``success``, ``collision``, ``time_out``, ``return``) and axis (``steps``, ``episodes``): x, y of
-        each of ``seeds``; and ``x``, ``mean``, ``low`` and ``high`` of several seeds, to where the first one ends.
-    """
+    """Rolling success, collision and time-out rates and return of the seeds of a group."""
     axes: dict[str, list[np.ndarray]] = {"steps": [], "episodes": []}
     quantities: dict[str, list[np.ndarray]] = {name: [] for name in (*RATES, "return")}
     for episodes in group:

@@ -1,6 +1,4 @@
-"""One HTML page from a report's facts: it fetches nothing, unless plotly is to come from its CDN."""
-
-from __future__ import annotations
+"""One HTML page from a report's facts: it fetches nothing."""
 
 import re
 from collections.abc import Iterable
@@ -9,7 +7,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from uavrl.errors import UavrlError
-from uavrl.reporting.figures import AXES, CDN, QUANTITIES, colour, last_success, learning_curves, plotly_script
+from uavrl.reporting.figures import AXES, QUANTITIES, colour, last_success, learning_curves, plotly_script
 from uavrl.reporting.report import Report
 
 NOTHING = "–"
@@ -26,52 +24,27 @@ WORDS = {
 
 
 def percent(rate: float | None) -> str:
-    """A rate for a person.
-
-    Examples:
-        >>> percent(0.84), percent(None)
-        ('84.0 %', '–')
-    """
+    """A rate for a person."""
     return NOTHING if rate is None else f"{100 * rate:.1f} %"
 
 
 def interval(low: float, high: float) -> str:
-    """Two rates, in percent.
-
-    Examples:
-        >>> interval(0.805, 0.87)
-        '80.5–87.0'
-    """
+    """Two rates, in percent."""
     return f"{100 * low:.1f}–{100 * high:.1f}"
 
 
 def number(value: Any, digits: int = 0) -> str:
-    """A number with thousands separated.
-
-    Examples:
-        >>> number(65980), number(0.786, 2), number(None)
-        ('65,980', '0.79', '–')
-    """
+    """A number with thousands separated."""
     return NOTHING if not isinstance(value, int | float) else f"{value:,.{digits}f}"
 
 
 def reached(steps: list[int | None]) -> str:
-    """Steps to a success rate, for each seed.
-
-    Examples:
-        >>> reached([65980, None]), reached([None])
-        ('65,980 / not reached', 'not reached')
-    """
+    """Steps to a success rate, for each seed."""
     return " / ".join("not reached" if value is None else f"{value:,}" for value in steps)
 
 
 def made_by(versions: dict[str, Any]) -> str:
-    """Which code made a run.
-
-    Examples:
-        >>> made_by({"uavrl": "0.1.0", "commit": "0123456789abcdef-dirty"}), made_by({})
-        ('uavrl 0.1.0, commit 0123456789ab-dirty', 'version not recorded')
-    """
+    """Which code made a run."""
     if "uavrl" not in versions:
         return "version not recorded"
     digits, dash, dirty = str(versions.get("commit", "not recorded")).partition("-")
@@ -94,12 +67,11 @@ def words(labels: Iterable[str]) -> dict[str, str]:
     return {word: meaning for word, meaning in WORDS.items() if any(f" {word} " in label for label in told)}
 
 
-def page(report: Report, cdn: bool = False) -> str:
+def page(report: Report) -> str:
     """The whole page.
 
     Args:
         report: what it tells.
-        cdn: fetch plotly when the page is opened, instead of carrying its 5 MB.
 
     Raises:
         UavrlError: where plotly or jinja2 is not installed.
@@ -126,6 +98,5 @@ def page(report: Report, cdn: bool = False) -> str:
         colours=[colour(index) for index in range(len(report.groups))],
         success_figure=last_success(facts),
         curve_figures=learning_curves(facts),
-        plotly_script=plotly_script(cdn),
-        plotly_source=CDN if cdn else "",
+        plotly_script=plotly_script(),
     )

@@ -1,7 +1,5 @@
 """Everything a report says, from run folders to one dictionary of facts; page and JSON show the same ones."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

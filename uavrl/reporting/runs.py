@@ -1,7 +1,5 @@
 """Run folders, read: what is whole becomes a :class:`Run`; a broken file is named."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,7 +10,7 @@ from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 
-from uavrl.configs import learner
+from uavrl.configs import learner_name
 from uavrl.configs.parts import PARTS
 from uavrl.configs.registry import NONE
 from uavrl.errors import UavrlError
@@ -60,8 +58,8 @@ class Run:
 
     @property
     def learner(self) -> str:
-        """What learns, as :func:`uavrl.configs.learner` names it."""
-        return learner(self.choices)
+        """What learns, as :func:`uavrl.configs.learner_name` names it."""
+        return learner_name(self.choices)
 
     @property
     def steps(self) -> int:
@@ -78,12 +76,7 @@ class LeftOut:
 
 
 def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The values of a nested mapping by dotted names; ``None`` and empty mappings are left out.
-
-    Examples:
-        >>> flatten({"algo": {"fork": None, "hidden": (400, 300)}, "seed": 0})
-        {'algo.hidden': [400, 300], 'seed': 0}
-    """
+    """The values of a nested mapping by dotted names; ``None`` and empty mappings are left out."""
     flat: dict[str, Any] = {}
     for key, value in node.items():
         if isinstance(value, Mapping):
@@ -94,11 +87,7 @@ def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
-    """Reads all runs in and below ``folders``, each once.
-
-    Returns:
-        The runs, in the order of the folders, and what is left out: nothing here raises for a broken folder.
-    """
+    """Reads all runs in and below ``folders``, each once."""
     found: dict[Path, None] = {}
     left_out = []
     for folder in folders:
@@ -128,11 +117,7 @@ def _run_folders(folder: Path) -> Iterator[Path]:
 
 
 def read_run(folder: Path, name: str) -> Run:
-    """Reads one run folder.
-
-    Raises:
-        UavrlError: naming the file that is missing or broken.
-    """
+    """Reads one run folder."""
     if POLICY.is_in(folder):
         raise UavrlError("It is an exported policy, which has no training to report: give the folder of its run.")
     config = _read(folder / CONFIG, _config)
@@ -176,7 +161,7 @@ def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | No
 
 def _config(path: Path) -> dict[str, Any]:
     config: Any = OmegaConf.to_container(load_config(path))
-    seed, planned, _ = int(config["seed"]), int(config["trainer"]["episodes"]), learner(config["choices"])
+    seed, planned, _ = int(config["seed"]), int(config["trainer"]["episodes"]), learner_name(config["choices"])
     return {**config, "seed": seed, "trainer": {**config["trainer"], "episodes": planned}}
 
 
@@ -215,12 +200,7 @@ def _evaluation(path: Path) -> dict[str, Any]:
 
 
 def _flown(content: dict[str, Any]) -> str:
-    """What was flown. With planes, which move with the steps of all, the number of UAVs belongs to it.
-
-    Examples:
-        >>> _flown({"env": "dynamic", "valleys": [0], "planes": 3, "num_uavs": 8, "seed": 20000, "episodes": 500})
-        'dynamic, valleys 0, 500 tasks of seed 20000, 8 UAVs at a time'
-    """
+    """What was flown. With planes, which move with the steps of all, the number of UAVs belongs to it."""
     valleys = ", ".join(map(str, content.get("valleys") or []))
     changes = [str(each) for each in content.get("overrides") or [] if str(each).startswith(("env.", "perception."))]
     return ", ".join(

@@ -1,7 +1,5 @@
 """The thesis's numbers, and which of them a group of runs can be held against."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path
@@ -16,23 +14,12 @@ _BACKWARD = {"abr": ABR, "abr_plus": ABR_PLUS}
 
 @cache
 def thesis() -> dict[str, Any]:
-    """Success and collision rates, steps to a success rate and class sizes, each with its figure or table.
-
-    Examples:
-        >>> [row["success"] for row in thesis()["rates"] if row["learner"] == "td3_lg" and row["env"] == "static"]
-        [0.62, 0.886]
-    """
+    """Success and collision rates, steps to a success rate and class sizes, each with its figure or table."""
     return json.loads(Path(__file__).with_name("thesis.json").read_text(encoding="utf-8"))
 
 
 def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
-    """Which row of the thesis a group stands beside.
-
-    Returns:
-        The row's learner and reward, and what of these is not the thesis's: the name of the reward beside a backward
-        reward, LifeGuard's model, the number of episodes. No other setting is compared. Or one sentence that says why
-        the group has no such row.
-    """
+    """Which row of the thesis a group stands beside."""
     run = group.runs[0]
     reward, backward = (run.choices.get(name, "none") for name in ("reward", "backward_reward"))
     learner = run.learner.removesuffix(f"_{backward}")

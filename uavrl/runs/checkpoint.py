@@ -1,7 +1,5 @@
 """Checkpoints: what they hold and how a damaged or foreign one is told from a good one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -76,11 +74,7 @@ def latest_checkpoint(run_dir: Path) -> Path:
 
 
 def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
-    """Checks that the archive is whole, nothing in it can run, and it belongs to ``config``, before anything is built.
-
-    Returns:
-        The checkpoint's metadata.
-    """
+    """The metadata of an archive that is whole, has nothing in it that can run, and belongs to ``config``."""
     try:
         metadata: dict[str, Any] = check_archive(path)["metadata"]
         written_under = metadata["fingerprint"]

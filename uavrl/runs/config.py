@@ -1,7 +1,5 @@
 """The ``config.yaml`` of a run or a policy, which somebody else may have written, and its fingerprint."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -32,13 +30,7 @@ _MOST_BYTES = 1_000_000  # a configuration is of some 4,000
 
 
 def fingerprint(config: DictConfig) -> str:
-    """A hash of everything in a resolved configuration that changes what is learned.
-
-    Examples:
-        >>> one, other = (OmegaConf.create({"seed": 0, "trainer": {"episodes": n}}) for n in (60, 90))
-        >>> fingerprint(one) == fingerprint(other)
-        True
-    """
+    """A hash of everything in a resolved configuration that changes what is learned."""
     plain = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
     for key in FREE_KEYS:
         parent, _, leaf = key.rpartition(".")

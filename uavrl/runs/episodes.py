@@ -54,16 +54,7 @@ class Episode:
 
 
 def wilson(count: int, total: int) -> dict[str, float]:
-    """A rate with its Wilson 95 % interval: ``rate``, ``low`` and ``high``, each in [0, 1].
-
-    Args:
-        count: how often it happened.
-        total: how often it could have happened, at least 1.
-
-    Examples:
-        >>> {name: round(value, 3) for name, value in wilson(420, 500).items()}
-        {'rate': 0.84, 'low': 0.805, 'high': 0.87}
-    """
+    """A rate with its Wilson 95 % interval: ``rate``, ``low`` and ``high``, each in [0, 1]."""
     from scipy.stats import binomtest
 
     interval = binomtest(count, total).proportion_ci(0.95, method="wilson")
@@ -76,15 +67,7 @@ def outcome(last: TensorDictBase) -> str:
 
 
 def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
-    """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks.
-
-    Examples:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> done = torch.tensor([[False], [True], [True]])
-        >>> [len(e) for e in split_episodes(TensorDict({"next": {"done": done}}, [3]))]
-        [2, 1]
-    """
+    """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks."""
     ends = batch["next", "done"].reshape(-1).nonzero().reshape(-1).tolist()
     if not ends or ends[-1] != len(batch) - 1:
         raise ValueError(f"Expected whole episodes, got a batch of {len(batch)} steps whose last one ends none.")
@@ -95,13 +78,7 @@ def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
 
 
 def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Episode:
-    """One row from the steps of one whole episode.
-
-    Args:
-        trajectory: ``[T]``.
-        episode: its number, from 1.
-        total_steps: steps of training with this episode.
-    """
+    """One row from the steps of one whole episode."""
     first, last = trajectory[0], trajectory[-1]["next"]
     paid = float(last.get("episode_reward", trajectory["next", "reward"].double().sum()))
     places = [first.get(key, None) for key in ("position", "goal")]
@@ -116,21 +93,16 @@ def read_episodes(path: Path) -> list[Episode]:
         raise UavrlError(f"Expected the episodes of a run in {path} and found no such file: is it a run folder?")
     try:
         text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise UavrlError(f"{path} is damaged: it holds bytes that are no text.") from error
-    rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
-    if not rows or rows[0] != Episode.header():
-        raise UavrlError(
-            f"Expected {path} to start with the columns {','.join(Episode.header())}: it holds something else."
-        )
-    try:
+        rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+        if rows[:1] != [Episode.header()]:
+            raise ValueError(f"expected it to start with the columns {','.join(Episode.header())}")
         episodes = [Episode.from_row(row) for row in rows[1:]]
-        if unknown := {e.outcome for e in episodes} - set(OUTCOMES):
-            raise ValueError(f"{sorted(unknown)[0]!r} is no outcome of an episode")
+        if not {e.outcome for e in episodes} <= set(OUTCOMES):
+            raise ValueError(f"outcomes are {', '.join(OUTCOMES)} alone")
+        if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):
+            raise ValueError(f"expected the episodes 1 to {len(episodes)}, each once")
     except ValueError as error:
         raise UavrlError(f"{path} is damaged: {error}.") from error
-    if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):
-        raise UavrlError(f"Expected the episodes 1 to {len(episodes)} in {path}, each once: the file is damaged.")
     return episodes
 
 
@@ -138,10 +110,6 @@ class EpisodeLog:
     """Appends episodes to ``episodes.csv`` and keeps the rates over the last ``window`` of them.
 
     Its state is the number of rows: loading it cuts the file back to where the checkpoint was made.
-
-    Args:
-        path: the csv file.
-        window: number of episodes that the rates cover.
     """
 
     def __init__(self, path: Path, window: int = 500) -> None:

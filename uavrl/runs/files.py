@@ -1,7 +1,5 @@
 """Files that are whole or not there."""
 
-from __future__ import annotations
-
 import errno
 import shutil
 from collections.abc import Iterator
@@ -17,13 +15,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Whoever reads meanwhile, or looks after a kill, finds the old file or the new one, and never half of one. What lay
     beside it is taken away first: it may be a link to somewhere else.
-
-    Examples:
-        >>> folder = getfixture("tmp_path")
-        >>> with replacing(folder / "summary.json") as partial:
-        ...     _ = partial.write_text("{}")
-        >>> [path.name for path in folder.iterdir()]
-        ['summary.json']
     """
     partial = path.with_name(path.name + ".partial")
     partial.unlink(missing_ok=True)
@@ -38,14 +29,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Gives an error of the disk the path that it came from: a write to an open file does not tell it.
-
-    Examples:
-        >>> with naming(Path("episodes.csv")):
-        ...     raise OSError(28, "No space left on device")
-        Traceback (most recent call last):
-        OSError: [Errno 28] No space left on device: 'episodes.csv'
-    """
+    """Gives an error of the disk the path that it came from: a write to an open file does not tell it."""
     try:
         yield
     except OSError as error:
@@ -55,12 +39,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def writable(path: Path, option: str = "output=FILE") -> Path:
-    """The path itself, found writable before anything is computed for it; its folder is made.
-
-    Examples:
-        >>> writable(getfixture("tmp_path") / "results/table.json").parent.name
-        'results'
-    """
+    """The path itself, found writable before anything is computed for it; its folder is made."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
@@ -75,15 +54,7 @@ def writable(path: Path, option: str = "output=FILE") -> Path:
 
 
 def require_room(folder: Path, size: float) -> None:
-    """Refuses to write more than the disk has left: what is mapped into memory dies of a full disk without an error.
-
-    Args:
-        folder: where it is to be written.
-        size: bytes.
-
-    Examples:
-        >>> require_room(getfixture("tmp_path"), 1.0)
-    """
+    """Refuses to write more than the disk has left: what is mapped into memory dies of a full disk without an error."""
     free = shutil.disk_usage(folder).free
     if free < size:
         told = f"{size / 1e6:,.1f} MB are needed and {free / 1e6:,.1f} MB are left"
@@ -92,22 +63,7 @@ def require_room(folder: Path, size: float) -> None:
 
 @contextmanager
 def removed_on_failure(folder: Path, holding: str) -> Iterator[None]:
-    """Leaves no trace of a folder that is made inside the block, where an error ends the block before ``holding``.
-
-    Args:
-        folder: what the block makes; one that was there before, or that another process has taken meanwhile, stays.
-        holding: a pattern of the first thing in it that is worth keeping.
-
-    Examples:
-        >>> run = getfixture("tmp_path") / "runs" / "run"
-        >>> with removed_on_failure(run, "checkpoint*"):
-        ...     run.mkdir(parents=True)
-        ...     raise ValueError("a mistake")
-        Traceback (most recent call last):
-        ValueError: a mistake
-        >>> run.parent.exists()
-        False
-    """
+    """Leaves no trace of a folder that is made inside the block, where an error ends the block before ``holding``."""
     made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         yield

@@ -1,7 +1,5 @@
 """Which state of the code made a run."""
 
-from __future__ import annotations
-
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -11,22 +9,12 @@ PACKAGE = Path(__file__).resolve().parent.parent
 
 @cache
 def commit() -> str | None:
-    """The git commit of the checkout that uavrl is imported from, asked once per process.
-
-    Returns:
-        Forty hexadecimal digits, with ``-dirty`` where a tracked file was changed since; ``None`` where uavrl was not
-        imported from a checkout of its own, or where git does not answer.
-    """
+    """The git commit of the checkout that uavrl is imported from, asked once per process."""
     return commit_of(PACKAGE)
 
 
 def commit_of(package: Path) -> str | None:
-    """The same for a package in any folder.
-
-    Examples:
-        >>> commit_of(Path("/nowhere")) is None
-        True
-    """
+    """The same for a package in any folder."""
     git = ["git", "--no-optional-locks", "-C", str(package)]
     try:
         # An installation inside someone else's repository is not tracked there.

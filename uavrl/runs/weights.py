@@ -27,15 +27,6 @@ class WeightsFile:
         format: what the json calls it.
         thing: what it is, in a sentence.
         remedy: how to come by another one.
-
-    Examples:
-        >>> import torch
-        >>> folder = getfixture("tmp_path")
-        >>> kind = WeightsFile("net", "mine.net", "a network", "train it again")
-        >>> _ = kind.save(folder, {"weight": torch.ones(2)}, {"note": "small"})
-        >>> about, weights = kind.load(folder)
-        >>> about["note"], about["shapes"], weights["weight"]
-        ('small', {'weight': [2]}, tensor([1., 1.]))
     """
 
     name: str
@@ -58,16 +49,7 @@ class WeightsFile:
         return (folder / self.json).is_file()
 
     def save(self, folder: Path, weights: Mapping[str, Tensor], about: Mapping[str, Any]) -> dict[str, Any]:
-        """Writes the weights and then the json, without which they do not load.
-
-        Args:
-            folder: which exists.
-            weights: by name.
-            about: what else the json tells.
-
-        Returns:
-            What the json holds.
-        """
+        """Writes the weights and then the json, without which they do not load."""
         from safetensors.torch import save
 
         plain = {name: tensor.detach().cpu().contiguous() for name, tensor in weights.items()}
@@ -86,11 +68,7 @@ class WeightsFile:
         return facts
 
     def about(self, folder: Path) -> dict[str, Any]:
-        """What the json holds.
-
-        Raises:
-            UavrlError: when it is missing, or of something else.
-        """
+        """What the json holds."""
         path = folder / self.json
         if not path.is_file():
             raise UavrlError(f"Expected {self.thing} with {path} and found no such file: {self.remedy}.")
@@ -106,11 +84,7 @@ class WeightsFile:
         return about
 
     def load(self, folder: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-        """What :meth:`save` wrote: the json, and the weights on the CPU.
-
-        Raises:
-            UavrlError: when a file is missing, damaged, or of something else.
-        """
+        """What :meth:`save` wrote: the json, and the weights on the CPU."""
         from safetensors import SafetensorError
         from safetensors.torch import load
 

@@ -1,7 +1,5 @@
 """TorchRL's adapter for state dicts, told not to unpickle."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

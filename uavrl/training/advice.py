@@ -1,7 +1,5 @@
 """What a run tells the user about settings under which it learns little."""
 
-from __future__ import annotations
-
 import logging
 
 from uavrl.configs.registry import expected_steps

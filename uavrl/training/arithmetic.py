@@ -1,7 +1,5 @@
 """How a process computes: which library multiplies matrices, in how many digits, and what is rounded to zero."""
 
-from __future__ import annotations
-
 import logging
 import os
 import time
@@ -32,17 +30,6 @@ def chosen_products(name: str, threads: int = 1) -> Products:
     ``mkl`` is PyTorch's default. ``onednn`` is float32 too: PyTorch hands products to oneDNN where it may round to
     bfloat16, and ``ONEDNN_MAX_CPU_ISA=AVX512_CORE`` keeps oneDNN from the instructions that would. ``bf16`` lets it
     use them. Hence one process has either ``onednn`` or ``bf16``.
-
-    Args:
-        name: ``"auto"``, ``"mkl"``, ``"onednn"`` or ``"bf16"``.
-        threads: CPU threads that will multiply.
-
-    Raises:
-        UavrlError: for another name, and when the library cannot do it in this process.
-
-    Examples:
-        >>> chosen_products("mkl")
-        'mkl'
     """
     if name not in ("auto", "mkl", "onednn", "bf16"):
         raise UavrlError(f"products must be one of auto, mkl, onednn, bf16, got {name!r}.")

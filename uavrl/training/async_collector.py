@@ -1,7 +1,5 @@
 """Flying in one process while another learns."""
 
-from __future__ import annotations
-
 import signal
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """One process trains in a run folder at a time: on this machine, or on another one that shares the folder."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform
@@ -25,17 +23,6 @@ def locked(run_dir: Path) -> Iterator[None]:
 
     The lock of the file system tells on one machine, and there it ends with the process. Not every shared folder hands
     it on to other machines, so whoever holds it also gives a sign of life there every ``BEAT`` seconds.
-
-    Raises:
-        FolderTaken: when another process trains in it.
-
-    Examples:
-        >>> folder = getfixture("tmp_path")
-        >>> with locked(folder), locked(folder):
-        ...     sorted(path.name for path in folder.iterdir())
-        ['.holder.json', '.lock']
-        >>> (folder / ".holder.json").exists()
-        False
     """
     lock = FileLock(run_dir / LOCK, blocking=False, is_singleton=True)
     try:

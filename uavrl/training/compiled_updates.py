@@ -33,12 +33,7 @@ Execution = Literal["eager", "captured", "compiled"]
 
 
 def chosen_execution(name: str) -> Execution:
-    """``name``, or for ``"auto"`` the fastest that this machine has: ``"compiled"`` where there is a C++ compiler.
-
-    Examples:
-        >>> chosen_execution("eager")
-        'eager'
-    """
+    """``name``, or for ``"auto"`` the fastest that this machine has: ``"compiled"`` where there is a C++ compiler."""
     if name != "auto":
         return cast(Execution, name)
     compiler = os.environ.get("CXX", "clang++" if sys.platform == "darwin" else "g++")
@@ -60,13 +55,7 @@ class Gradients(NamedTuple):
 
 
 def differentiate(loss_method: LossMethod, parameters: Sequence[Tensor], batch: TensorDictBase) -> Gradients:
-    """Runs a loss and differentiates it with respect to ``parameters``; what it does not depend on has a gradient of 0.
-
-    Args:
-        loss_method: gives the reduced loss and metadata.
-        parameters: leaves.
-        batch: ``[B]``.
-    """
+    """A loss and its gradients in ``parameters``, 0 for those that it does not depend on."""
     loss, metadata = loss_method(batch)
     gradients = torch.autograd.grad(loss, list(parameters), allow_unused=True, materialize_grads=True)
     detached = {name: value.detach() for name, value in metadata.items()}
@@ -281,16 +270,7 @@ def _laid_out(tensor: Tensor, like: Tensor) -> Tensor:
 
 
 class Minimizer:
-    """Adam on what a loss says about some parameters.
-
-    Args:
-        loss_method: gives the reduced loss and metadata.
-        parameters: what is moved; what takes no gradient among it stays.
-        lr: Adam's step.
-        execution: as in :class:`LossGradients`.
-        in_keys: as there.
-        mode: as there.
-    """
+    """Adam on what a loss says about some parameters."""
 
     def __init__(
         self,

@@ -1,7 +1,5 @@
 """The replay buffer of a run, as the loop uses it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,13 +24,7 @@ BATCHES_AT_ONCE = 32  # drawn in one call, where every transition is as likely a
 
 
 class Experience:
-    """Stores whole episodes and gives the batches to learn from: after an episode of T steps T of them.
-
-    Args:
-        buffer: where transitions are stored, and what decides which episodes are.
-        batch_size: transitions in a batch.
-        updates_per_step: batches for each stored step.
-    """
+    """Stores whole episodes and gives the batches to learn from: after an episode of T steps T of them."""
 
     def __init__(self, buffer: EpisodeBuffer, batch_size: int, updates_per_step: float = 1.0) -> None:
         self.buffer = buffer

@@ -1,7 +1,5 @@
 """Environment, buffer and collector of a configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from uavrl.configs.build import build, resolve
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.training.async_collector import AsyncCollector
-from uavrl.training.spaces import Spaces, flat
+from uavrl.training.network_sizes import NetworkSizes, inner_transforms
 from uavrl.training.sync_collector import SyncCollector
 from uavrl.transforms import Mirror
 
@@ -51,21 +49,7 @@ def make_env(
     keep_cloud: bool = False,
     **offered: Any,
 ) -> TransformedEnv:
-    """The environment with everything between what it emits and what the policy and the learner read.
-
-    Args:
-        env: the part of the configuration that names the environment.
-        perception: the one that names the transform which makes ``observation``; what it does not take is the
-            environment's.
-        reward: the one that names the reward's transform; None keeps the environment's own.
-        packages: packages whose classes may be named.
-        num_uavs: vehicles, where the environment has several; None takes the configuration's.
-        keep_cloud: whether the raw scan stays beside the state.
-        **offered: such as ``seed``, for an environment that takes it.
-
-    Raises:
-        UavrlError: when a part does not go with another.
-    """
+    """The environment with everything between what it emits and what the policy and the learner read."""
     several = {} if num_uavs is None else {"num_uavs": num_uavs}
     own = {str(key): value for part in (perception, env) for key, value in part.items()}
     base = build(own, EnvBase, packages=packages, key="env", **several, **offered)
@@ -76,7 +60,7 @@ def make_env(
     paid = None if reward is None else build(reward, Transform, packages=packages)
     for transform, part in ((state, "perception"), (paid, "reward")):
         if transform is not None:
-            _require_keys(made, [(inner.in_keys, inner.out_keys) for inner in flat(transform)], part)
+            _require_keys(made, [(inner.in_keys, inner.out_keys) for inner in inner_transforms(transform)], part)
             made.append_transform(transform)
     _require_keys(made, [(["observation"], [])], "policy")
     return made
@@ -96,25 +80,19 @@ def _require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[An
         emitted.update(written)
 
 
-def make_backward_reward(settings: TrainConfig, spaces: Spaces, kept: Path) -> BackwardReward | None:
-    """The write-path transform that pays arriving flights again, or None.
-
-    Args:
-        settings: the run's.
-        spaces: what the states are.
-        kept: where the run keeps what it loaded from elsewhere.
-    """
+def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path) -> BackwardReward | None:
+    """The write-path transform that pays arriving flights again, or None."""
     return build(
         settings.backward_reward,
         BackwardReward,
         packages=settings.packages,
-        stacked=spaces.frames,
-        observations=spaces.state,
+        stacked=sizes.frames,
+        observations=sizes.state,
         kept=kept,
     )
 
 
-def make_buffer(settings: TrainConfig, env: EnvBase, spaces: Spaces, device: torch.device) -> EpisodeBuffer:
+def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device: torch.device) -> EpisodeBuffer:
     """The replay buffer of states that stacked frames make.
 
     The next state of an n-step transition shares no frames with its state: both are kept whole.
@@ -129,7 +107,7 @@ def make_buffer(settings: TrainConfig, env: EnvBase, spaces: Spaces, device: tor
         settings.buffer,
         EpisodeBuffer,
         packages=settings.packages,
-        frames=spaces.frames if multi_step is None else 1,
+        frames=sizes.frames if multi_step is None else 1,
         seed=settings.seed,
         transform=Compose(*transforms) if transforms else None,
     )
@@ -143,17 +121,6 @@ def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
     """What each vehicle's exploration noise is multiplied by: from 1/√ratio to √ratio, evenly in the logarithm.
 
     As the actors of Ape-X explore (Horgan et al. 2018, arXiv:1803.00933): some try what others would not.
-
-    Args:
-        vehicles: N.
-        ratio: the largest over the smallest.
-
-    Returns:
-        ``[N, 1]`` as lists, or 1.0 where all are alike.
-
-    Examples:
-        >>> spread(3, 4.0), spread(3, 1.0)
-        ([[0.5], [1.0], [2.0]], 1.0)
     """
     if vehicles == 1 or ratio == 1.0:
         return 1.0
@@ -172,22 +139,14 @@ def make_collector(
     settings: TrainConfig,
     env: EnvBase | Callable[[], EnvBase],
     actor: TensorDictModuleBase,
-    spaces: Spaces,
+    sizes: NetworkSizes,
     device: torch.device,
 ) -> SyncCollector | AsyncCollector:
-    """Collects whole episodes, one a batch, with exploration noise after the random steps.
-
-    Args:
-        settings: the run's.
-        env: the environment; for an :class:`AsyncCollector` what makes it, in the process that flies.
-        actor: the policy without noise.
-        spaces: what it writes.
-        device: where the policy lives.
-    """
-    sigma = settings.algo.exploration_noise * spaces.limit
+    """Collects whole episodes, one a batch, with exploration noise after the random steps."""
+    sigma = settings.algo.exploration_noise * sizes.limit
     vehicles, processes = settings.env.get("num_uavs", 1), settings.collector.get("processes", 1)
     noise = AdditiveGaussianModule(
-        spec=spaces.action_spec(device),
+        spec=sizes.action_spec(device),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,

@@ -1,7 +1,5 @@
 """TorchRL's loggers, chosen by the configuration."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import re
@@ -23,21 +21,13 @@ _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
 def make_logger(part: DictConfig, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
-    """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``.
-
-    Raises:
-        UavrlError: when the logger's package is not installed.
-    """
+    """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``."""
     with _told(choice):
         return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / "logs"))
 
 
 def require_login(part: DictConfig, packages: Iterable[str] = ()) -> None:
-    """Asks for the login that wandb's online runs need, before anything is made for the run.
-
-    Raises:
-        UavrlError: when nobody is logged in, or wandb is not installed.
-    """
+    """Asks for the login that wandb's online runs need, before anything is made for the run."""
     if part.get("offline", True) or part._target_ is None:
         return
     if issubclass(resolve(str(part._target_), Logger, packages), OneRunWandbLogger):
@@ -89,12 +79,7 @@ class OneRunWandbLogger(WandbLogger):
 
 
 class IntervalLog:
-    """Hands values to a logger, each once in so many steps.
-
-    Args:
-        logger: TorchRL's, or None.
-        interval: steps that must lie between two values of one name.
-    """
+    """Hands values to a logger, each once in so many steps."""
 
     def __init__(self, logger: Logger | None, interval: int) -> None:
         self.logger = logger

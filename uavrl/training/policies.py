@@ -1,7 +1,5 @@
 """The policy of a run, or one on its own, ready to fly or to be given away."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -22,9 +20,9 @@ from uavrl.runs.config import read_config
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.names import CONFIG
 from uavrl.runs.weights import POLICY
+from uavrl.training.actor_and_loss import make_actor, make_loss
 from uavrl.training.factory import make_env
-from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.spaces import Spaces, spaces_of
+from uavrl.training.network_sizes import NetworkSizes, network_sizes
 
 TOLD = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
 
@@ -32,15 +30,11 @@ TOLD = ("checkpoint", "training_steps", "training_episodes", "commit")  # about 
 def load_actor(
     folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
 ) -> tuple[DictConfig, TensorDictModuleBase, dict[str, Any]]:
-    """The policy's module, from the checkpoint named, else from a policy on its own, else from the newest checkpoint.
-
-    Returns:
-        The run's configuration, the module, and where it comes from.
-    """
+    """Configuration, policy and origin: of the checkpoint named, else of a policy on its own, else the newest."""
     config = read_config(folder)
     config.packages = list(packages)
     settings = to_dataclass(config)
-    actor = make_actor(settings, _spaces(settings), device)
+    actor = make_actor(settings, _sizes(settings), device)
     if checkpoint is None and POLICY.is_in(folder):
         about, weights = POLICY.load(folder)
         try:
@@ -59,11 +53,7 @@ def load_actor(
 def load_policy(
     folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
 ) -> tuple[DictConfig, Callable[[TensorDictBase], TensorDictBase], dict[str, Any]]:
-    """What :func:`load_actor` loads, as a policy of an environment on the CPU.
-
-    Returns:
-        The run's configuration, the policy, and what a result says about them.
-    """
+    """What :func:`load_actor` loads, as a policy of an environment on the CPU."""
     config, actor, about = load_actor(folder, checkpoint, device, packages)
 
     def policy(tensordict: TensorDictBase) -> TensorDictBase:
@@ -84,20 +74,11 @@ def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
 def load_risk(
     settings: TrainConfig, checkpoint: Path, device: torch.device
 ) -> Callable[[Tensor, Tensor], Tensor] | None:
-    """What the LifeGuard of a run has learned, or None where the run has none.
-
-    Args:
-        settings: the run's.
-        checkpoint: a checkpoint that was found good.
-        device: where to compute.
-
-    Returns:
-        From observations ``[*B, W]`` and actions ``[*B, 4]`` to probabilities of a collision ``[*B]``.
-    """
+    """What the LifeGuard of a run has learned, or None where the run has none."""
     if settings.lifeguard._target_ is None:
         return None
-    spaces = _spaces(settings)
-    loss = make_loss(settings, make_actor(settings, spaces, device), spaces, device)
+    sizes = _sizes(settings)
+    loss = make_loss(settings, make_actor(settings, sizes, device), sizes, device)
     restore(Checkpoint(loss_module=loss), checkpoint, ["loss_module"])
     guard = next((part for part in getattr(loss, "enhancers", []) if isinstance(part, LifeGuard)), None)
     if guard is None:
@@ -112,14 +93,7 @@ def load_risk(
 
 
 def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[str, Any], output: Path) -> None:
-    """Writes a policy on its own: ``config.yaml``, the weights and then ``policy.json``, without which nothing loads.
-
-    Args:
-        actor: the policy.
-        config: the run's configuration; where its run lay is left out.
-        about: what else ``policy.json`` tells: run, steps, commit.
-        output: the folder, made if need be.
-    """
+    """Writes ``config.yaml``, the weights and then ``policy.json``, without which nothing loads."""
     if POLICY.is_in(output) or (output / CONFIG).exists():
         raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with --output FOLDER.")
     writable(output / POLICY.json, "--output FOLDER")
@@ -130,9 +104,9 @@ def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[s
     POLICY.save(output, actor.state_dict(), about)
 
 
-def _spaces(settings: TrainConfig) -> Spaces:
+def _sizes(settings: TrainConfig) -> NetworkSizes:
     env = make_env(settings.env, settings.perception, packages=settings.packages, num_uavs=1)
     try:
-        return spaces_of(env)
+        return network_sizes(env)
     finally:
         env.close()

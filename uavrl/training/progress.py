@@ -1,7 +1,5 @@
 """The line that a person watches while a run goes on."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import deque
@@ -18,27 +16,12 @@ def seconds_left(flights: int, steps_a_flight: float, max_steps: int, steps_a_se
 
     Flights that collide soon are short, and lengthen as a policy learns: the rest is taken to last half of
     ``max_steps`` on average, or as long as the last ones where that is longer.
-
-    Examples:
-        >>> seconds_left(100, 40.0, 300, 150.0)
-        100.0
     """
     return flights * max(steps_a_flight, max_steps / 2) / steps_a_second
 
 
 class Progress:
-    """Episodes, steps, outcome rates over the window, steps per second and time left.
-
-    Args:
-        episodes: how many there will be at most.
-        window: how many the rates cover.
-        enabled: whether anything is shown.
-        done: episodes flown before (by the run that is resumed).
-        steps: steps flown before.
-        random_steps: steps before anything is learned: they are quicker, and say nothing about the time left.
-        max_steps: the longest flight.
-        until_success: the success rate over the window that ends the run before, or None.
-    """
+    """Episodes, steps, outcome rates over the window, steps per second and time left."""
 
     def __init__(
         self,

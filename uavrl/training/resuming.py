@@ -1,7 +1,5 @@
 """From where a run goes on that was stopped, killed or damaged."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -1,15 +1,11 @@
 """One training run, new or resumed, in its folder."""
 
-from __future__ import annotations
-
 import json
 import logging
 import platform
 import random
 import shutil
 import signal
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,55 +13,36 @@ import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
-from torchrl.envs import EnvBase
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 import uavrl
-from uavrl.configs import learner, to_dataclass
-from uavrl.configs.build import options
-from uavrl.configs.parts import STEPPER, TARGET
+from uavrl.configs import learner_name, to_dataclass
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FolderTaken, Stopped, UavrlError, was_interrupted
-from uavrl.runs.checkpoint import restore, rotation
+from uavrl.runs.checkpoint import restore
 from uavrl.runs.config import fingerprint, read_config
-from uavrl.runs.episodes import EpisodeLog, read_episodes
+from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
 from uavrl.runs.provenance import commit
 from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
-from uavrl.training.arithmetic import carried, chosen_products, denormals_flushed, multiplied_by
-from uavrl.training.async_collector import AsyncCollector
+from uavrl.training.arithmetic import chosen_products, denormals_flushed, multiplied_by
+from uavrl.training.build import build_trainer
 from uavrl.training.claim import locked
 from uavrl.training.compiled_updates import chosen_execution
-from uavrl.training.experience import Experience
-from uavrl.training.factory import (
-    collector_class,
-    make_backward_reward,
-    make_buffer,
-    make_collector,
-    make_device,
-    make_env,
-)
-from uavrl.training.learner import make_actor, make_loss
-from uavrl.training.loggers import IntervalLog, close, make_logger, truncate_logs
+from uavrl.training.loggers import close, truncate_logs
 from uavrl.training.progress import Progress
 from uavrl.training.resuming import checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.training.silence import Silence
-from uavrl.training.spaces import spaces_of
-from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop, stoppable
-from uavrl.training.trainer import EpisodeTrainer, barrier_seed
+from uavrl.training.trainer import EpisodeTrainer
 from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
 
 
 def create_run(config: DictConfig) -> Path:
-    """Makes the run folder with its resolved configuration.
-
-    Raises:
-        UavrlError: when it cannot be written, or holds a run already.
-    """
+    """Makes the run folder with its resolved configuration."""
     run_dir = Path(str(config.run_dir))
     _refuse_a_run(run_dir)
     # recorded: both bear on the last digits
@@ -103,19 +80,7 @@ def _write(config: DictConfig, run_dir: Path) -> None:
 
 
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
-    """Trains until the configured number of episodes is flown, or until the policy is good enough.
-
-    Args:
-        config: the composed configuration of the run (for a resumed run: the one in its folder).
-        run_dir: the run's folder.
-        resume: start from the newest checkpoint in ``run_dir``; anew, where it was stopped before the first one.
-
-    Returns:
-        What ``summary.json`` holds.
-
-    Raises:
-        Stopped: when Ctrl-C or SIGTERM has ended it.
-    """
+    """Trains until the configured number of episodes is flown, or until the policy is good enough."""
     if resume:
         check_links(run_dir)
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
@@ -145,7 +110,9 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
     checkpoint = checkpoint_to_resume(run_dir, config) if resume else None
     _drop_unfinished_checkpoints(run_dir)
     try:
-        trainer = _build(settings, config, run_dir)
+        warn_of_random_steps(settings)
+        with Silence("The world and the networks are still being built: large ones take minutes."):
+            trainer = build_trainer(settings, config, run_dir)
     except Exception:
         if not resume:
             free(run_dir)
@@ -206,46 +173,6 @@ def seed_everything(seed: int) -> None:
     torch.manual_seed(seed)
 
 
-def _build(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
-    warn_of_random_steps(settings)
-    with Silence("The world and the networks are still being built: large ones take minutes."):
-        return _built(settings, config, run_dir)
-
-
-def _built(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
-    device = make_device(settings.device)
-    parts = (settings.env, settings.perception, settings.reward)
-    new_env = partial(make_env, *parts, packages=settings.packages, seed=barrier_seed(settings.seed, 0))
-    env = new_env()
-    spaces = spaces_of(env)
-    actor = make_actor(settings, spaces, device)
-    loss = make_loss(settings, actor, spaces, device)
-    backward_reward = make_backward_reward(settings, spaces, run_dir / ARTIFACT)
-    buffer = make_buffer(settings, env, spaces, device)
-    flown: EnvBase | Callable[[], EnvBase] = env
-    if issubclass(collector_class(settings), AsyncCollector):
-        env.close()  # another process makes its own
-        flown = carried(new_env)
-    taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})
-    logger = make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages)
-    return EpisodeTrainer(
-        loss=loss,
-        stepper=ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution)),
-        backward_reward=backward_reward,
-        experience=Experience(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
-        episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
-        rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
-        metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
-        policy=actor,
-        episodes=settings.trainer.episodes,
-        until_success=settings.trainer.until_success,
-        seed=settings.seed,
-        checkpoint_interval=settings.trainer.checkpoint_interval,
-        log=IntervalLog(logger, settings.logger.interval),
-        collector=make_collector(settings, flown, actor, spaces, device),  # last: it may have begun a process
-    )
-
-
 def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
     """Makes trainer and run folder what they were after the barrier of a checkpoint."""
     flown = read_episodes(run_dir / EPISODES)
@@ -271,7 +198,7 @@ def _restore(trainer: EpisodeTrainer, path: Path) -> None:
 def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) -> dict[str, Any]:
     summary: dict[str, Any] = {
         **{name: settings.choices.get(name, "") for name in ("algo", "env", "reward")},
-        "learner": learner(settings.choices),
+        "learner": learner_name(settings.choices),
         "seed": settings.seed,
         "episodes": trainer.episode_log.count,
         "steps": trainer.collected_frames,
@@ -295,16 +222,7 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
 
 
 def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> DictConfig:
-    """The configuration of a run to go on with.
-
-    Args:
-        run_dir: the run's folder.
-        overrides: the configuration composed from the command line.
-        changed: the keys named on the command line, ``resume`` left out.
-
-    Raises:
-        UavrlError: when the command line changes what is learned.
-    """
+    """The configuration of a run to go on with."""
     config = read_config(run_dir)
     before = fingerprint(config)
     config.packages = overrides.packages  # whom the one trusts who runs this, whatever the file says

@@ -13,16 +13,7 @@ log = logging.getLogger(__name__)
 
 
 class Silence:
-    """Says what is waited for, once in every silence that lasts.
-
-    Args:
-        text: the sentence.
-        seconds: how long a silence lasts before it is said.
-
-    Examples:
-        >>> with Silence("Still building."):
-        ...     pass
-    """
+    """Says what is waited for, once in every silence that lasts."""
 
     def __init__(self, text: str, seconds: float | None = None) -> None:
         self.text = text

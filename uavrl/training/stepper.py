@@ -1,7 +1,5 @@
 """One optimisation step of an actor–critic."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch
@@ -73,11 +71,7 @@ class ActorCriticStepper(OptimizationStepper):
         self._actor_loss = torch.zeros(())
 
     def step(self, trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
-        """Updates the networks on one batch and writes the new priorities into it.
-
-        Returns:
-            The detached losses and the mean value of the batch.
-        """
+        """Updates on one batch, which gets the new priorities; returns detached losses and the batch's mean value."""
         value = self.critic(sub_batch)
         sub_batch.set(self.loss.unenhanced.tensor_keys.priority, value.metadata["priority"])
         for model, learned in self.models:
@@ -105,12 +99,7 @@ class ActorCriticStepper(OptimizationStepper):
         return tuple(enhancer.active for enhancer in self.loss.enhancers)
 
     def observe(self, episodes: TensorDictBase, sample: Sample) -> None:
-        """Shows whole new episodes ``[T]`` to the enhancers, and trains the models that learn after each episode.
-
-        Args:
-            episodes: end to end, with every key that the environment emits.
-            sample: gives n random stored transitions.
-        """
+        """Shows whole new episodes ``[T]`` to the enhancers, and trains the models that learn after each episode."""
         self.loss.observe(episodes)
         for fit, optimizer in self.fits:
             fit(sample, len(episodes), optimizer)

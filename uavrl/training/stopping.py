@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM while a run trains."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time

@@ -1,7 +1,5 @@
 """The combinations of a sweep: each has a folder of its own, and is found there when the sweep is started again."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path
@@ -20,7 +18,7 @@ NAME_DIGITS = 6
 FOLLOWING = -1  # stands in a name for the random steps that follow from the episodes
 
 
-def place_of(config: DictConfig) -> Path:
+def run_folder(config: DictConfig) -> Path:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and returns it.
 
     What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint, nor are random steps
@@ -39,11 +37,7 @@ def is_finished(run_dir: Path, episodes: int) -> bool:
 
 
 def is_begun(run_dir: Path) -> bool:
-    """Whether a run can be gone on with; a folder that never came to its first checkpoint is freed. Hold its lock.
-
-    Raises:
-        UavrlError: when what was flown there has lost its checkpoints.
-    """
+    """Whether a run can be gone on with; a folder that never came to its first checkpoint is freed. Hold its lock."""
     if any(run_dir.glob(ANY_CHECKPOINT)):
         return True
     if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
@@ -55,7 +49,7 @@ def is_begun(run_dir: Path) -> bool:
     return False
 
 
-def standing(run_dirs: list[Path]) -> str:
+def summary_lines(run_dirs: list[Path]) -> str:
     """What stands of a sweep, a line for each run."""
     lines = [f"  {run_dir}: {_episodes(run_dir):,} episodes" for run_dir in run_dirs]
     return "\n".join([f"The sweep's {len(run_dirs)} runs:", *lines])

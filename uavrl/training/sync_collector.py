@@ -1,7 +1,5 @@
 """Flying and learning in turn, in one process."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

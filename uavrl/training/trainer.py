@@ -1,7 +1,5 @@
 """The loop of a run: Algorithm 3.1, able to stop at any checkpoint and to go on bit by bit."""
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass, field
@@ -158,8 +156,6 @@ class EpisodeTrainer:
         log = self.episode_log
         trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
         return log.count >= self.episodes or (trained and log.count >= log.window)
-
-    # ------------------------------------------------------------------ checkpoints
 
     def save_if_due(self) -> None:
         """Saves once the flights have ended that were open when a checkpoint became due.

@@ -1,7 +1,5 @@
 """Transitions as they would look in a mirror at the vehicle's side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -36,11 +34,7 @@ def mirror_observation(observation: Tensor) -> Tensor:
     the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
 
     Args:
-        observation: ``[*B, F * 35]``, F stacked observations of :func:`uavrl.transforms.navigation_observation` with
-            folded angles.
-
-    Raises:
-        ValueError: for another width.
+        observation: F stacked observations with folded angles, ``[*B, F * 35]``, else ValueError.
 
     Examples:
         >>> seen = torch.zeros(35)

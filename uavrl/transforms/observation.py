@@ -1,7 +1,5 @@
 """From the 32 faces, the altitude and the two goal angles to the policy's 35 numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 
@@ -59,12 +57,9 @@ class NavigationObservation(ObservationTransform):
     Args:
         radius: the ball's radius, m.
         flight_level: p_approAlt, m.
-        angles: ``"folded"`` to [-1, 1], or the thesis's ``"raw"`` degrees.
+        angles: ``"folded"`` to [-1, 1], or the thesis's ``"raw"`` degrees, else ValueError.
         in_keys: keys of the faces, the altitude, the heading and the elevation.
         out_keys: where the observation goes.
-
-    Raises:
-        ValueError: for an unknown ``angles`` or another number of keys than four and one.
 
     Examples:
         >>> from tensordict import TensorDict

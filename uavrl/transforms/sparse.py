@@ -1,7 +1,5 @@
 """The reward that tells least: whether a flight arrived."""
 
-from __future__ import annotations
-
 from tensordict import TensorDictBase
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """From the raw scan to the policy's state, in one piece."""
 
-from __future__ import annotations
-
 from torchrl.envs import CatFrames, Compose
 
 from uavrl.ranges import Count, Positive

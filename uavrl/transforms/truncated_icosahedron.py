@@ -1,7 +1,5 @@
 """The point-cloud reduction as a TorchRL transform (Chansuparp (2022), section 3.1)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -1,7 +1,5 @@
 """The rewards by which FORK's authors teach the hard-core bipedal walker."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor

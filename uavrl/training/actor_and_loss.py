@@ -1,7 +1,5 @@
 """The policy of a run, and its loss with enhancers."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import torch
@@ -12,30 +10,30 @@ from uavrl.configs.build import build, options, resolve
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss, Enhancer
-from uavrl.training.spaces import Spaces
+from uavrl.training.network_sizes import NetworkSizes
 
 
-def make_actor(settings: TrainConfig, spaces: Spaces, device: torch.device | str = "cpu") -> TensorDictModuleBase:
+def make_actor(settings: TrainConfig, sizes: NetworkSizes, device: torch.device | str = "cpu") -> TensorDictModuleBase:
     """The policy: reads ``observation``, writes ``action``; the loss says what its network gives."""
-    network = _network("actor", settings, spaces).to(device)
-    return _loss_class(settings).policy_of(network, spaces.action_spec(device))
+    network = _network("actor", settings, sizes).to(device)
+    return _loss_class(settings).policy_of(network, sizes.action_spec(device))
 
 
 def make_loss(
-    settings: TrainConfig, actor: TensorDictModuleBase, spaces: Spaces, device: torch.device
+    settings: TrainConfig, actor: TensorDictModuleBase, sizes: NetworkSizes, device: torch.device
 ) -> ActorCriticLoss:
     """The loss of the algorithm with critics of its own, and the enhancers around it: FORK first, LifeGuard next."""
     loss_class, packages = _loss_class(settings), settings.packages
     critics = [
         TensorDictModule(
-            _network("critic", settings, spaces).to(device),
+            _network("critic", settings, sizes).to(device),
             in_keys=["observation", "action"],
             out_keys=["state_action_value"],
         )
         for _ in range(loss_class.num_critics)
     ]
-    loss = loss_class.of_networks(actor, critics, spaces.action_spec(device), **options(settings.algo, packages))
-    given = {"gamma": settings.algo.gamma, "stacked": spaces.frames, **_widths(spaces)}
+    loss = loss_class.of_networks(actor, critics, sizes.action_spec(device), **options(settings.algo, packages))
+    given = {"gamma": settings.algo.gamma, "stacked": sizes.frames, **_widths(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.enhancer):
         enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
         loss = loss if enhanced is None else enhanced
@@ -47,13 +45,13 @@ def _loss_class(settings: TrainConfig) -> type[ActorCriticLoss]:
     return resolve(name, ActorCriticLoss, settings.packages)  # type: ignore[type-abstract]
 
 
-def _network(role: Literal["actor", "critic"], settings: TrainConfig, spaces: Spaces) -> nn.Module:
+def _network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: NetworkSizes) -> nn.Module:
     """The network of a part of ``algo``, tried once: what takes other inputs would fail in the middle of a flight."""
     part = getattr(settings.algo, role)
-    network = build(part, nn.Module, packages=settings.packages, limit=spaces.limit, **_widths(spaces))
+    network = build(part, nn.Module, packages=settings.packages, limit=sizes.limit, **_widths(sizes))
     if network is None:
         raise UavrlError(f"algo.{role} must name a network, got null: choose another algorithm.")
-    inputs = [torch.zeros(2, spaces.state)] + [torch.zeros(2, spaces.actions)] * (role == "critic")
+    inputs = [torch.zeros(2, sizes.state)] + [torch.zeros(2, sizes.actions)] * (role == "critic")
     training = network.training
     try:
         with torch.no_grad(), torch.random.fork_rng(devices=[]):
@@ -69,5 +67,5 @@ def _network(role: Literal["actor", "critic"], settings: TrainConfig, spaces: Sp
     return network
 
 
-def _widths(spaces: Spaces) -> dict[str, Any]:
-    return {"observations": spaces.state, "actions": spaces.actions}
+def _widths(sizes: NetworkSizes) -> dict[str, Any]:
+    return {"observations": sizes.state, "actions": sizes.actions}

@@ -1,7 +1,5 @@
 """What the networks of a run read and write."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +10,7 @@ from uavrl.errors import UavrlError
 
 
 @dataclass(frozen=True)
-class Spaces:
+class NetworkSizes:
     """Widths of state and action.
 
     Attributes:
@@ -32,28 +30,19 @@ class Spaces:
         return Bounded(-self.limit, self.limit, (self.actions,), device=device)
 
 
-def spaces_of(env: EnvBase) -> Spaces:
-    """The spaces of an environment with its transforms.
-
-    Raises:
-        UavrlError: for actions without bounds, or with others than [-a, a].
-
-    Examples:
-        >>> from uavrl.envs.bipedal import BipedalEnv
-        >>> spaces_of(BipedalEnv())
-        Spaces(state=24, frames=1, actions=4, limit=1.0)
-    """
+def network_sizes(env: EnvBase) -> NetworkSizes:
+    """The sizes of an environment with its transforms."""
     spec = env.action_spec_unbatched
     limit = float(spec.high.max()) if isinstance(spec, Bounded) else 0.0
     if not isinstance(spec, Bounded) or not bool((spec.high == limit).all() and (spec.low == -limit).all()):
         raise UavrlError(f"Expected actions in [-a, a], got {spec}: scale them by a transform.")
-    stacks = [t.N for t in flat(getattr(env, "transform", None)) if isinstance(t, CatFrames)]
+    stacks = [t.N for t in inner_transforms(getattr(env, "transform", None)) if isinstance(t, CatFrames)]
     width = int(env.observation_spec["observation"].shape[-1])
-    return Spaces(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit)
+    return NetworkSizes(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit)
 
 
-def flat(transform: Transform | None) -> list[Transform]:
+def inner_transforms(transform: Transform | None) -> list[Transform]:
     """The transforms of a composition, in their order."""
     if isinstance(transform, Compose):
-        return [inner for outer in transform.transforms for inner in flat(outer)]
+        return [inner for outer in transform.transforms for inner in inner_transforms(outer)]
     return [] if transform is None else [transform]
