@@ -21,7 +21,8 @@ CHROMEDRIVER = shutil.which("chromedriver")
 AXE = find_spec("axe_core_python")
 CHECK = """
 const tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"], done = arguments[arguments.length - 1];
-const rules = {"duplicate-id": {enabled: false}};  // WCAG 2.2 has dropped it; plotly names a part of its scene as we name ours
+// WCAG 2.2 has dropped it; plotly names a part of its scene as we name ours
+const rules = {"duplicate-id": {enabled: false}};
 axe.run(document, {runOnly: tags, rules}).then(
   found => done(found.violations.map(each => [each.id, each.nodes.map(node => node.html.slice(0, 200))])),
   error => done([["axe failed", String(error)]]));
