@@ -72,7 +72,10 @@ intersphinx_mapping = {name: (address, f"_inventories/{name}.txt") for name, add
 # Packages without an inventory here, what is private, and pieces of types that Sphinx cuts in two.
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|omegaconf|gymnasium|zipfile|tensordict\._nestedkey)\b.*|torchrl\..*\.MultiStepTransform"),
-    (r"py:.*", r".*\._AcceptedKeys|uavrl\.configs\.checked\.T|uavrl\.configs\.train\.TrainerConfig"),
+    (
+        r"py:.*",
+        r".*\._AcceptedKeys|uavrl\.configs\.checked\.T|uavrl\.configs\.(train\.TrainerConfig|evaluate\.FlyingConfig)",
+    ),
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
     (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task)"),
     (r"py:.*", r"(typing\.)?(Annotated|Literal|tuple|dict)\[[^\]]*"),
