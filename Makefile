@@ -8,7 +8,7 @@ ifndef RUN
 RUN := runs/fast_$(shell date +%Y-%m-%d_%H-%M-%S)
 endif
 
-.PHONY: train demo test test-slow lint bench setup clean
+.PHONY: train demo test test-slow lint bench docs setup clean
 
 setup: $(READY)
 
@@ -41,6 +41,15 @@ lint: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+# The site, in docs/_build/html; tutorials run once and again when they change. ARGS="-D nb_execution_mode=off" shows them without.
+docs: $(VENV)/.ready-docs
+	$(BIN)/python -m sphinx -b html -W -n --keep-going -d docs/_build/trees $(ARGS) docs docs/_build/html
+	@echo "Open docs/_build/html/index.html in a browser."
+
+$(VENV)/.ready-docs: $(READY)
+	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
 
 bench: $(READY)
 	for name in lidar env update buffer train; do $(BIN)/python benchmarks/$$name.py || exit 1; done

@@ -152,7 +152,9 @@ def test_the_command_writes_page_and_facts(
     monkeypatch.chdir(tmp_path)
     code, out, err = report(runs, "--window", 2)
     assert code == 0
-    assert out.splitlines()[-1] == "Written to report.html and report.json"
+    told = out.splitlines()[-1]
+    assert told.startswith("Best: TD3, prize, 100.0 % of the last flights arrived (")
+    assert told.endswith("Open report.html in a browser; report.json holds the facts.")
     assert "uavrl: bad is left out. episodes.csv is missing" in err
     assert json.loads((tmp_path / "report.json").read_text())["window"] == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["report.html", "report.json", "runs"]

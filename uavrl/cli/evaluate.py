@@ -31,7 +31,7 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
 
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.flying.flight import fly
-    from uavrl.flying.summary import summarize, table
+    from uavrl.flying.summary import reached, summarize, table
     from uavrl.flying.whereabouts import Whereabouts
     from uavrl.training.arithmetic import multiplied_by
     from uavrl.training.factory import make_device, make_env
@@ -61,7 +61,9 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
     with replacing(output) as partial:
         partial.write_text(json.dumps({**result, **told, **chosen.source, "flights": known}, indent=1) + "\n")
     print(table(result))
-    print(f"Written to {output}")
+    who = f"run={settings.run}" if settings.run else f"policy={settings.policy}"
+    then = f"Watch it fly: uavrl-replay {who}" if "world" in chosen.env else f"Its curves: uavrl-report {settings.run}"
+    print(f"{reached(result)} Written to {output}. {then}")
 
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:

@@ -33,8 +33,10 @@ def _export(args: argparse.Namespace) -> None:
         raise UavrlError(f"{args.run} holds a policy on its own already: copy the folder.")
     config, actor, about = load_actor(args.run, args.checkpoint, "cpu", args.packages)
     export_policy(actor, config, {**about, "run": args.run.resolve().name}, args.output)
-    print(f"Written to {args.output}")
-    print(f"See how well it flies: uavrl-evaluate run={args.output}")
+    steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"
+    print(
+        f"The policy after {steps} steps is in {args.output}. See how well it flies: uavrl-evaluate run={args.output}"
+    )
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ def _pretrain(config: DictConfig) -> None:
             f"SD {sizes['sd']:.2f}"
         )
     print(f"Artifact: {about['output']}")
+    print(f"Train with it: uavrl-train backward_reward=abr_plus backward_reward.artifact={about['output']}")
 
 
 if __name__ == "__main__":

@@ -46,7 +46,13 @@ def _report(args: argparse.Namespace) -> None:
             partial.write_text(text, encoding="utf-8")
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
     print(f"{_count(report.runs, 'run')} in {_count(report.groups, 'group')} (seeds): {groups}")
-    print(f"Written to {args.output} and {facts}")
+    best = report.groups[0]
+    success = best["last"]["success"]
+    rate, low, high = (f"{100 * success[name]:.1f}" for name in ("rate", "low", "high"))
+    print(
+        f"Best: {best['label']}, {rate} % of the last flights arrived ({low}-{high} %). "
+        f"Open {args.output} in a browser; {facts} holds the facts."
+    )
 
 
 def _count(things: Sized, name: str) -> str:

@@ -27,6 +27,7 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
     not flown again.
     """
     from uavrl.flying.suite import scenarios, suite_table
+    from uavrl.flying.summary import reached
 
     kept = distinguishing(overrides, OWN)
     for override in kept:
@@ -45,7 +46,8 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
     with replacing(folder / "suite.json") as partial:
         partial.write_text(json.dumps(told, indent=1) + "\n")
     print(suite_table(results))
-    print(f"Written to {folder}")
+    worst = min(results, key=lambda name: results[name]["success"]["rate"])
+    print(f"Hardest: {worst}. {reached(results[worst])} Written to {folder}")
 
 
 def _folder(settings: EvaluateConfig, kept: list[str]) -> Path:

@@ -281,7 +281,7 @@ class NavigationEnv(EnvBase):
 
     @property
     def simulation(self) -> Simulation:
-        """The physics: attitudes, sensor positions and more; there is none before the first reset."""
+        """The physics, with attitudes, sensor positions and more; there is none before the first reset."""
         assert self._simulation is not None
         return self._simulation
 

@@ -53,6 +53,18 @@ def number(value: float | None, form: str) -> str:
     return "–" if value is None else format(value, form)
 
 
+def reached(result: Mapping[str, Any]) -> str:
+    """The share of solved tasks, in a sentence.
+
+    Examples:
+        >>> reached({"episodes": 500, "success": {"rate": 0.91, "low": 0.882, "high": 0.932}})
+        'Solved: 91.0 % of 500 fixed tasks (88.2-93.2 %).'
+    """
+    success = {name: f"{100 * share:.1f}" for name, share in result["success"].items()}
+    tasks = f"{result['episodes']} fixed tasks"
+    return f"Solved: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %)."
+
+
 def table(result: Mapping[str, Any]) -> str:
     """A summary as text for a person."""
     lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {result['episodes']} episodes"]

@@ -31,7 +31,7 @@ class ActorCriticLoss(_LossModule):
     actor_network_params: TensorDictParams
 
     out_keys = TensorDictModuleBase.out_keys  # TorchRL's lists hold for all instances: no key could be selected
-    """What :meth:`forward` writes."""
+    """What ``forward`` writes."""
 
     num_critics: ClassVar[int] = 2
     """How many critics :meth:`of_networks` takes."""
@@ -53,12 +53,12 @@ class ActorCriticLoss(_LossModule):
 
     @property
     def unenhanced(self) -> ActorCriticLoss:
-        """The loss below all enhancers: here, itself."""
+        """The loss below all enhancers; here that is itself."""
         return self
 
     @property
     def enhancers(self) -> list[Enhancer]:
-        """The enhancers around the loss, the outermost first: here, none."""
+        """The enhancers around the loss, the outermost first; here there are none."""
         return []
 
     @property
@@ -67,7 +67,7 @@ class ActorCriticLoss(_LossModule):
         return []
 
     def alpha_loss(self, log_prob: Tensor) -> Tensor:
-        """The temperature's reduced loss, of the ``log_prob [*B]`` in the metadata of :meth:`actor_loss`."""
+        """The temperature's reduced loss, of the ``log_prob [*B]`` in the metadata of ``actor_loss``."""
         raise NotImplementedError
 
     def observe(self, episodes: TensorDictBase) -> None:

@@ -80,7 +80,7 @@ class Enhancer(ActorCriticLoss, LossModule):
 
     @property
     def active(self) -> bool:
-        """Whether the term counts now: a recorded update holds as long as this does not change."""
+        """Whether the term counts now; a recorded update holds as long as this does not change."""
         return True
 
     @property

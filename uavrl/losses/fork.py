@@ -163,7 +163,7 @@ class Fork(Enhancer):
 
     @property
     def active(self) -> bool:
-        """Whether the gate is open: the last system loss was under the threshold."""
+        """Whether the gate is open, because the last system loss was under the threshold."""
         return self._gate_open
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:

@@ -120,7 +120,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
 
     @property
     def alpha_params(self) -> list[Tensor]:
-        """The parameters that the temperature's optimiser moves: its logarithm, or nothing if it is fixed."""
+        """The parameters that the temperature's optimiser moves, its logarithm, or nothing if it is fixed."""
         return [self.log_alpha] if isinstance(self.log_alpha, nn.Parameter) else []
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:

@@ -4,12 +4,12 @@ from typing import Any
 
 from uavrl.errors import UavrlError
 
-# Told apart by the colour-blind too; the palette's yellow is left out, it is too pale for lines on white.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Told apart by the colour-blind too; the palette's yellow and black are left out, they fade on white and on dark pages.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#808080")
 QUANTITIES = {"success": "Success", "collision": "Collision", "time_out": "Time-out", "return": "Return"}
 AXES = {"steps": "environment steps", "episodes": "episodes"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-_GREY = "#6b7280"
+_GREY = "#7d8490"  # readable on white and on dark pages
 
 
 def plotly_script() -> str:
@@ -25,7 +25,7 @@ def figure() -> Any:
         from plotly.graph_objects import Figure
     except ImportError:
         raise UavrlError("A report needs plotly, which is not installed: pip install 'uavrl[report]'.") from None
-    return Figure(layout={"template": "none"})
+    return Figure(layout={"template": "none", "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)"})
 
 
 def colour(index: int) -> str:

@@ -1,5 +1,7 @@
 """One HTML page from a report's facts: it fetches nothing."""
 
+import re
+from collections.abc import Iterable
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -10,6 +12,15 @@ from uavrl.reporting.report import Report
 
 NOTHING = "–"
 _COMMIT = 12  # digits shown
+WORDS = {
+    "ABR": "what pays the steps of flights that arrived once more",
+    "ABR⁺": "ABR with classes of states that were learned beforehand",
+    "FORK": "a learned model that lets the actor look ahead",
+    "LG": "LifeGuard, which learns what ends in a collision",
+    "TR": "the traditional reward: progress, a prize and a punishment",
+    "Eq. 3.6": "the thesis's navigation reward, as printed",
+    "prize": "the navigation reward with a prize for arriving",
+}
 
 
 def percent(rate: float | None) -> str:
@@ -45,6 +56,17 @@ def config_text(config: dict[str, Any]) -> str:
     return OmegaConf.to_yaml(OmegaConf.create(config))
 
 
+def words(labels: Iterable[str]) -> dict[str, str]:
+    """What the names in the labels of groups mean.
+
+    Examples:
+        >>> list(words(["TD3-LG (MLP), TR", "TD3 + ABR⁺, prize"]))
+        ['ABR⁺', 'LG', 'TR', 'prize']
+    """
+    told = [f" {re.sub('[-,()]', ' ', label)} " for label in labels]
+    return {word: meaning for word, meaning in WORDS.items() if any(f" {word} " in label for label in told)}
+
+
 def page(report: Report) -> str:
     """The whole page.
 
@@ -72,6 +94,7 @@ def page(report: Report) -> str:
         facts,
         axes=AXES,
         quantities=QUANTITIES,
+        words=words(group["label"] for group in report.groups),
         colours=[colour(index) for index in range(len(report.groups))],
         success_figure=last_success(facts),
         curve_figures=learning_curves(facts),

@@ -24,7 +24,8 @@ FREE_KEYS = (
     "trainer.keep_checkpoints",
 )
 # What may differ between two seeds of one experiment: beside that, what bears on the last digits alone.
-HOW_IT_RUNS = (*FREE_KEYS, "device", "trainer.execution", "trainer.threads", "trainer.window")
+OF_OLDER_RUNS = ("trainer.record_states",)
+HOW_IT_RUNS = (*FREE_KEYS, "device", "trainer.execution", "trainer.threads", "trainer.window", *OF_OLDER_RUNS)
 _MOST_BYTES = 1_000_000  # a configuration is of some 4,000
 
 

@@ -22,7 +22,7 @@ Statistic = Literal["face", "range"]
 
 LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 NUM_FACES = 32
-"""Faces of the truncated icosahedron: 12 pentagons, then 20 hexagons."""
+"""Faces of the truncated icosahedron, 12 pentagons and then 20 hexagons."""
 
 _PHI = (1.0 + math.sqrt(5.0)) / 2.0
 # A face with a point in it never reads 0, which means "no point": see `truncated_icosahedron`.

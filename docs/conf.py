@@ -1,0 +1,129 @@
+"""How Sphinx makes the site: `make docs`."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from docutils.nodes import Element, TextElement
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.ext.intersphinx import missing_reference
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+import uavrl  # noqa: E402
+
+project = "uavrl"
+author = copyright = "the uavrl authors"
+version = release = uavrl.__version__
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+    "myst_nb",
+]
+exclude_patterns = ["_build", "conf.py", "journal/report", "tutorials/shell.py"]
+nitpicky = True
+suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
+
+html_theme = "furo"
+html_title = "uavrl"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_js_files = ["site.js"]
+html_show_sphinx = False
+
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+# Tutorials are scripts in jupytext's percent format; what they print and draw is kept until they change.
+nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_execution_mode = "cache"
+nb_execution_timeout = 1800
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+nb_output_stderr = "remove"
+
+autodoc_default_options = {"members": True, "show-inheritance": True, "member-order": "groupwise"}
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_inherit_docstrings = False  # TorchRL's speak of what our pages do not have
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 88
+napoleon_use_rtype = False
+
+# Addresses of foreign names, from files: the site is built without a network.
+_FOREIGN = {
+    "python": "https://docs.python.org/3.11",
+    "torch": "https://docs.pytorch.org/docs/stable",
+    "tensordict": "https://docs.pytorch.org/tensordict/0.14",
+    "torchrl": "https://docs.pytorch.org/rl/0.14",
+}
+intersphinx_mapping = {name: (address, f"_inventories/{name}.txt") for name, address in _FOREIGN.items()}
+
+# Packages without an inventory here, what is private, and pieces of types that Sphinx cuts in two.
+nitpick_ignore_regex = [
+    (r"py:.*", r"(numpy|omegaconf|gymnasium|zipfile|tensordict\._nestedkey)\b.*|torchrl\..*\.MultiStepTransform"),
+    (r"py:.*", r".*\._AcceptedKeys|uavrl\.configs\.checked\.T|uavrl\.configs\.train\.TrainerConfig"),
+    (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
+    (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task)"),
+    (r"py:.*", r"(typing\.)?(Annotated|Literal|tuple|dict)\[[^\]]*"),
+]
+
+# Pages at the root of the repository, which the site has under the names of docs/.
+_ROOT_PAGES = {
+    "CHANGELOG.md": "changelog.md",
+    "CODE_OF_CONDUCT.md": "code_of_conduct.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "README.md": "index.md",
+    "SECURITY.md": "security.md",
+}
+
+
+def _stay_on_the_site(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Turns links from docs/ to the pages of the root into links to their pages here."""
+    for name, page in _ROOT_PAGES.items():
+        source[0] = re.sub(rf"\]\(((?:\.\./)*)\.\./{re.escape(name)}", rf"](\1{page}", source[0])
+
+
+def _stay_on_the_site_too(app: Sphinx, path: Path, parent: str, source: list[str]) -> None:
+    """The same for links among the pages of the root."""
+    for name, page in _ROOT_PAGES.items():
+        source[0] = source[0].replace(f"]({name}", f"](docs/{page}")
+
+
+def _find_where_public(app: Sphinx, env: BuildEnvironment, node: Element, text: TextElement) -> Element | None:
+    """Finds a class under its public name: ``torch.nn.modules.module.Module`` is ``torch.nn.Module``."""
+    *modules, name = str(node.get("reftarget", "")).split(".")
+    if node.get("refdomain") != "py":
+        return None
+    for length in range(len(modules) - 1, 0, -1):
+        node["reftarget"] = ".".join([*modules[:length], name])
+        for known, _ in env.domains.python_domain.find_obj(env, "", "", node["reftarget"], None):
+            return env.domains.python_domain.resolve_xref(
+                env, node["refdoc"], app.builder, node["reftype"], known, node, text
+            )
+        if found := missing_reference(app, env, node, text):
+            return found
+    here = env.domains.python_domain.find_obj(env, "", "", name, None, searchmode=1)
+    if here and not modules:
+        node["reftarget"] = here[0][0]
+        return env.domains.python_domain.resolve_xref(
+            env, node["refdoc"], app.builder, node["reftype"], here[0][0], node, text
+        )
+    return None
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("source-read", _stay_on_the_site)
+    app.connect("include-read", _stay_on_the_site_too)
+    app.connect("missing-reference", _find_where_public, priority=600)

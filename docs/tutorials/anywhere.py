@@ -1,0 +1,165 @@
+# %% [markdown]
+# # The reduction and LifeGuard in an environment of somebody else
+#
+# Nothing in uavrl's parts knows the valley. Here they meet a Gymnasium environment that knows nothing of uavrl: a ball in a room with pillars, which
+# senses points. You will see how a cloud becomes 32 numbers, and how LifeGuard learns which actions end in a crash.
+
+# %%
+import gymnasium
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Dict
+from shell import size
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.collectors import Collector
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.envs import CatTensors, Compose, GymWrapper, StepCounter, TransformedEnv
+from torchrl.modules import AdditiveGaussianModule
+from torchrl.objectives import SoftUpdate
+
+from uavrl.losses import LifeGuard, TD3Loss
+from uavrl.models import Actor, Critic
+from uavrl.transforms import TruncatedIcosahedron
+from uavrl.transforms.functional import truncated_icosahedron
+
+STEPS = size("STEPS", 4000)
+torch.manual_seed(0)
+
+# %% [markdown]
+# ## An environment
+#
+# The room is 4 m wide. Four pillars stand in it; to touch one, or a wall, is a crash. The sensor gives points on the pillars, in metres, seen from
+# the ball: any LiDAR, radar or depth camera would do. The reward is for being near the goal, in the corner.
+
+# %%
+PILLARS = np.array([[-0.8, -0.8], [0.8, -0.8], [-0.8, 0.8], [0.8, 0.8]])
+TURN = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+SURFACE = np.concatenate([p + 0.3 * np.stack([np.cos(TURN), np.sin(TURN)], -1) for p in PILLARS])
+GOAL = np.array([1.6, 1.6])
+
+
+class Room(gymnasium.Env):
+    observation_space = Dict(cloud=Box(-9, 9, (len(SURFACE), 3)), place=Box(-2, 2, (2,)))
+    action_space = Box(-1, 1, (2,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place = self.np_random.uniform(-0.3, 0.3, 2)
+        return self._seen(), {}
+
+    def step(self, action):
+        self.place = self.place + 0.2 * np.asarray(action, float)
+        crashed = bool(np.abs(self.place).max() > 2 or np.linalg.norm(PILLARS - self.place, axis=1).min() < 0.4)
+        reward = -10.0 if crashed else 1.0 - 0.3 * float(np.linalg.norm(GOAL - self.place))
+        return self._seen(), reward, crashed, False, {}
+
+    def _seen(self):
+        flat = np.pad(SURFACE - self.place, ((0, 0), (0, 1)))  # all at the ball's height
+        return {"cloud": flat.astype(np.float32), "place": self.place.astype(np.float32)}
+
+
+# %% [markdown]
+# ## The cloud becomes 32 numbers
+#
+# {class}`~uavrl.transforms.TruncatedIcosahedron` is a TorchRL transform. Name your key, and say how large the ball around the sensor is: what is farther
+# away does not count. The cloud is dropped on the way.
+
+# %%
+env = TransformedEnv(
+    GymWrapper(Room()),
+    Compose(
+        TruncatedIcosahedron(in_keys=["cloud"], out_keys=["faces"], radius=1.5),
+        CatTensors(["faces", "place"], "observation", del_keys=False),
+        StepCounter(max_steps=30),
+    ),
+)
+env.set_seed(0)
+begin = env.reset()
+print("keys:", sorted(begin.keys()))
+print("faces that see something:", int((begin["faces"] > 0).sum()), "of 32")
+
+# %% [markdown]
+# ## A loss, and LifeGuard around it
+#
+# {class}`~uavrl.losses.LifeGuard` attaches to any TD3, DDPG or SAC loss. It needs to know what a failure is called: here every end that is not a
+# time-out is a crash, so `terminated`. The room has no goal to arrive at that ends a flight; with `success_window=None` LifeGuard does not ask.
+
+# %%
+spec = env.full_action_spec["action"]
+policy = TensorDictModule(Actor(34, 2, (64, 64), limit=1.0), ["observation"], ["action"])
+critics = [
+    TensorDictModule(Critic(34, 2, (64, 64)), ["observation", "action"], ["state_action_value"]) for _ in range(2)
+]
+base = TD3Loss(policy, critics, action_spec=spec)
+loss = LifeGuard(
+    base,
+    observations=34,
+    actions=2,
+    model="mlp",
+    penalty_weight=5.0,
+    success_window=None,
+    min_collisions=5,
+    min_true_negative_rate=0.8,
+)
+loss.set_keys(collided="terminated")
+
+# %% [markdown]
+# The rest is TorchRL as everywhere. Two lines are LifeGuard's: `observe` shows it a flight, `fit` trains its classifier. It wants whole flights, so the
+# collector hands over one at a time.
+
+# %%
+adam = [torch.optim.Adam(p.parameters(), lr=1e-3) for p in (loss.critic_network_params, loss.actor_network_params)]
+classifier, targets = loss.make_optimizer(), SoftUpdate(base, tau=0.005)
+buffer = ReplayBuffer(storage=LazyTensorStorage(100_000), batch_size=100)
+explore = TensorDictSequential(policy, AdditiveGaussianModule(spec, sigma_init=0.3, sigma_end=0.3))
+collector = Collector(env, explore, total_frames=STEPS, trajs_per_batch=1, frames_per_batch=30, traj_format="cat")
+crashed = []
+for episode in collector:
+    buffer.extend(episode)
+    loss.observe(episode)
+    loss.fit(buffer.sample, len(episode), classifier)
+    for step in range(len(episode)):
+        batch = buffer.sample()
+        for method, optimizer in list(zip((loss.value_loss, loss.actor_loss), adam, strict=True))[: 1 + step % 2]:
+            optimizer.zero_grad()
+            method(batch)[0].backward()
+            optimizer.step()
+        targets.step()
+    crashed.append(bool(episode["next", "terminated"].any()))
+collector.shutdown()
+half = len(crashed) // 2
+print(
+    f"{sum(crashed[:half])} of the first {half} flights crashed, {sum(crashed[half:])} of the last {len(crashed) - half}"
+)
+print("does the actor hear of LifeGuard?", loss.active)
+
+# %% [markdown]
+# How much of the second number is LifeGuard's and how much TD3's, one training cannot say: for that, train with and without it, with several seeds
+# ([the next tutorial](new_reward.py) shows how to read that). What can be seen here is what its classifier has learned.
+#
+# ## What it holds for dangerous
+#
+# The ball stands left of a pillar, at (0.3, -0.8). For each direction of full speed we ask for the risk of a crash. A step that turns less
+# than 49° from the pillar's direction, 0°, touches it.
+
+# %%
+room = Room()
+room.reset()
+room.place = np.array([0.3, -0.8])
+faces = truncated_icosahedron(torch.tensor(room._seen()["cloud"]), radius=1.5)  # the transform as a function
+angles = torch.linspace(-np.pi, np.pi, 73)
+actions = torch.stack([angles.cos(), angles.sin()], -1)
+state = torch.cat([faces, torch.tensor(room.place, dtype=torch.float32)])
+with torch.no_grad():
+    risk = loss.classifier(torch.cat([state.expand(73, -1), actions], -1)).sigmoid()
+print(f"risk of flying at the pillar {risk[36]:.2f}, away from it {risk[0]:.2f}")
+
+plt.figure(figsize=(7, 3))
+plt.plot(angles.rad2deg(), risk)
+plt.axvspan(-49, 49, alpha=0.15, label="touches the pillar")
+plt.xlabel("direction of the action, degrees")
+plt.ylabel("risk that LifeGuard sees")
+plt.ylim(0, 1)
+plt.legend()
+plt.show()
