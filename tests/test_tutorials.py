@@ -19,7 +19,7 @@ SMALL = {
 }
 SAYS = {
     "small_valley": "last third: ",
-    "anywhere": "risk of flying at the pillar",
+    "anywhere": "on the way: risk ",
     "new_reward": "step_cost=0.5: ",
     "take_away": "largest difference to the faces in flight: 0.0",
 }

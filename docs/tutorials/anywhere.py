@@ -24,7 +24,7 @@ from uavrl.transforms import TruncatedIcosahedron
 from uavrl.transforms.functional import truncated_icosahedron
 
 STEPS = size("STEPS", 4000)
-torch.manual_seed(0)
+_ = torch.manual_seed(0)
 
 # %% [markdown]
 # ## An environment
@@ -140,26 +140,31 @@ print("does the actor hear of LifeGuard?", loss.active)
 #
 # ## What it holds for dangerous
 #
-# The ball stands left of a pillar, at (0.3, -0.8). For each direction of full speed we ask for the risk of a crash. A step that turns less
-# than 49° from the pillar's direction, 0°, touches it.
+# Two places, each half a metre from the middle of a pillar. One is on the way to the goal, where many flights crashed; to the other
+# few flights came. For each direction of full speed we ask for the risk of a crash. 0° is straight at the pillar; a step that turns
+# less than 49° from there touches it.
 
 # %%
 room = Room()
-room.reset()
-room.place = np.array([0.3, -0.8])
-faces = truncated_icosahedron(torch.tensor(room._seen()["cloud"]), radius=1.5)  # the transform as a function
 angles = torch.linspace(-np.pi, np.pi, 73)
-actions = torch.stack([angles.cos(), angles.sin()], -1)
-state = torch.cat([faces, torch.tensor(room.place, dtype=torch.float32)])
-with torch.no_grad():
-    risk = loss.classifier(torch.cat([state.expand(73, -1), actions], -1)).sigmoid()
-print(f"risk of flying at the pillar {risk[36]:.2f}, away from it {risk[0]:.2f}")
-
+touches = angles.abs() < np.deg2rad(49)
 plt.figure(figsize=(7, 3))
-plt.plot(angles.rad2deg(), risk)
+for name, place, bearing in (("on the way", (0.45, 0.45), np.pi / 4), ("off the way", (0.3, -0.8), 0.0)):
+    room.place = np.array(place)
+    faces = truncated_icosahedron(torch.tensor(room._seen()["cloud"]), radius=1.5)  # the transform as a function
+    state = torch.cat([faces, torch.tensor(place)])
+    actions = torch.stack([(angles + bearing).cos(), (angles + bearing).sin()], -1)
+    with torch.no_grad():
+        risk = loss.classifier(torch.cat([state.expand(73, -1), actions], -1)).sigmoid()
+    print(f"{name}: risk {risk[touches].mean():.2f} where it would crash, {risk[~touches].mean():.2f} elsewhere")
+    plt.plot(angles.rad2deg(), risk, label=name)
 plt.axvspan(-49, 49, alpha=0.15, label="touches the pillar")
-plt.xlabel("direction of the action, degrees")
+plt.xlabel("direction of the action, degrees from the pillar")
 plt.ylabel("risk that LifeGuard sees")
 plt.ylim(0, 1)
 plt.legend()
 plt.show()
+
+# %% [markdown]
+# LifeGuard knows what it has lived through. Where flights crashed it tells the directions apart; where none came, it has little to say, and its
+# penalty does not help. The 32 faces are the same kind of numbers at both pillars, yet a few dozen crashes are too few to carry over.

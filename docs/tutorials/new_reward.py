@@ -29,7 +29,7 @@ folder = Path(tempfile.mkdtemp())
 # %%
 (folder / "my_parts").mkdir()
 (folder / "my_parts" / "__init__.py").touch()
-(folder / "my_parts" / "rewards.py").write_text("""
+_ = (folder / "my_parts" / "rewards.py").write_text("""
 from torchrl.envs import Transform
 
 from uavrl.ranges import NonNegative, Positive
@@ -50,7 +50,7 @@ class Hurry(Transform):
 
 # %%
 (folder / "conf" / "reward").mkdir(parents=True)
-(folder / "conf" / "reward" / "mine.yaml").write_text("""
+_ = (folder / "conf" / "reward" / "mine.yaml").write_text("""
 _target_: my_parts.rewards.Hurry
 prize: 10.0      # for arriving, and lost for colliding
 step_cost: 0.1   # of every step
@@ -65,7 +65,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), str(examples), *filter(
 
 # %%
 (folder / "conf" / "env").mkdir()
-(folder / "conf" / "env" / "corridor.yaml").write_text((examples / "conf" / "env" / "corridor.yaml").read_text())
+_ = (folder / "conf" / "env" / "corridor.yaml").write_text((examples / "conf" / "env" / "corridor.yaml").read_text())
 sh(
     f"uavrl-train -m --config-dir {folder / 'conf'} packages=[my_parts,own_parts] env=corridor reward=mine "
     f"reward.step_cost=0,0.5 seed=0,1,2 trainer.episodes={FLIGHTS} algo.random_steps=300 algo.hidden=[32,32] "

@@ -5,6 +5,8 @@ import shlex
 import subprocess
 import sys
 
+os.environ.setdefault("RL_LOGGING_LEVEL", "ERROR")  # TorchRL tells which storages it makes
+
 
 def sh(line: str) -> None:
     """Runs one of uavrl's commands and prints what it says."""
