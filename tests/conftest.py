@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shutil
 import signal
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,8 @@ def valleys_built_once() -> Iterator[None]:
     build = world.build_valley
 
     def build_once(config: world.WorldConfig, seed: int, origin: np.ndarray) -> world.Valley:
-        key = repr((replace(config, seeds=(seed,)), seed))  # what a valley is like, its neighbours do not say
+        like = dict(config) if isinstance(config, Mapping) else asdict(config)
+        key = repr(({**like, "seeds": None}, seed))  # what a valley is like, its neighbours do not say
         if key not in _VALLEYS:
             _VALLEYS[key] = build(config, seed, origin)
         return replace(_VALLEYS[key], origin=origin)

@@ -156,7 +156,7 @@ import sys
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from tests.helpers.runs import small_config
-from uavrl.training import run
+from uavrl.training import build, run
 
 def stop(*about, **more):
     raise KeyboardInterrupt
@@ -168,7 +168,7 @@ if __name__ == "__main__":
         start = BaseProcess.start
         BaseProcess.start = lambda process: (start(process), stop())
     else:
-        run.EpisodeTrainer = stop
+        build.EpisodeTrainer = stop
     config = small_config(Path(sys.argv[1]), "collector=async")
     try:
         run.train(config, run.create_run(config))
