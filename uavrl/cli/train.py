@@ -161,7 +161,8 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
     summary = train(config, run_dir, resume=resume)
     rates = ", ".join(f"{100 * rate:.0f} % {name.replace('_', ' ')}" for name, rate in summary["rates"].items())
     print(f"{summary['episodes']:,} episodes, {summary['steps']:,} steps; of the last ones {rates}.")
-    print(f"See how well it flies: uavrl-evaluate run={run_dir}; watch it: uavrl-replay run={run_dir}")
+    watch = f"; watch it: uavrl-replay run={run_dir}" if "world" in config.env else ""
+    print(f"See how well it does: uavrl-evaluate run={run_dir}{watch}")
 
 
 if __name__ == "__main__":
