@@ -23,6 +23,10 @@ def was_interrupted(error: BaseException | None) -> bool:
     """Whether an error is Ctrl-C, or came out of its handling.
 
     TensorDict's ``to_module`` answers an exception inside its ``with`` block by one of its own.
+
+    Examples:
+        >>> was_interrupted(KeyboardInterrupt()), was_interrupted(ValueError())
+        (True, False)
     """
     while error is not None:
         if isinstance(error, KeyboardInterrupt):

@@ -65,7 +65,11 @@ def check_archive(path: Path) -> dict[str, Any]:
 
 
 def check_links(folder: Path) -> None:
-    """Checks that no link in a folder leads out of it: what is written there would be written elsewhere."""
+    """Checks that no link in a folder leads out of it: what is written there would be written elsewhere.
+
+    Raises:
+        UavrlError: naming the link.
+    """
     inside = folder.resolve()
     for path in folder.rglob("*"):
         if path.is_symlink() and not path.resolve().is_relative_to(inside):

@@ -51,7 +51,11 @@ class FailureBias:
         self._generator = torch.Generator().manual_seed(seed)
 
     def admits(self, episode: TensorDictBase) -> bool:
-        """Whether one whole episode ``[T]`` is stored; counts its fall. Raises KeyError when a key is missing."""
+        """Whether one whole episode ``[T]`` is stored; counts its fall.
+
+        Raises:
+            KeyError: when a key is missing.
+        """
         last = episode[-1]
         fell, value = last.get(self.fell, None), last.get(self.episode_return, None)
         if fell is None or value is None:

@@ -13,7 +13,15 @@ from uavrl.buffers.history import TrajectoryHistory
 
 
 class StateClassifier(Protocol):
-    """Anything that puts states into classes: a function, or a module (whose state then goes into checkpoints)."""
+    """Anything that puts states into classes: a function, or a module (whose state then goes into checkpoints).
+
+    Examples:
+        >>> def by_quadrant(states: Tensor) -> Tensor:
+        ...     return 2 * (states[:, 0] > 0).long() + (states[:, 1] > 0).long()
+        >>> classifier: StateClassifier = by_quadrant
+        >>> classifier(torch.tensor([[0.3, -1.0], [2.0, 0.1]])).tolist()
+        [2, 3]
+    """
 
     def __call__(self, states: Tensor, /) -> Tensor:
         """States ``[N, *S]``, in the order flown, to int64 labels ``[N]``."""
@@ -146,7 +154,13 @@ class BackwardReward(Transform):
         return new
 
     def diagnostics(self) -> dict[str, float]:
-        """What to log: extra reward a step of the last arrival, episodes relabelled, size of the history, seconds."""
+        """What to log.
+
+        Returns:
+            ``backward_extra``: mean extra reward a step of the last episode that arrived; ``backward_episodes``:
+            episodes relabelled; ``backward_classes`` and ``backward_values``: size of the history;
+            ``backward_seconds``: spent relabelling since the object was made.
+        """
         return {
             "backward_extra": self.mean_extra,
             "backward_episodes": self.episodes,

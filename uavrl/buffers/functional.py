@@ -17,10 +17,14 @@ def window_ends(steps: int, frames: int = 3) -> Tensor:
 
     Args:
         steps: T.
-        frames: p_frames, at least 1, else ValueError.
+        frames: p_frames.
 
     Returns:
-        ``[T // frames]`` int64, counted from 0: 2 is the third step. What is left at the end belongs to no window.
+        ``[T // frames]`` int64, positions counted from 0, so that 2 is the third step. What is left at the end
+        belongs to no window.
+
+    Raises:
+        ValueError: when ``frames`` is not positive.
 
     Examples:
         >>> window_ends(10).tolist(), window_ends(2).tolist()
@@ -32,13 +36,19 @@ def window_ends(steps: int, frames: int = 3) -> Tensor:
 
 
 def floored_sums(reward: Tensor, frames: int = 3) -> Tensor:
-    """R of each window, int64 ``[T // frames]``: ⌊r_{Z - p_frames + 1} + … + r_Z⌋ (Algorithm 3.1).
+    """R of each window: ⌊r_{Z - p_frames + 1} + … + r_Z⌋ (Algorithm 3.1).
 
     Summed in double precision, so that neither the order nor the device moves a sum across an integer.
 
     Args:
-        reward: the rewards of one episode, floats ``[T]`` with finite sums, else ValueError.
+        reward: the rewards of one episode, ``[T]``.
         frames: p_frames.
+
+    Returns:
+        ``[T // frames]`` int64.
+
+    Raises:
+        ValueError: for another shape or type, or sums that are not finite.
 
     Examples:
         >>> floored_sums(torch.tensor([1.0, 2.5, 0.25, -0.5, 0.0, 0.25, 99.0])).tolist()
@@ -154,7 +164,14 @@ def is_admitted(
 
 
 def check_labels(labels: Tensor, count: int) -> None:
-    """Refuses labels that are not ``count`` integers."""
+    """Refuses labels that are not ``count`` integers.
+
+    Raises:
+        ValueError: for another shape or type.
+
+    Examples:
+        >>> check_labels(torch.tensor([3, 3]), 2)
+    """
     integer = isinstance(labels, Tensor) and not (labels.is_floating_point() or labels.is_complex())
     if not integer or labels.dtype == torch.bool or labels.shape != (count,):
         got = f"{labels.dtype} {list(labels.shape)}" if isinstance(labels, Tensor) else type(labels).__name__

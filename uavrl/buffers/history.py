@@ -43,7 +43,18 @@ class TrajectoryHistory:
         return list(self._values.get(label, ()))
 
     def insert_and_rank(self, label: int, value: int) -> int:
-        """How many values of class l are below R, which is inserted unless it is there (Algorithm 3.1, "return m")."""
+        """Inserts a value into its class, unless it is there, and tells its place (Algorithm 3.1, "return m").
+
+        Args:
+            label: the class l.
+            value: the floored sum R.
+
+        Returns:
+            m: how many values of the class are smaller.
+
+        Raises:
+            TypeError: when either is no integer.
+        """
         label, value = index(label), index(value)
         known = self._values.setdefault(label, SortedList())
         rank = known.bisect_left(value)
@@ -52,9 +63,11 @@ class TrajectoryHistory:
         return rank
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything as int64 tensors: ``labels [C]`` ascending, ``values [M]`` class after class, ``offsets [C + 1]``.
+        """Everything as three flat int64 tensors.
 
-        The values of class ``labels[c]`` are ``values[offsets[c] : offsets[c + 1]]``.
+        Returns:
+            ``labels [C]`` in ascending order, ``values [M]`` class after class, and ``offsets [C + 1]``: the
+            values of class ``labels[c]`` are ``values[offsets[c] : offsets[c + 1]]``.
         """
         lists = [self._values[label] for label in self.classes]
         sizes = torch.tensor([0, *map(len, lists)], dtype=torch.int64)
@@ -65,7 +78,11 @@ class TrajectoryHistory:
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
-        """Replaces everything by what :meth:`state_dict` gave; ValueError when its tensors do not fit together."""
+        """Replaces everything by what :meth:`state_dict` gave.
+
+        Raises:
+            ValueError: when the tensors do not fit together.
+        """
         labels, offsets, values = (state_dict[name].tolist() for name in ("labels", "offsets", "values"))
         parts = [values[start:end] for start, end in pairwise(offsets)]
         whole = offsets[:1] == [0] and offsets[-1:] == [len(values)] and offsets == sorted(offsets)

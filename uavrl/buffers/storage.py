@@ -145,7 +145,11 @@ class FrameStorage(GatheringStorage):
         return {"transitions": transitions, "frames": frames, "stacked": torch.tensor(self.frames)}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Replaces everything by what :meth:`state_dict` gave; ValueError for states of another number of frames."""
+        """Replaces everything by what :meth:`state_dict` gave.
+
+        Raises:
+            ValueError: when it holds states of another number of frames.
+        """
         if int(state_dict["stacked"]) != self.frames:
             raise ValueError(f"Expected states of {self.frames} frames, got those of {int(state_dict['stacked'])}.")
         if "transitions" not in state_dict:

@@ -16,6 +16,16 @@ class StraightPolicy:
 
     It turns on the spot until the goal lies within ``cone`` of the head, then flies at full speed,
     and holds the flight level. How often it arrives tells how cluttered a valley is.
+
+    Args:
+        flight_level: altitude to hold, m.
+        cone: half-angle within which it flies, rad.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> state = TensorDict({"heading_deg": torch.tensor([[0.0], [90.0]]), "altitude": torch.full((2, 1), 3.5)}, [2])
+        >>> StraightPolicy()(state)["action"].tolist()
+        [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]]
     """
 
     def __init__(self, flight_level: float = 3.5, cone: float = 0.15) -> None:
@@ -32,7 +42,14 @@ class StraightPolicy:
 
 
 def directions(azimuths: int, elevations: tuple[float, ...]) -> Tensor:
-    """Unit vectors ``[azimuths * len(elevations), 3]`` all around, x forward, y left, z up; ``elevations`` in rad."""
+    """Unit vectors ``[azimuths * len(elevations), 3]`` all around, x forward, y left, z up; ``elevations`` in rad.
+
+    Examples:
+        >>> directions(4, (0.0, math.pi / 2)).shape
+        torch.Size([8, 3])
+        >>> torch.allclose(directions(4, (0.0,))[1], torch.tensor([0.0, 1.0, 0.0]), atol=1e-6)
+        True
+    """
     azimuth, elevation = torch.meshgrid(
         torch.arange(azimuths) * (math.tau / azimuths), torch.tensor(elevations), indexing="ij"
     )
@@ -49,6 +66,26 @@ class VectorFieldHistogram:
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the 32 faces instead of
     a grid of cells.
+
+    Args:
+        flight_level: altitude to hold where nothing is in the way, m.
+        radius: circumradius of the reduction in m.
+        obstacle: cost of a direction whose face is full.
+        goal: cost of a direction that leads away from the goal.
+        level: cost of a metre off the flight level after a second, in a direction.
+        turn: cost of a direction behind the UAV.
+        width: how near a face must be to a direction to count: the power of the cosine between them.
+        nearness: power of a face's distance over ``radius``; the greater, the less far things count.
+        caution: share of the speed that is left out where the way is full, in [0, 1].
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> faces = torch.zeros(1, 32)
+        >>> state = TensorDict(
+        ...     {"faces": faces, "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}, [1]
+        ... )
+        >>> VectorFieldHistogram()(state)["action"].tolist()
+        [[2.0, 0.0, 0.0, 0.0]]
     """
 
     def __init__(

@@ -50,6 +50,11 @@ def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[Ten
     """Steps of an environment from a state on, each with its ``"next"``, without exploration noise and end.
 
     Whoever is done begins the next task when the step after is asked for.
+
+    Args:
+        env: of any batch size.
+        policy: reads the environment's output, writes ``action``.
+        state: what ``env.reset()`` gave.
     """
     while True:
         with set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -59,7 +64,11 @@ def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[Ten
 
 
 class FlightMeter:
-    """Follows every vehicle of a batch from reset to done."""
+    """Follows every vehicle of a batch from reset to done.
+
+    Args:
+        count: of vehicles.
+    """
 
     def __init__(self, count: int) -> None:
         self._steps = np.zeros(count, dtype=int)

@@ -102,7 +102,13 @@ class Scenery:
 
 @dataclass(frozen=True)
 class Recording:
-    """Flights of one policy, kept step by step."""
+    """Flights of one policy, kept step by step.
+
+    Args:
+        source: What flew, for a heading: run, checkpoint, seed of the tasks, environment.
+        flights: In the order of the tasks asked for.
+        sceneries: The valley of each seed that occurs in the flights.
+    """
 
     source: dict[str, Any]
     flights: tuple[RecordedFlight, ...]
@@ -114,7 +120,12 @@ class Recording:
 
 
 def thinned(points: np.ndarray, most: int) -> np.ndarray:
-    """Returns at most ``most`` of the points ``[M, 3]``, spread over all of them, always the same ones."""
+    """Returns at most ``most`` of the points ``[M, 3]``, spread over all of them, always the same ones.
+
+    Examples:
+        >>> thinned(np.arange(30.0).reshape(10, 3), 4).shape
+        (4, 3)
+    """
     if len(points) <= most:
         return points
     return points[np.sort(np.random.default_rng(0).permutation(len(points))[:most])]
@@ -132,7 +143,11 @@ def _plain(item: RecordedFlight | Scenery) -> dict[str, Any]:
 
 
 def save_recording(recording: Recording, path: Path) -> None:
-    """Writes flights and valleys into one ``.npz`` file, which holds numbers and text alone, no pickles."""
+    """Writes flights and valleys into one ``.npz`` file, which holds numbers and text alone, no pickles.
+
+    Raises:
+        OSError: when the file cannot be written.
+    """
     items: dict[str, RecordedFlight | Scenery] = {f"flight{i}": flight for i, flight in enumerate(recording.flights)}
     items |= {f"scenery{seed}": scenery for seed, scenery in recording.sceneries.items()}
     about = {
@@ -148,7 +163,11 @@ def save_recording(recording: Recording, path: Path) -> None:
 
 
 def load_recording(path: Path) -> Recording:
-    """Reads what :func:`save_recording` wrote. Nothing is unpickled."""
+    """Reads what :func:`save_recording` wrote. Nothing is unpickled.
+
+    Raises:
+        UavrlError: when the file is missing, damaged or holds something else.
+    """
     if not path.is_file():
         raise UavrlError(f"Expected flights in {path} and found no such file: give one that data=FILE.npz wrote.")
     try:

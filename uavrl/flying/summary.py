@@ -26,6 +26,15 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
 
     Path efficiency is the mean over arrivals; the minimum clearance (hull to nearest thing) is given
     as the median over arrivals and as the least of them. What has no value without arrivals is ``None``.
+
+    Examples:
+        >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
+        >>> result = summarize(flights)
+        >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"]
+        (0.5, 0.9, 75.0)
+        >>> walks = [Flight(0, "arrived", 900, episode_return=310.0), Flight(1, "collided", 100, episode_return=-90.0)]
+        >>> summarize(walks)["mean_return"]
+        110.0
     """
     if not flights:
         raise ValueError("Expected at least one flight to summarise, got none.")

@@ -14,7 +14,20 @@ BIN = 0.25  # m of altitude
 
 
 class Whereabouts:
-    """Collects the places where flights were at the end of each of their steps."""
+    """Collects the places where flights were at the end of each of their steps.
+
+    Args:
+        world: Where they fly. Its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each valley, are the walls
+            that distances are measured to: the space that may be flown ends there. The slopes of the walls reach
+            inwards from them.
+
+    Examples:
+        >>> from uavrl.envs.world import WorldConfig
+        >>> places = Whereabouts(World(WorldConfig()))
+        >>> places.add(np.array([[0.0, 0.0, 3.5], [12.0, 0.0, 3.0]]))
+        >>> places.summary()["wall_distance"]["p50"]
+        11.5
+    """
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -37,7 +50,25 @@ class Whereabouts:
 
 
 def summarize_places(altitudes: np.ndarray, shares: np.ndarray, walls: np.ndarray) -> dict[str, Any]:
-    """Percentiles, time in each quarter of the height, and a histogram, over S places."""
+    """Percentiles, time in each quarter of the height, and a histogram, over S places.
+
+    Args:
+        altitudes: ``[S]`` in m, world z.
+        shares: ``[S]``, height above the ground over the height of the ceiling above it.
+        walls: ``[S]``, distances to the nearest wall in m; below 0 behind it, which counts as 0.
+
+    Returns:
+        ``steps``: S; ``altitude`` and ``wall_distance``: 5, 50 and 95 % percentiles in m, as ``p5``, ``p50`` and
+        ``p95``; ``height_quarters``: shares of the time, lowest quarter first; ``altitude_histogram``: ``counts`` of
+        steps in bins of ``step`` m from ``low`` m on.
+
+    Examples:
+        >>> found = summarize_places(np.array([1.0, 3.0]), np.array([0.2, 0.6]), np.array([5.0, 7.0]))
+        >>> found["altitude"]["p50"], found["height_quarters"], found["wall_distance"]["p50"]
+        (2.0, [0.5, 0.0, 0.5, 0.0], 6.0)
+        >>> found["altitude_histogram"]
+        {'low': 1.0, 'step': 0.25, 'counts': [1, 0, 0, 0, 0, 0, 0, 0, 1]}
+    """
     if not len(altitudes):
         raise ValueError("Expected at least one step to tell where flights went, got none.")
     quarters = np.bincount(np.clip(4 * shares, 0, 3).astype(int), minlength=4) / len(shares)
@@ -60,7 +91,13 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
 
 
 def whereabouts_lines(found: dict[str, Any]) -> list[str]:
-    """A summary as lines for a person."""
+    """A summary as lines for a person.
+
+    Examples:
+        >>> found = summarize_places(np.array([3.0]), np.array([0.6]), np.array([7.0]))
+        >>> whereabouts_lines(found)[0]
+        'altitude, 5 / 50 / 95 % of the steps [m]        3.00 / 3.00 / 3.00'
+    """
     of = {key: " / ".join(f"{found[key][f'p{p}']:.2f}" for p in PERCENTILES) for key in ("altitude", "wall_distance")}
     quarters = " / ".join(f"{100 * share:.0f}" for share in found["height_quarters"])
     return [

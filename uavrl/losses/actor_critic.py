@@ -38,16 +38,25 @@ class ActorCriticLoss(_LossModule):
 
     @classmethod
     def policy_of(cls, network: nn.Module, action_spec: Bounded) -> TensorDictModuleBase:
-        """The policy that this loss trains, of a network that takes ``observation [*B, S]`` to, here, the action."""
+        """The policy that this loss trains, of a network that takes states to actions.
+
+        Args:
+            network: ``observation [*B, S]`` to what the policy is made of: here, the action.
+            action_spec: the bounds of one action.
+        """
         return TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
 
     @classmethod
     def of_networks(
         cls, actor: TensorDictModuleBase, critics: Sequence[TensorDictModule], action_spec: Bounded, **options: Any
     ) -> Self:
-        """The loss of what :meth:`policy_of` gave and of :attr:`num_critics` critics.
+        """The loss of a policy and :attr:`num_critics` critics; a constructor that takes them otherwise says so here.
 
-        Each critic reads ``observation`` and ``action`` and writes ``state_action_value``.
+        Args:
+            actor: what :meth:`policy_of` gave.
+            critics: each reads ``observation`` and ``action``, writes ``state_action_value``.
+            action_spec: the bounds of one action.
+            **options: of the constructor.
         """
         return cls(actor, critics, action_spec=action_spec, **options)
 
@@ -82,7 +91,12 @@ class ActorCriticLoss(_LossModule):
         return set(self._AcceptedKeys.__dataclass_fields__)
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
-        """As in :class:`torchrl.objectives.LossModule`, by default TD(0); what is not given has TorchRL's default."""
+        """Chooses how the values of next states become the critics' targets.
+
+        Args:
+            value_type: as in :class:`torchrl.objectives.LossModule`, by default TD(0).
+            **hyperparams: such as ``gamma``; what is not given has TorchRL's default, not that of the constructor.
+        """
         super().make_value_estimator(value_type, **hyperparams)
         return self
 
@@ -108,14 +122,28 @@ class ActorCriticLoss(_LossModule):
 
     @abstractmethod
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """States ``[*B]`` with the current actor's action, differentiable in the actor; the input is not modified."""
+        """The state, with the action that the current actor takes there, differentiable in the actor.
+
+        Args:
+            tensordict: ``[*B]`` with the actor's in-keys; it is not modified.
+        """
 
     @abstractmethod
     def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
-        """The value ``[*B]`` of states and actions, of constant (``target``: target) critics."""
+        """The value ``[*B]`` of states and actions; the critics are constant, the action is not.
+
+        Args:
+            acted: ``[*B]`` with the state and an action.
+            target: ask the target critics.
+        """
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """What the actor minimises for each sample ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``)."""
+        """What the actor minimises for each sample, ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``).
+
+        Args:
+            acted: ``[*B]`` with the state and the actor's action.
+            target: ascend the target critics in place of the online ones.
+        """
         value = self.action_value(acted, target=target)
         return -value, {"state_action_value_actor": value.detach()}
 
@@ -126,7 +154,14 @@ class ActorCriticLoss(_LossModule):
             raise NotImplementedError
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The actor's reduced loss on states ``[*B]``, and detached metadata; critics and models are constant."""
+        """The actor's loss; critics and models are constant.
+
+        Args:
+            tensordict: ``[*B]`` with the state.
+
+        Returns:
+            The reduced loss and detached metadata.
+        """
         weights = self._maybe_get_priority_weight(tensordict)
         objective, metadata = self.actor_objective(self.act(tensordict))
         return self._reduce_loss(objective, tensordict=tensordict, weights=weights), metadata

@@ -86,7 +86,14 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         return self.value_network_params
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 2.8: the reduced squared error of transitions ``[*B]``, and metadata with ``td_error``."""
+        """Eq. 2.8: the squared temporal-difference error.
+
+        Args:
+            tensordict: ``[*B]`` with state, action and ``"next"``.
+
+        Returns:
+            The reduced loss and metadata, ``td_error`` among them.
+        """
         return self.loss_value(tensordict)
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:

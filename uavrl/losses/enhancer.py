@@ -103,7 +103,8 @@ class Enhancer(ActorCriticLoss, LossModule):
     def set_keys(self, **kwargs: NestedKey | None) -> None:
         """Renames keys here and in the base, wherever they are known; None restores a default.
 
-        Raises ValueError for a key that none of the losses knows.
+        Raises:
+            ValueError: for a key that none of the losses knows.
         """
         accepted = self._accepted_keys()
         if unknown := set(kwargs) - accepted:
@@ -117,7 +118,11 @@ class Enhancer(ActorCriticLoss, LossModule):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The base's losses of transitions ``[*B]``, the enhanced ``loss_actor``, and the losses of the models."""
+        """The base's losses, the enhanced ``loss_actor``, and the losses of the models.
+
+        Args:
+            tensordict: ``[*B]`` transitions; the base writes its priority into them.
+        """
         losses = self.base(tensordict)
         losses.update(self.model_losses(tensordict))  # first: the actor's term may depend on how good they are
         loss_actor, metadata = self.actor_loss(tensordict)

@@ -171,7 +171,11 @@ class Fork(Enhancer):
         return super().actor_objective(acted, target=target or self.variant == "bipedal")
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The term of each sample ``[*B]`` (Eq. 2.14), and metadata."""
+        """The term of each sample ``[*B]`` (Eq. 2.14).
+
+        Args:
+            acted: ``[*B]`` with the state and the actor's action.
+        """
         first = self._advance(acted)
         second = self._advance(first)
         if self.variant == "bipedal":
@@ -207,7 +211,14 @@ class Fork(Enhancer):
         return [Model(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
 
     def system_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Smooth-L1 of the clamped next state (bipedal: masked squared error), reduced; and its mean."""
+        """Smooth-L1 of the predicted next state, clamped to the observed range (bipedal: masked squared error).
+
+        Args:
+            tensordict: ``[*B]`` with state, action and the next state (bipedal: and ``("next", "done")``).
+
+        Returns:
+            The reduced loss and the mean ``system_loss``, detached.
+        """
         target = self._next(tensordict, self.tensor_keys.observation)
         prediction = _call(self.system_network, self.system_network_params, tensordict)
         if self.variant == "bipedal":
@@ -218,7 +229,17 @@ class Fork(Enhancer):
         return self._reduced(errors, tensordict), {"system_loss": errors.detach().mean()}
 
     def reward_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared error of the predicted reward, reduced; and its mean. ValueError for the bipedal variant."""
+        """Squared error of the predicted reward.
+
+        Args:
+            tensordict: ``[*B]`` with state, action, the next state and ``("next", "reward")``.
+
+        Returns:
+            The reduced loss and the mean ``reward_loss``, detached.
+
+        Raises:
+            ValueError: for the bipedal variant, which predicts no rewards.
+        """
         if self.variant == "bipedal":
             raise ValueError("reward_loss expected a reward network, the bipedal variant has none: use system_loss.")
         target = self._next(tensordict, self.tensor_keys.reward).reshape(tensordict.batch_size)
@@ -252,9 +273,13 @@ class Fork(Enhancer):
         return self._reduce_loss(errors, tensordict=tensordict, weights=weights)
 
     def update_gate(self, system_loss: Tensor | float, reward_loss: Tensor | float = math.nan) -> None:
-        """Opens the gate if the system network's mean loss on a batch is under the threshold, else closes it.
+        """Opens the gate if the system loss is under the threshold, else closes it.
 
         :meth:`forward` calls it; a training loop of single losses calls it after each update of the models.
+
+        Args:
+            system_loss: mean loss of the system network on a batch.
+            reward_loss: that of the reward network, for :meth:`diagnostics`.
         """
         self._last_losses = (_number(system_loss), _number(reward_loss))
         self._gate_open = self._last_losses[0] < self.threshold
@@ -262,9 +287,13 @@ class Fork(Enhancer):
         self._updates += 1
 
     def observe(self, episodes: TensorDictBase) -> None:
-        """Takes in whole episodes ``[T]``, end to end: the range of the states, the returns, and so the weight.
+        """Takes in new episodes: the range of the states, the returns, and so the weight.
 
-        Raises ValueError when the last step ends no episode, states have another width, or a value is not finite.
+        Args:
+            episodes: ``[T]``, whole episodes end to end, split where ``("next", "done")`` is true.
+
+        Raises:
+            ValueError: when the last step ends no episode, states have another width, or a value is not finite.
         """
         keys = self.tensor_keys
         states = torch.cat([episodes.get(keys.observation), self._next(episodes, keys.observation)])

@@ -23,11 +23,14 @@ def fork_objective(g_t: Tensor, g_tp1: Tensor, q_tp2: Tensor, weight: float | Te
     """What FORK adds to the actor's objective (Eq. 2.14, weighted): ``-w [g_t + γ g_tp1 + γ² Q_tp2]``.
 
     Args:
-        g_t: predicted reward of the action at the state, ``[*B]``.
-        g_tp1: the same at the first predicted state, ``[*B]``.
-        q_tp2: value of the action at the second predicted state, ``[*B]``.
+        g_t: ``[*B]``, predicted reward of the action at the state.
+        g_tp1: ``[*B]``, predicted reward of the action at the first predicted state.
+        q_tp2: ``[*B]``, value of the action at the second predicted state.
         weight: w.
         gamma: discount γ.
+
+    Returns:
+        ``[*B]``.
 
     Raises:
         ValueError: when the shapes differ.
@@ -44,9 +47,12 @@ def bipedal_fork_objective(q_tp1: Tensor, q_tp2: Tensor, weight: float | Tensor)
     """What FORK's variant for the bipedal walker adds: ``-w Q'_tp1 - 0.5 w Q'_tp2``, without predicted rewards.
 
     Args:
-        q_tp1: target value of the action at the first predicted state, ``[*B]``.
-        q_tp2: the same at the second one, ``[*B]``.
+        q_tp1: ``[*B]``, target value of the action at the first predicted state.
+        q_tp2: ``[*B]``, target value of the action at the second predicted state.
         weight: w.
+
+    Returns:
+        ``[*B]``.
 
     Raises:
         ValueError: when the shapes differ.
@@ -60,12 +66,17 @@ def bipedal_fork_objective(q_tp1: Tensor, q_tp2: Tensor, weight: float | Tensor)
 
 
 def fork_weight(returns: Tensor, max_reward: float, base_weight: float = 0.6) -> Tensor:
-    """FORK's weight, the smaller the better the policy: ``w = w_0 (1 - clip(mean(returns) / max_reward, 0, 1))``.
+    """FORK's weight: ``w = w_0 (1 - clip(mean(returns) / max_reward, 0, 1))``.
+
+    The better the policy, the less is added to its objective.
 
     Args:
-        returns: undiscounted, of the last episodes, ``[E]``; none count as 0.
+        returns: ``[E]``, undiscounted returns of the last episodes; none count as 0.
         max_reward: return at which the weight is 0.
         base_weight: ``w_0``.
+
+    Returns:
+        A scalar tensor.
 
     Raises:
         ValueError: for a max_reward that is not positive, or returns of another shape.
@@ -83,13 +94,16 @@ def fork_weight(returns: Tensor, max_reward: float, base_weight: float = 0.6) ->
 
 
 def clamped_smooth_l1(prediction: Tensor, target: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Smooth-L1 ``[*B]`` of a prediction clamped to the observed range, averaged over the dimensions.
+    """Smooth-L1 of a prediction that is first clamped to the observed range, averaged over the dimensions.
 
     Args:
         prediction: ``[*B, D]``.
         target: ``[*B, D]``.
         low: smallest value observed, broadcast to ``[*B, D]``.
         high: largest value observed, broadcast to ``[*B, D]``.
+
+    Returns:
+        ``[*B]``.
 
     Raises:
         ValueError: when prediction and target differ in shape.
@@ -104,7 +118,15 @@ def clamped_smooth_l1(prediction: Tensor, target: Tensor, low: Tensor, high: Ten
 
 
 def masked_mse(prediction: Tensor, target: Tensor, done: Tensor) -> Tensor:
-    """Squared error ``[*B]`` of ``[*B, D]``, averaged over D; 0 where ``done [*B]`` is true.
+    """Squared error times ``1 - done``, averaged over the dimensions.
+
+    Args:
+        prediction: ``[*B, D]``.
+        target: ``[*B, D]``.
+        done: ``[*B]`` boolean; such samples count as 0.
+
+    Returns:
+        ``[*B]``.
 
     Raises:
         ValueError: when the shapes do not match.

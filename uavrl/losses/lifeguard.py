@@ -146,7 +146,11 @@ class LifeGuard(Enhancer):
         return torch.tensor([*self.evaluations], dtype=torch.int64).reshape(len(self.evaluations), 4)
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 3.11 for each sample ``[*B]``: ``p_cp c(o, μ(s))``, and metadata."""
+        """Eq. 3.11: ``p_cp c(o, μ(s))``.
+
+        Args:
+            acted: ``[*B]`` with the state and the actor's action.
+        """
         term = self._charge(self._features(acted))
         return term, {"lifeguard_penalty": term.detach()}
 
@@ -199,7 +203,12 @@ class LifeGuard(Enhancer):
     def observe(self, episodes: TensorDictBase) -> None:
         """Learns the features' range, stores the last transition before each collision, counts successes.
 
-        Takes whole episodes ``[T]``, end to end, of finite numbers (else ValueError) with all flags (else KeyError).
+        Args:
+            episodes: whole episodes ``[T]``, end to end.
+
+        Raises:
+            ValueError: when they are not whole, or a number is not finite.
+            KeyError: when a flag is missing.
         """
         super().observe(episodes)
         ends = self._next(episodes, "done").nonzero().squeeze(-1)
@@ -267,7 +276,10 @@ class LifeGuard(Enhancer):
         Args:
             sample: gives n random transitions ``[n]`` of the replay buffer; those that collided are left out.
             steps: training steps, as many as the episode had.
-            optimizer: of :attr:`model_params`, for a model that has any, else ValueError.
+            optimizer: of :attr:`model_params`, for a model that has any.
+
+        Raises:
+            ValueError: when a model with parameters gets no optimiser, or nearly all transitions collided.
         """
         if optimizer is None and self.model_params:
             raise ValueError("Expected an optimiser for the classifier's parameters, got None: see make_optimizer().")
@@ -282,7 +294,14 @@ class LifeGuard(Enhancer):
         self.classifier.fit(rows.gather(1, order[..., None].expand_as(rows)), order < half, optimizer)
 
     def evaluate(self, others: TensorDictBase) -> None:
-        """Counts what the classifier says of ``batch_size / 2`` safe transitions and as many stored collisions."""
+        """Counts what the classifier says of stored collisions, drawn at random, and of as many other transitions.
+
+        Args:
+            others: ``[batch_size / 2]`` transitions that did not collide.
+
+        Raises:
+            ValueError: for another number of transitions, or without a stored collision.
+        """
         if tuple(others.batch_size) != (self.batch_size // 2,):
             raise ValueError(f"Expected {self.batch_size // 2} transitions, got {tuple(others.batch_size)}.")
         self._evaluate(self._known(others))
@@ -296,7 +315,17 @@ class LifeGuard(Enhancer):
         self._refresh()
 
     def lifeguard_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The classifier's regularised error (Eq. 3.8-3.9) on transitions ``[*B]``, reduced, and metadata."""
+        """The classifier's regularised training error (Eq. 3.8-3.9) on transitions; it reaches the classifier only.
+
+        Args:
+            tensordict: ``[*B]`` with the state, the action and ``("next", "collided")``.
+
+        Returns:
+            The reduced loss and detached metadata.
+
+        Raises:
+            KeyError: when ``("next", "collided")`` is missing.
+        """
         collided = self._next(tensordict, "collided")
         error = self.classifier.error(self._features(tensordict).detach(), collided)
         weights = self._maybe_get_priority_weight(tensordict)

@@ -6,11 +6,17 @@ from uavrl.models.collision_classifier import confusion_rates
 
 
 def lifeguard_penalty(probability: Tensor, weight: Tensor | float) -> Tensor:
-    """Chansuparp (2022), Eq. 3.11: what the actor's ``-(Q - p_cp c)`` has beyond ``-Q``: ``p_cp c``, ``[*B]``.
+    """Chansuparp (2022), Eq. 3.11: what the actor's objective ``-(Q - p_cp c)`` has beyond ``-Q``: ``p_cp c``.
 
     Args:
         probability: c(o, μ(s)), ``[*B]``.
-        weight: p_cp, a scalar, else ValueError.
+        weight: p_cp, a scalar.
+
+    Returns:
+        ``[*B]``.
+
+    Raises:
+        ValueError: for a weight that is not a scalar.
 
     Examples:
         >>> import torch

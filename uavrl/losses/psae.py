@@ -86,13 +86,24 @@ class PSAELoss(LossModule):
         """There is no value estimator."""
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> NoReturn:
-        """Raises UavrlError: the loss knows no values."""
+        """Not for use.
+
+        Raises:
+            UavrlError: always.
+        """
         raise UavrlError(
             "PSAELoss compares states and knows no values: make the value estimator of your critic's loss."
         )
 
     def psae_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 3.3 on triples ``[*B]``, reduced, and the means of both sums, detached."""
+        """Eq. 3.3.
+
+        Args:
+            tensordict: ``[*B]`` with the state, the one before and the one after; it is not modified.
+
+        Returns:
+            The reduced loss and the mean of both sums, detached.
+        """
         weights = self._maybe_get_priority_weight(tensordict)
         states = torch.stack([tensordict.get(key) for key in self.in_keys])
         data = TensorDict({self.network.in_keys[0]: states}, states.shape[:-1])
@@ -107,6 +118,10 @@ class PSAELoss(LossModule):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """``loss_psae`` and the means of its two sums, of triples ``[*B]``."""
+        """``loss_psae`` and the mean of its two sums.
+
+        Args:
+            tensordict: ``[*B]`` with the state, the one before and the one after.
+        """
         loss, metadata = self.psae_loss(tensordict)
         return TensorDict({"loss_psae": loss, **metadata})

@@ -16,11 +16,17 @@ def _check_triples(**tensors: Tensor) -> None:
 
 
 def reconstruction_error(states: Tensor, reconstructions: Tensor) -> Tensor:
-    """The first sum of Eq. 3.3, ``Σ_i ‖s_i - s̃_i‖²`` over the three networks, ``[*B]``.
+    """The first sum of Eq. 3.3, ``Σ_i ‖s_i - s̃_i‖²`` over the three networks.
 
     Args:
-        states: at t-1, t and t+1, ``[3, *B, D]``.
-        reconstructions: ``[3, *B, D]``, else ValueError.
+        states: ``[3, *B, D]``, the states at t-1, t and t+1.
+        reconstructions: ``[3, *B, D]``.
+
+    Returns:
+        ``[*B]``.
+
+    Raises:
+        ValueError: for other shapes.
 
     Examples:
         >>> import torch
@@ -37,10 +43,16 @@ def reconstruction_error(states: Tensor, reconstructions: Tensor) -> Tensor:
 
 
 def neighbour_similarity(features: Tensor) -> Tensor:
-    """The second sum of Eq. 3.3, ``cos(ŝ_t, ŝ_{t-1}) + cos(ŝ_t, ŝ_{t+1})``, ``[*B]`` in [-2, 2].
+    """The second sum of Eq. 3.3, ``cos(ŝ_t, ŝ_{t-1}) + cos(ŝ_t, ŝ_{t+1})``.
 
     Args:
-        features: of the states at t-1, t and t+1, ``[3, *B, F]``, else ValueError.
+        features: ``[3, *B, F]``, of the states at t-1, t and t+1.
+
+    Returns:
+        ``[*B]``, in [-2, 2].
+
+    Raises:
+        ValueError: for other shapes.
 
     Examples:
         >>> import torch
@@ -53,12 +65,18 @@ def neighbour_similarity(features: Tensor) -> Tensor:
 
 
 def psae_loss(error: Tensor, similarity: Tensor, tradeoff: float = 0.7) -> Tensor:
-    """Eq. 3.3: ``p Σ_i ‖s_i - s̃_i‖² - (1 - p) Σ_j cos(ŝ_t, ŝ_{t+j})``, j = -1, 1; ``[*B]``.
+    """Eq. 3.3: ``p Σ_i ‖s_i - s̃_i‖² - (1 - p) Σ_j cos(ŝ_t, ŝ_{t+j})``, j = -1, 1.
 
     Args:
         error: ``[*B]``, of :func:`reconstruction_error`.
-        similarity: ``[*B]``, of :func:`neighbour_similarity`; ValueError for another shape than the error's.
+        similarity: ``[*B]``, of :func:`neighbour_similarity`.
         tradeoff: p_wae.
+
+    Returns:
+        ``[*B]``.
+
+    Raises:
+        ValueError: when the two differ in shape.
 
     Examples:
         >>> import torch

@@ -26,21 +26,31 @@ class SACLoss(ActorCriticLoss, _SACLoss):
 
     Args:
         actor_network: reads the state, samples ``action`` by reparameterisation and gives its log-probability.
-        qvalue_networks: two, else ValueError; each reads the state and ``action``, writes ``state_action_value``.
+        qvalue_networks: the two critics; each reads the state and ``action``, writes ``state_action_value``.
         action_spec: the spec of one action, for the target entropy.
         gamma: discount γ.
-        target_entropy: what the temperature steers the policy's entropy to; ``"auto"`` is minus the action's width.
+        target_entropy: what the temperature steers the policy's entropy to; ``"auto"`` is minus the width of the
+            action.
         loss_function: ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
         reduction: ``"mean"``, ``"sum"`` or ``"none"``.
         **kwargs: as in :class:`torchrl.objectives.SACLoss`.
 
+    Raises:
+        ValueError: for another number of critics than two.
+
     Examples:
         >>> import torch
+        >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from torchrl.data import Bounded
+        >>> from torchrl.modules import ProbabilisticActor, TanhNormal
         >>> from uavrl.models import Critic, GaussianActor
         >>> spec = Bounded(-2.0, 2.0, (4,))
+        >>> actor = ProbabilisticActor(
+        ...     Mod(GaussianActor(6, 4), ["observation"], ["loc", "scale"]), in_keys=["loc", "scale"], spec=spec,
+        ...     distribution_class=TanhNormal, distribution_kwargs={"low": -2.0, "high": 2.0}, return_log_prob=True)
         >>> critics = [Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
-        >>> loss = SACLoss(SACLoss.policy_of(GaussianActor(6, 4), spec), critics, action_spec=spec)
+        >>> loss = SACLoss(actor, critics, action_spec=spec)
         >>> actor_loss, metadata = loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))
         >>> loss.alpha_loss(metadata["log_prob"]).shape
         torch.Size([])
@@ -124,9 +134,13 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         return [self.log_alpha] if isinstance(self.log_alpha, nn.Parameter) else []
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The squared error of both critics against ``r + γ (1 - d) (min_j Q'_j(s', a') - α log π(a'|s'))``, reduced.
+        """The squared error of both critics against ``r + γ (1 - d) (min_j Q'_j(s', a') - α log π(a'|s'))``.
 
-        The metadata holds ``td_error`` (squared, ``[2, *B]``).
+        Args:
+            tensordict: ``[*B]`` with state, action and ``"next"``.
+
+        Returns:
+            The reduced loss and detached metadata, ``td_error`` (squared, ``[2, *B]``) among them.
         """
         weights = self._maybe_get_priority_weight(tensordict)
         target = self._compute_target_v2(tensordict)
@@ -163,5 +177,9 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         return self._alpha * log_prob + objective, metadata | {"log_prob": log_prob.detach()}
 
     def alpha_loss(self, log_prob: Tensor) -> Tensor:
-        """The temperature's loss, reduced: ``-log α (log π + target entropy)``, of ``log_prob [*B]``."""
+        """The temperature's loss, reduced: ``-log α (log π + target entropy)``.
+
+        Args:
+            log_prob: ``[*B]``, of the metadata of :meth:`actor_loss`.
+        """
         return self._reduce_loss(self._alpha_loss(log_prob.detach()))

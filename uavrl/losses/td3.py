@@ -24,7 +24,7 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
 
     Args:
         actor_network: reads the state, writes ``action``.
-        qvalue_networks: two, else ValueError; each reads the state and ``action``, writes ``state_action_value``.
+        qvalue_networks: the two critics; each reads the state and ``action``, writes ``state_action_value``.
         action_spec: the bounded spec of one action.
         gamma: discount γ.
         policy_noise: σ of Eq. 2.10, for unit actions.
@@ -33,15 +33,24 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
         reduction: ``"mean"``, ``"sum"`` or ``"none"``.
         **kwargs: as in :class:`torchrl.objectives.TD3Loss`.
 
+    Raises:
+        ValueError: for another number of critics than two.
+
     Examples:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from torchrl.data import Bounded
         >>> from uavrl.models import Actor, Critic
+        >>> spec = Bounded(-2.0, 2.0, (4,))
         >>> critics = [Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
-        >>> loss = TD3Loss(Mod(Actor(6, 4), ["observation"], ["action"]), critics, action_spec=Bounded(-2.0, 2.0, (4,)))
-        >>> loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))[0].shape
-        torch.Size([])
+        >>> loss = TD3Loss(Mod(Actor(6, 4), ["observation"], ["action"]), critics, action_spec=spec)
+        >>> data = TensorDict({"observation": torch.zeros(5, 6), "action": torch.zeros(5, 4), "next": {
+        ...     "observation": torch.zeros(5, 6), "reward": torch.ones(5, 1),
+        ...     "done": torch.zeros(5, 1, dtype=torch.bool), "terminated": torch.zeros(5, 1, dtype=torch.bool)}}, [5])
+        >>> value, metadata = loss.value_loss(data)
+        >>> sorted(metadata)
+        ['next_state_value', 'pred_value', 'target_value', 'td_error']
     """
 
     actor_network: TensorDictModule

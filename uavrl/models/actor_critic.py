@@ -116,9 +116,15 @@ class Critic(nn.Module):
         return self.net(torch.cat([observation, action], -1))
 
     def forward_stacked(self, parameters: Mapping[str, Tensor], observation: Tensor, action: Tensor) -> Tensor:
-        """K critics at once, ``[K, B, 1]``, of states and actions ``[K, B, *]``, linear layers in one batched product.
+        """Evaluates K critics with stacked parameters, linear layers in one batched product.
 
-        ``parameters`` are stacked: ``net.<i>.weight [K, out, in]``, ``net.<i>.bias [K, out]`` and so on.
+        Args:
+            parameters: ``net.<i>.weight [K, out, in]``, ``net.<i>.bias [K, out]``, and whatever other layers have.
+            observation: ``[K, B, observations]``.
+            action: ``[K, B, actions]``.
+
+        Returns:
+            ``[K, B, 1]``.
         """
         return _stacked(self.net, _below("net", parameters), torch.cat([observation, action], -1))
 

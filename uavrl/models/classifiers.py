@@ -47,7 +47,15 @@ class LinearClassifier(nn.Module):
         return decision_function(x, self.weight.to(x.dtype), self.intercept.to(x.dtype))
 
     def partial_fit(self, x: Tensor, y: Tensor) -> None:
-        """One step of Eq. 3.10 for each of finite features ``[N, F]`` with labels ``[N]`` in {0, 1}, in order."""
+        """Takes one step of Eq. 3.10 for each sample, in the order given.
+
+        Args:
+            x: features ``[N, F]``.
+            y: labels in {0, 1}, ``[N]``.
+
+        Raises:
+            ValueError: for other shapes, or features that are not finite.
+        """
         weight, intercept, t = sgd_epoch(self.weight, self.intercept, x, y, int(self.t), self.alpha)
         self.weight.copy_(weight)
         self.intercept.copy_(intercept)

@@ -55,9 +55,15 @@ class CollisionClassifier(nn.Module):
         return regularized_error(logistic_loss(self(features), collided), weights, self.alpha)
 
     def fit(self, features: Tensor, collided: Tensor, optimizer: torch.optim.Optimizer | None = None) -> None:
-        """One step for each of S batches of features ``[S, B, F]`` and bool labels ``[S, B]``.
+        """One step for each batch; the linear model makes one for each sample, by Eq. 3.10.
 
-        The linear model makes one for each sample, by Eq. 3.10; others need an optimiser, else ValueError.
+        Args:
+            features: ``[S, B, F]``, S batches.
+            collided: labels, bool ``[S, B]``.
+            optimizer: of the parameters, for a model that has any.
+
+        Raises:
+            ValueError: when a model with parameters gets no optimiser.
         """
         if isinstance(self.model, LinearClassifier):
             self.model.partial_fit(self.scaler(features).flatten(0, 1), collided.flatten())
@@ -84,6 +90,14 @@ def confusion_counts(predicted: Tensor, actual: Tensor) -> Tensor:
 
     Returns:
         int64 ``[4]``.
+
+    Raises:
+        ValueError: for other shapes or types.
+
+    Examples:
+        >>> t = torch.tensor
+        >>> confusion_counts(t([True, True, False, False, False]), t([True, False, False, False, True])).tolist()
+        [1, 1, 2, 1]
     """
     if predicted.shape != actual.shape or predicted.ndim != 1 or {predicted.dtype, actual.dtype} != {torch.bool}:
         raise ValueError(
@@ -108,6 +122,10 @@ def confusion_rates(counts: Tensor) -> ConfusionRates:
 
     Args:
         counts: ``[E, 4]``, rows of :func:`confusion_counts`.
+
+    Examples:
+        >>> [round(rate, 2) for rate in confusion_rates(torch.tensor([[1, 1, 2, 1], [3, 0, 1, 1]]))]
+        [0.67, 0.25, 0.75, 0.33]
     """
     tp, fp, tn, fn = counts.sum(0).tolist()
     positives, negatives = max(tp + fn, 1), max(tn + fp, 1)

@@ -60,23 +60,46 @@ class TrajectoryClassifier(nn.Module):
 
     @torch.no_grad()
     def encode(self, states: Tensor) -> Tensor:
-        """States ``[*B, inputs]`` to scaled features ``[*B, features]``; UavrlError for another width."""
+        """States ``[*B, inputs]`` to scaled features ``[*B, features]``.
+
+        Raises:
+            UavrlError: for states of another width.
+        """
         if states.shape[-1:] != (self.inputs,):
             raise UavrlError(f"Expected states [*B, {self.inputs}], got {list(states.shape)}: use another artifact.")
         return (self.encoder(states) - self.mean) / self.scale
 
     @torch.no_grad()
     def forward(self, states: Tensor) -> Tensor:
-        """The class ``[*B]`` (int64, from 0) of each state ``[*B, inputs]``; UavrlError for another width."""
+        """The class ``[*B]`` (int64, from 0) of each state ``[*B, inputs]``.
+
+        Raises:
+            UavrlError: for states of another width.
+        """
         return self.classifier(self.encode(states)).argmax(-1)
 
     def save(self, path: Path, report: Mapping[str, Any]) -> dict[str, Any]:
-        """Writes an artifact into a folder that exists; returns what ``artifact.json`` holds, ``report`` among it."""
+        """Writes an artifact into a folder.
+
+        Args:
+            path: the folder, which exists.
+            report: what else ``artifact.json`` tells.
+
+        Returns:
+            What ``artifact.json`` holds.
+        """
         return ARTIFACT.save(path, self.state_dict(), {"sizes": self.sizes, **report})
 
     @classmethod
     def load(cls, path: str | Path) -> TrajectoryClassifier:
-        """The artifact in a folder; nothing is unpickled. UavrlError when it is missing or damaged."""
+        """Loads the artifact that ``uavrl-pretrain`` wrote; nothing in it is unpickled.
+
+        Args:
+            path: the artifact's folder.
+
+        Raises:
+            UavrlError: when it is missing, of another format or version, or damaged.
+        """
         about, weights = ARTIFACT.load(Path(path))
         try:
             with torch.device("meta"):  # takes no memory, whatever sizes are named

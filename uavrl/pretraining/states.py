@@ -39,7 +39,12 @@ class States:
         return len(self.states)
 
     def sha256(self) -> str:
-        """The checksum of the states as float32, little endian."""
+        """The checksum of the states as float32, little endian.
+
+        Examples:
+            >>> States(np.zeros((2, 3)), np.zeros(2, int), ["arrived"], "run").sha256()[:12]
+            '9d908ecfb6b2'
+        """
         digest = hashlib.sha256()
         for start in range(0, len(self), _PART):
             digest.update(np.ascontiguousarray(self.states[start : start + _PART], "<f4").tobytes())

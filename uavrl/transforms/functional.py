@@ -92,7 +92,7 @@ def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Te
 def truncated_icosahedron_faces(
     radius: float = 4.0, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> TruncatedIcosahedronFaces:
-    """Returns the faces in the order in which `truncated_icosahedron` reports them, as fresh tensors.
+    """Returns the faces in the order in which `truncated_icosahedron` reports them.
 
     Pentagons come first (0-11), then hexagons (12-31), each group sorted by the z of its centre, lowest first, then by
     azimuth ``atan2(y, x)`` in [0, 2π). Pentagon normals are the cyclic permutations of (0, ±1, ±φ).
@@ -102,10 +102,15 @@ def truncated_icosahedron_faces(
         dtype: type of the tensors.
         device: device of the tensors.
 
+    Returns:
+        `TruncatedIcosahedronFaces`, fresh tensors that the caller may change.
+
     Examples:
         >>> faces = truncated_icosahedron_faces(4.0)
         >>> [round(value, 4) for value in (faces.offsets[0].item(), faces.offsets[12].item())]
         [3.7569, 3.6598]
+        >>> [round(value, 4) for value in faces.normals[0].tolist()]
+        [0.0, 0.5257, -0.8507]
     """
     _check_radius(radius)
     return TruncatedIcosahedronFaces(*(t.clone() for t in _faces(float(radius), dtype, torch.device(device))))

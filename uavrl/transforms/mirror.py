@@ -34,7 +34,11 @@ def mirror_observation(observation: Tensor) -> Tensor:
     the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
 
     Args:
-        observation: F stacked observations with folded angles, ``[*B, F * 35]``, else ValueError.
+        observation: ``[*B, F * 35]``, F stacked observations of :func:`uavrl.transforms.navigation_observation` with
+            folded angles.
+
+    Raises:
+        ValueError: for another width.
 
     Examples:
         >>> seen = torch.zeros(35)

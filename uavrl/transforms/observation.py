@@ -57,9 +57,12 @@ class NavigationObservation(ObservationTransform):
     Args:
         radius: the ball's radius, m.
         flight_level: p_approAlt, m.
-        angles: ``"folded"`` to [-1, 1], or the thesis's ``"raw"`` degrees, else ValueError.
+        angles: ``"folded"`` to [-1, 1], or the thesis's ``"raw"`` degrees.
         in_keys: keys of the faces, the altitude, the heading and the elevation.
         out_keys: where the observation goes.
+
+    Raises:
+        ValueError: for an unknown ``angles`` or another number of keys than four and one.
 
     Examples:
         >>> from tensordict import TensorDict

@@ -82,7 +82,15 @@ def traditional_terms(
 def traditional_reward(
     distance_tm1: Tensor, distance_t: Tensor, arrived_t: Tensor, collided_t: Tensor, **options: float
 ) -> Tensor:
-    """The sum ``[*B]`` of :func:`traditional_terms`, which takes the same arguments."""
+    """The sum ``[*B]`` of :func:`traditional_terms`, which takes the same arguments.
+
+    Examples:
+        >>> t = torch.tensor
+        >>> traditional_reward(
+        ...     t([5.0, 5.0, 5.0]), t([4.5, 1.0, 4.9]), t([False, True, False]), t([False, False, True])
+        ... ).tolist()
+        [0.5, 50.0, -50.0]
+    """
     return total(traditional_terms(distance_tm1, distance_t, arrived_t, collided_t, **options))
 
 
@@ -147,7 +155,13 @@ def navigation_terms(
 
 
 def navigation_reward(*quantities: Tensor, **options: Any) -> Tensor:
-    """The sum ``[*B]`` of :func:`navigation_terms`, which takes the same arguments."""
+    """The sum ``[*B]`` of :func:`navigation_terms`, which takes the same arguments.
+
+    Examples:
+        >>> t = torch.tensor
+        >>> navigation_reward(t(5.0), t(4.75), t(3.5), t(90.0), t(0.0), t(False), t(False)).item()
+        3.75
+    """
     return total(navigation_terms(*quantities, **options))
 
 
