@@ -62,7 +62,6 @@ def reactions(config: Any, policy: Any, steps: int) -> np.ndarray:
     hidden = state["observation"].unflatten(-1, (-1, NUMBERS)).clone()
     for _ in range(steps):
         seen = state["observation"].unflatten(-1, (-1, NUMBERS))
-        hidden = torch.cat([hidden[:, 1:], seen[:, -1:]], 1)
         hidden[:, -1, :32] = faces_without_planes(base, config.perception.radius)
         shown = ((seen - hidden)[:, -1, :32].abs() > 0.05).any(-1).numpy()
         acted = policy(state.select("observation"))["action"]
@@ -77,8 +76,8 @@ def reactions(config: Any, policy: Any, steps: int) -> np.ndarray:
         state = step_mdp(state)
         if ended.any():
             state = env.reset(state.set("_reset", ended))
-            now = state["observation"].unflatten(-1, (-1, NUMBERS))
-            hidden = torch.where(ended[..., None], now, hidden)
+        now = state["observation"].unflatten(-1, (-1, NUMBERS))
+        hidden = torch.where(ended[..., None], now, torch.cat([hidden[:, 1:], now[:, -1:]], 1))
     env.close()
     return np.concatenate(rows)
 

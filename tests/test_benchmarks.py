@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -170,3 +171,57 @@ def test_the_stopwatch_gives_each_second_to_the_innermost_part(monkeypatch: pyte
         owner.outer()  # begins at 1, its inner one lasts from 2 to 3, ends at 4
     assert stopwatch.stop() == {"rest": 2, "outer": 2, "inner": 1}  # stops at 5
     assert vars(owner) == before
+
+
+def test_a_plane_passes_when_and_where_its_line_and_the_vehicles_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Head on and 1 m to the left; the vehicle looks along y, so that what is at -x is on its left."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import reactions
+
+    simulation = SimpleNamespace(
+        position=np.array([[0.0, 0.0, 3.0]]), velocity=np.array([[0.0, 2.0, 0.0]]), yaw=np.array([np.pi / 2])
+    )
+    base: Any = SimpleNamespace(simulation=simulation, plane_poses=lambda: np.array([[-1.0, 5.0, 3.5, -np.pi / 2]]))
+    time, miss = reactions.passes(base, np.array([[0.0, -3.0, 0.0]]))
+    np.testing.assert_allclose(time, [1.0])
+    np.testing.assert_allclose(miss, [[0.0, 1.0, 0.5]], atol=1e-9)
+
+
+def test_reactions_are_told_of_a_policy_that_always_flies_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One whose action is the same with and without planes changes nothing; the rows tell passes within reach."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import reactions
+    from common import experiment
+    from tensordict import TensorDict
+
+    seen = []
+
+    def flies_on(state: TensorDict) -> TensorDict:
+        seen.append(state["observation"].clone())
+        return state.set("action", torch.tensor([1.0, 0.0, 0.0, 0.3]).expand(*state.batch_size, 4))
+
+    rows = reactions.reactions(experiment("env=dynamic", "env.world.planes=6"), flies_on, 60)
+    assert len(rows) > 0 and rows.shape[1] == 8
+    assert np.abs(rows[:, 4:]).max() == 0
+    assert (np.hypot(rows[:, 1], rows[:, 2]) < reactions.BESIDE).all() and (rows[:, 0] >= 0).all()
+    for shown, hidden in zip(seen[::2], seen[1::2], strict=True):  # without planes nothing new is seen, at any frame
+        rest = torch.arange(105) % 35 >= 32
+        assert torch.equal(shown[:, rest], hidden[:, rest])
+    first_shown, first_hidden = seen[0], seen[1]
+    assert first_shown[:, :70].abs().sum() == 0 == first_hidden[:, :70].abs().sum()  # zeros before the first frame
+
+
+@pytest.mark.parametrize(
+    ("position", "way"),
+    [((1.5, 0.0, 3.6), 1), ((1.5, 0.0, 3.3), -1), ((1.5, 3.0, 3.5), 0), ((-2.0, 0.0, 3.5), 0), ((1.5, 0.0, 4.5), -1)],
+)
+def test_the_reflex_leaves_the_height_of_a_plane_that_comes_on(
+    position: tuple[float, float, float], way: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Above its middle it climbs, below it dives, beside and behind it does nothing, under the ceiling it dives."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import planes
+
+    mesh = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-1.0, 1.0) for z in (-0.25, 0.25)])
+    pose = np.array([0.0, 0.0, 4.6 if position[2] == 4.5 else 3.5, 0.0])
+    assert planes.climbs_or_dives(np.array(position), pose, mesh, 4.0) == way

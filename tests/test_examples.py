@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from uavrl.cli.policies import PACKAGED
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -21,11 +19,8 @@ def said(example: str, *arguments: object) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize(
-    ("example", "steps", "told"), [("lifeguard_pendulum.py", 400, ""), ("backward_reward.py", 600, "arrived")]
-)
-def test_it_runs(example: str, steps: int, told: str) -> None:
-    assert told in said(example, steps)
+def test_the_backward_reward_is_used_outside_the_valley() -> None:
+    assert "arrived" in said("backward_reward.py", 600)
 
 
 def test_forks_threshold_is_measured_on_a_run(finished: Path) -> None:

@@ -24,13 +24,16 @@ SAYS = {
     "take_away": "largest difference to the faces in flight: 0.0",
 }
 
+QUICK = ["anywhere"]  # the others fly in the valley, for minutes
+
 
 def test_every_tutorial_is_run_here() -> None:
     assert {path.stem for path in TUTORIALS.glob("*.py")} - {"shell"} == set(SMALL) == set(SAYS)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in SMALL]
+)
 def test_it_runs(name: str, tmp_path: Path) -> None:
     found = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, **SMALL[name], "MPLBACKEND": "agg", "PYTHONPATH": found, "TMPDIR": str(tmp_path)}

@@ -13,6 +13,7 @@ from tensordict import TensorDict
 
 from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli.policies import file_of_policy
 from uavrl.errors import UavrlError
 
 SHORT = ["episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
@@ -83,7 +84,7 @@ def test_a_file_that_is_no_model_is_named(content: bytes | None, tmp_path: Path,
 
 
 def test_a_class_of_ones_own_is_evaluated_once_it_is_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str], capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "my_policies.py").write_text(CLIMBER)
     monkeypatch.syspath_prepend(tmp_path)
@@ -92,6 +93,19 @@ def test_a_class_of_ones_own_is_evaluated_once_it_is_trusted(
     assert in_process(evaluate_command.main, *arguments, "packages=[my_policies]") == 0
     altitude = json.loads((tmp_path / "e.json").read_text())["whereabouts"]["altitude"]
     assert altitude["p95"] > altitude["p5"] + 0.05
+    assert "uavrl-replay policy=my_policies.Climber 'packages=[my_policies]'" in capfd.readouterr().out
+
+
+def test_a_policy_that_is_no_run_is_known_by_the_file_it_comes_from(
+    models: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the suite flies again what has changed."""
+    (tmp_path / "other_policies.py").write_text(CLIMBER)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert file_of_policy("other_policies.Climber", ["other_policies"]) == tmp_path / "other_policies.py"
+    assert file_of_policy(str(models["TD3"]), []) == models["TD3"]
+    assert file_of_policy("nothing.zip", []) is None
+    assert file_of_policy("straight", []) is None
 
 
 def test_what_is_no_policy_is_refused(refused: Callable[..., str]) -> None:

@@ -62,6 +62,7 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
         partial.write_text(json.dumps({**result, **told, **chosen.source, "flights": known}, indent=1) + "\n")
     print(table(result))
     who = f"run={settings.run}" if settings.run else f"policy={settings.policy}"
+    who += f" 'packages=[{','.join(settings.packages)}]'" if settings.packages else ""
     then = f"Watch it fly: uavrl-replay {who}" if "world" in chosen.env else f"Its curves: uavrl-report {settings.run}"
     print(f"{reached(result)} Written to {output}. {then}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -154,3 +155,15 @@ def named_policy(name: str, flight_level: float, packages: Sequence[str]) -> Cal
     names = ", ".join([*BASELINES, *packaged_policies()])
     own = "to fly your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS"
     raise UavrlError(f"policy must be one of {names}, got {name!r}: {own}.")
+
+
+def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:
+    """The file that a policy of :func:`named_policy` comes from; None for a baseline, and where there is none."""
+    path = Path(name)
+    if path.suffix != ".zip":
+        if "." not in name:
+            return None
+        from uavrl.configs.build import resolve
+
+        path = Path(inspect.getsourcefile(resolve(name, object, packages)) or "")
+    return path if path.is_file() else None

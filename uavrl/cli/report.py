@@ -33,12 +33,12 @@ def _report(args: argparse.Namespace) -> None:
     from uavrl.reporting.page import page
     from uavrl.reporting.report import make_report
 
-    report = make_report(args.folders, window=args.window, threshold=args.threshold, title=args.title)
     writable(args.output, "--output FILE")
     facts = args.json or args.output.with_suffix(".json")
     if facts.resolve() == args.output.resolve():
         raise UavrlError(f"Page and facts cannot both go to {facts}: name another file with --json.")
     writable(facts, "--json FILE")
+    report = make_report(args.folders, window=args.window, threshold=args.threshold, title=args.title)
     for warning in report.warnings():
         print(f"uavrl: {warning}", file=sys.stderr)
     for path, text in {args.output: page(report), facts: report.to_json()}.items():

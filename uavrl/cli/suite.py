@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uavrl.cli.command import FULL_ERROR
-from uavrl.cli.policies import distinguishing, name_of_output, policy_folder
+from uavrl.cli.policies import distinguishing, file_of_policy, name_of_output, policy_folder
 from uavrl.configs import EvaluateConfig
 from uavrl.errors import UavrlError
 from uavrl.runs.files import replacing, writable
@@ -91,8 +91,8 @@ def _changed(settings: EvaluateConfig) -> float:
     """When the policy was written, 0 for one that no file holds."""
     folder = policy_folder(settings.run, settings.policy)
     if folder is None:
-        named = Path(str(settings.policy))
-        return named.stat().st_mtime if named.suffix == ".zip" and named.is_file() else 0.0
+        named = file_of_policy(str(settings.policy), settings.packages)
+        return 0.0 if named is None else named.stat().st_mtime
     if settings.checkpoint is None and POLICY.is_in(folder):
         return (folder / POLICY.json).stat().st_mtime
     from uavrl.training.policies import checkpoint_path
