@@ -8,7 +8,7 @@ ifndef RUN
 RUN := runs/fast_$(shell date +%Y-%m-%d_%H-%M-%S)
 endif
 
-.PHONY: train demo test test-slow lint bench docs setup clean
+.PHONY: train demo test test-slow lint bench docs docs-links setup clean
 
 setup: $(READY)
 
@@ -46,6 +46,10 @@ lint: $(READY)
 docs: $(VENV)/.ready-docs
 	$(BIN)/python -m sphinx -b html -W -n --keep-going -d docs/_build/trees $(ARGS) docs docs/_build/html
 	@echo "Open docs/_build/html/index.html in a browser."
+
+# Asks the network whether the pages that ours link to are there.
+docs-links: $(VENV)/.ready-docs
+	$(BIN)/python -m sphinx -b linkcheck -D nb_execution_mode=off -d docs/_build/trees docs docs/_build/links
 
 $(VENV)/.ready-docs: $(READY)
 	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[docs]'

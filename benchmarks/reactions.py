@@ -11,74 +11,27 @@ plane's way (negative: into it), by the time that is left.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
 from common import experiment
-from torchrl.envs.utils import step_mdp
+from passes import TIMES, moments
+from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cli.policies import policy_folder
-from uavrl.envs import NavigationEnv
-from uavrl.training.factory import make_env
+from uavrl.configs import TrainConfig
 from uavrl.training.policies import load_policy
-from uavrl.transforms.functional import truncated_icosahedron
-
-VEHICLES = 16
-NUMBERS = 35  # in one frame: 32 faces, the altitude and two angles
-BESIDE, ABOVE = 1.6, 1.0  # m between the two middles within which a pass is a danger
-TIMES = (0.05, 0.3, 0.6, 0.9, 1.3, 2.0)  # s
-
-
-def faces_without_planes(base: NavigationEnv, radius: float) -> torch.Tensor:
-    """The last scan's faces ``[N, 32]`` over the radius, as they are where no plane is."""
-    simulation, lidar = base.simulation, base._lidar
-    assert lidar is not None
-    points = lidar.scan(simulation.lidar_position, simulation.rotation, None, rng=np.random.default_rng(0))
-    return truncated_icosahedron(torch.as_tensor(np.ascontiguousarray(points)), radius) / radius
-
-
-def passes(base: NavigationEnv, velocities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """When the nearest plane passes each vehicle in s ``[N]``, and where from it: ``[N, 3]``, forward, left, up."""
-    poses, position, yaw = base.plane_poses(), base.simulation.position, base.simulation.yaw
-    nearest = np.linalg.norm(poses[None, :, :3] - position[:, None], axis=2).argmin(1)
-    offset = poses[nearest, :3] - position
-    relative = velocities[nearest] - base.simulation.velocity
-    time = np.clip(-(offset * relative).sum(1) / ((relative**2).sum(1) + 1e-9), 0.0, 3.0)
-    miss = offset + time[:, None] * relative
-    forward = miss[:, 0] * np.cos(yaw) + miss[:, 1] * np.sin(yaw)
-    left = miss[:, 1] * np.cos(yaw) - miss[:, 0] * np.sin(yaw)
-    return time, np.column_stack([forward, left, miss[:, 2]])
 
 
 @torch.no_grad()
-def reactions(config: Any, policy: Any, steps: int) -> np.ndarray:
+def reactions(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBase], steps: int) -> np.ndarray:
     """Rows of time to the pass, where it passes (3) and what the plane changes in the action (4)."""
-    env = make_env(config.env, config.perception, config.reward, seed=20_000, num_uavs=VEHICLES)
-    base = env.base_env
-    assert isinstance(base, NavigationEnv)
-    state, rows, before = env.reset(), [], base.plane_poses()
-    hidden = state["observation"].unflatten(-1, (-1, NUMBERS)).clone()
-    for _ in range(steps):
-        seen = state["observation"].unflatten(-1, (-1, NUMBERS))
-        hidden[:, -1, :32] = faces_without_planes(base, config.perception.radius)
-        shown = ((seen - hidden)[:, -1, :32].abs() > 0.05).any(-1).numpy()
-        acted = policy(state.select("observation"))["action"]
-        unseeing = policy(state.select("observation").set("observation", hidden.flatten(1)))["action"]
-        velocities = (base.plane_poses() - before)[:, :3] * 10  # m/s, over the last 0.1 s
-        time, miss = passes(base, velocities)
-        danger = shown & (np.hypot(miss[:, 0], miss[:, 1]) < BESIDE) & (abs(miss[:, 2]) < ABOVE)
-        rows.append(np.column_stack([time, miss, (acted - unseeing).numpy()])[danger])
-        before = base.plane_poses()
-        state = env.step(state.set("action", acted))
-        ended = state["next", "done"]
-        state = step_mdp(state)
-        if ended.any():
-            state = env.reset(state.set("_reset", ended))
-        now = state["observation"].unflatten(-1, (-1, NUMBERS))
-        hidden = torch.where(ended[..., None], now, torch.cat([hidden[:, 1:], now[:, -1:]], 1))
-    env.close()
+    rows = []
+    for now in moments(config, policy, steps):
+        unseeing = policy(TensorDict({"observation": now.hidden.flatten(1)}, now.hidden.shape[:1]))["action"]
+        rows.append(np.column_stack([now.time, now.miss, (now.acted - unseeing).numpy()])[now.danger])
     return np.concatenate(rows)
 
 

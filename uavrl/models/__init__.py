@@ -2,7 +2,12 @@
 
 from uavrl.models.actor_critic import Actor, Critic, GaussianActor, mlp
 from uavrl.models.classifiers import LinearClassifier, MinMaxScaler, MLPClassifier
-from uavrl.models.collision_classifier import CollisionClassifier
+from uavrl.models.collision_classifier import (
+    CollisionClassifier,
+    ConfusionRates,
+    confusion_counts,
+    confusion_rates,
+)
 from uavrl.models.dynamics import RewardNet, SystemNet
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import PSAE
@@ -12,6 +17,7 @@ __all__ = [
     "PSAE",
     "Actor",
     "CollisionClassifier",
+    "ConfusionRates",
     "Critic",
     "GaussianActor",
     "LinearClassifier",
@@ -21,5 +27,7 @@ __all__ = [
     "RewardNet",
     "SystemNet",
     "TrajectoryClassifier",
+    "confusion_counts",
+    "confusion_rates",
     "mlp",
 ]

@@ -2,7 +2,15 @@
 
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
-from uavrl.transforms.rewards import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
+from uavrl.transforms.rewards import (
+    NavigationReward,
+    SumOfTerms,
+    TraditionalReward,
+    navigation_reward,
+    navigation_terms,
+    traditional_reward,
+    traditional_terms,
+)
 from uavrl.transforms.state import NavigationState
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 from uavrl.transforms.walker import WalkerReward, walker_reward
@@ -12,6 +20,7 @@ __all__ = [
     "NavigationObservation",
     "NavigationReward",
     "NavigationState",
+    "SumOfTerms",
     "TraditionalReward",
     "TruncatedIcosahedron",
     "WalkerReward",
@@ -19,6 +28,8 @@ __all__ = [
     "mirror_observation",
     "navigation_observation",
     "navigation_reward",
+    "navigation_terms",
     "traditional_reward",
+    "traditional_terms",
     "walker_reward",
 ]

@@ -1,0 +1,90 @@
+"""Flights among planes, step by step: what is seen with and without the planes, and when and where one passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import step_mdp
+
+from uavrl.configs import TrainConfig
+from uavrl.envs import NavigationEnv
+from uavrl.training.factory import make_env
+from uavrl.transforms.functional import truncated_icosahedron
+
+VEHICLES, SEED = 16, 20_000
+NUMBERS, FRAMES = 35, 3  # in a frame: 32 faces, the altitude and two angles
+BESIDE, ABOVE = 1.6, 1.0  # m between the two middles within which a pass is a danger
+TIMES = (0.05, 0.3, 0.6, 0.9, 1.3, 2.0)  # s, the ends of the spans that are told apart
+
+
+class Moment(NamedTuple):
+    """One step of N vehicles."""
+
+    seen: Tensor  # [N, 3, 35], what the policy reads
+    hidden: Tensor  # [N, 3, 35], the same without the planes
+    acted: Tensor  # [N, 4]
+    time: np.ndarray  # [N], s until the nearest plane passes
+    miss: np.ndarray  # [N, 3], where it passes from the vehicle: m forward, left, up
+    plane: np.ndarray  # [N, 3, 3], where it is, and was at the two steps before
+    danger: np.ndarray  # [N], whether it is seen and passes within reach
+
+
+def faces_without_planes(base: NavigationEnv, radius: float) -> Tensor:
+    """The last scan's faces ``[N, 32]`` over the radius, as they are where no plane is."""
+    simulation, lidar = base.simulation, base._lidar
+    assert lidar is not None
+    points = lidar.scan(simulation.lidar_position, simulation.rotation, None, rng=np.random.default_rng(0))
+    return truncated_icosahedron(torch.as_tensor(np.ascontiguousarray(points)), radius) / radius
+
+
+def ahead(vectors: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Vectors ``[N, ..., 3]`` of the world as forward, left and up of vehicles with these yaws ``[N]``."""
+    cosine, sine = (part.reshape(-1, *[1] * (vectors.ndim - 2)) for part in (np.cos(yaw), np.sin(yaw)))
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([x * cosine + y * sine, y * cosine - x * sine, z], -1)
+
+
+def passes(offset: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """When what is at an offset with a relative velocity ``[N, 3]`` comes nearest, in s, and where it is then."""
+    time = np.clip(-(offset * velocity).sum(1) / ((velocity**2).sum(1) + 1e-9), 0.0, 3.0)
+    return time, offset + time[:, None] * velocity
+
+
+@torch.no_grad()
+def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBase], steps: int) -> Iterator[Moment]:
+    """Flies a policy; every scan is taken twice, with and without the planes."""
+    env = make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES)
+    base = env.base_env
+    assert isinstance(base, NavigationEnv)
+    state, every = env.reset(), np.arange(VEHICLES)
+    hidden = state["observation"].unflatten(-1, (FRAMES, NUMBERS)).clone()
+    planes = [base.plane_poses()[:, :3]] * FRAMES  # the newest first
+    places = [base.simulation.position] * FRAMES
+    for _ in range(steps):
+        seen = state["observation"].unflatten(-1, (FRAMES, NUMBERS))
+        hidden[:, -1, :32] = faces_without_planes(base, config.perception.radius)
+        shown = ((seen - hidden)[:, -1, :32].abs() > 0.05).any(-1).numpy()
+        state = policy(state)
+        offsets = np.stack([p[None] - q[:, None] for p, q in zip(planes, places, strict=True)], 2)  # [N, P, 3, 3]
+        nearest = np.linalg.norm(offsets[:, :, 0], axis=-1).argmin(1)
+        yaw, velocity = base.simulation.yaw, (planes[0] - planes[1]) * 10  # m/s, over the last 0.1 s
+        time, miss = passes(offsets[every, nearest, 0], velocity[nearest] - base.simulation.velocity)
+        miss = ahead(miss, yaw)
+        danger = shown & (np.hypot(miss[:, 0], miss[:, 1]) < BESIDE) & (np.abs(miss[:, 2]) < ABOVE)
+        plane = ahead(offsets[every, nearest], yaw)
+        yield Moment(seen, hidden.clone(), state["action"], time, miss, plane, danger)
+        state = env.step(state)
+        ended = state["next", "done"]
+        state = step_mdp(state)
+        if ended.any():
+            state = env.reset(state.set("_reset", ended))
+        now = state["observation"].unflatten(-1, (FRAMES, NUMBERS))
+        hidden = torch.where(ended[..., None], now, torch.cat([hidden[:, 1:], now[:, -1:]], 1))
+        planes = [base.plane_poses()[:, :3], *planes[:-1]]
+        places = [base.simulation.position, *places[:-1]]
+    env.close()
