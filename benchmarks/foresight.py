@@ -4,10 +4,11 @@
     python benchmarks/foresight.py perception.radius=8.0
 
 Small networks are taught to tell whether a plane that passes within reach will pass above or below, left or right.
-They are asked in flights that they were not taught with. Three inputs are compared: the 105 numbers that a policy sees;
-these and the same without the planes, as if planes could be told from rocks; and where the plane is and was, which no
-policy knows, and which shows that the networks can learn it. By the time that is left, the share of right answers is
-printed, and of how many; half is guessing. `policy=vfh` flies, since it can with any reduction.
+They are asked in flights that they were not taught with. Four inputs are compared, each now and at the two steps before:
+the 105 numbers that a policy sees; these and the same without the planes, as if planes could be told from rocks; mean,
+nearest and number of the scan's points on planes, before any reduction; and where the plane is, which no policy knows,
+and which shows that the networks can learn it. By the time that is left, the share of right answers is printed, and of
+how many; half is guessing. `policy=vfh` flies, since it can with any reduction.
 """
 
 from __future__ import annotations
@@ -62,13 +63,14 @@ def main() -> None:
     vfh = VectorFieldHistogram(radius=config.perception.radius)
     steps, flown = [], 0
     for number, now in enumerate(moments(config, vfh, args.steps)):
-        rows = (now.seen, now.hidden, now.plane, now.time, now.miss, np.full(len(now.time), number))
+        rows = (now.seen, now.hidden, now.points, now.plane, now.time, now.miss, np.full(len(now.time), number))
         steps.append([np.asarray(row)[now.danger] for row in rows])
         flown += len(now.time)
-    seen, hidden, plane, time, miss, step = (np.concatenate(rows) for rows in zip(*steps, strict=True))
+    seen, hidden, points, plane, time, miss, step = (np.concatenate(rows) for rows in zip(*steps, strict=True))
     inputs = {
         "what a policy sees": seen,
         "and the same without the planes": np.concatenate([seen, seen - hidden], 1),
+        "the LiDAR's points on planes": points,
         "where the plane is and was": plane / config.perception.radius,
     }
     taught = step < TAUGHT * args.steps

@@ -150,13 +150,17 @@ def draw(runs: dict[str, list[Curve]], window: int, path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
+    figure, axes = pyplot.subplots(figsize=(7, 3.2), layout="constrained")
     for colour, (row, curves) in enumerate(runs.items()):
         for seed, curve in enumerate(curve for curve in curves if len(curve.arrived) >= window):
-            line = {"color": f"C{colour}", "label": row if seed == 0 else None, "linewidth": 1.2}
-            axes.plot(curve.minutes[window - 1 :], 100 * curve.success(window), **line)
+            first = np.cumsum(curve.arrived[: window - 1]) / np.arange(1, window)  # of all flights, as long as few
+            success = np.concatenate([first, curve.success(window)])
+            label = f"{row}, {len(curves)} seeds" if len(curves) > 1 else row
+            line = {"color": f"C{colour}", "label": label if seed == 0 else None, "linewidth": 1.2}
+            axes.plot(curve.minutes, 100 * success, **line)
     axes.set(xlabel="minutes", ylabel=f"success of the last {window} flights [%]", ylim=(0, 100), xlim=(0, None))
-    axes.legend()
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
     figure.savefig(path, dpi=150)
 
 

@@ -30,16 +30,29 @@ class Moment(NamedTuple):
     acted: Tensor  # [N, 4]
     time: np.ndarray  # [N], s until the nearest plane passes
     miss: np.ndarray  # [N, 3], where it passes from the vehicle: m forward, left, up
+    points: np.ndarray  # [N, 3, 7], what on_planes() tells, now and at the two steps before
     plane: np.ndarray  # [N, 3, 3], where it is, and was at the two steps before
     danger: np.ndarray  # [N], whether it is seen and passes within reach
 
 
-def faces_without_planes(base: NavigationEnv, radius: float) -> Tensor:
-    """The last scan's faces ``[N, 32]`` over the radius, as they are where no plane is."""
+def scan(base: NavigationEnv, planes: np.ndarray | None) -> np.ndarray:
+    """What the LiDAR sees now, ``[N, 28928, 3]`` in the sensor frame, with planes at some poses or with none."""
     simulation, lidar = base.simulation, base._lidar
     assert lidar is not None
-    points = lidar.scan(simulation.lidar_position, simulation.rotation, None, rng=np.random.default_rng(0))
-    return truncated_icosahedron(torch.as_tensor(np.ascontiguousarray(points)), radius) / radius
+    return lidar.scan(simulation.lidar_position, simulation.rotation, planes, rng=np.random.default_rng(0))
+
+
+def on_planes(points: np.ndarray, without: np.ndarray) -> np.ndarray:
+    """Of the points ``[N, P, 3]`` that a scan has and one without planes has not: their mean, the nearest, how many.
+
+    ``[N, 7]``, the last in hundreds; 0 where there are none.
+    """
+    told = np.zeros((len(points), 7), np.float32)
+    for row, (these, those) in enumerate(zip(points, without, strict=True)):
+        new = these[np.isfinite(these[:, 0]) & (these[:, 0] != those[:, 0])]
+        if len(new):
+            told[row] = (*new.mean(0), *new[np.linalg.norm(new, axis=1).argmin()], len(new) / 100)
+    return told
 
 
 def ahead(vectors: np.ndarray, yaw: np.ndarray) -> np.ndarray:
@@ -65,9 +78,13 @@ def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBa
     hidden = state["observation"].unflatten(-1, (FRAMES, NUMBERS)).clone()
     planes = [base.plane_poses()[:, :3]] * FRAMES  # the newest first
     places = [base.simulation.position] * FRAMES
+    points = [np.zeros((VEHICLES, 7), np.float32)] * FRAMES
     for _ in range(steps):
         seen = state["observation"].unflatten(-1, (FRAMES, NUMBERS))
-        hidden[:, -1, :32] = faces_without_planes(base, config.perception.radius)
+        without = scan(base, None)
+        faces = truncated_icosahedron(torch.as_tensor(np.ascontiguousarray(without)), config.perception.radius)
+        hidden[:, -1, :32] = faces / config.perception.radius
+        points = [on_planes(scan(base, base.plane_poses()), without), *points[: FRAMES - 1]]
         shown = ((seen - hidden)[:, -1, :32].abs() > 0.05).any(-1).numpy()
         state = policy(state)
         offsets = np.stack([p[None] - q[:, None] for p, q in zip(planes, places, strict=True)], 2)  # [N, P, 3, 3]
@@ -77,7 +94,7 @@ def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBa
         miss = ahead(miss, yaw)
         danger = shown & (np.hypot(miss[:, 0], miss[:, 1]) < BESIDE) & (np.abs(miss[:, 2]) < ABOVE)
         plane = ahead(offsets[every, nearest], yaw)
-        yield Moment(seen, hidden.clone(), state["action"], time, miss, plane, danger)
+        yield Moment(seen, hidden.clone(), state["action"], time, miss, np.stack(points, 1), plane, danger)
         state = env.step(state)
         ended = state["next", "done"]
         state = step_mdp(state)

@@ -236,3 +236,13 @@ def test_networks_tell_what_their_input_tells_and_no_more(monkeypatch: pytest.Mo
     assert ((foresight.answers(x, label, taught) > 0) == label)[~taught].mean() > 0.95
     x[:, 1, 2] = 0
     assert 0.35 < ((foresight.answers(x, label, taught) > 0) == label)[~taught].mean() < 0.65
+
+
+def test_points_on_planes_are_those_that_a_scan_without_planes_has_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    from passes import on_planes
+
+    nothing, rock = [np.nan] * 3, [5.0, 0.0, 0.0]
+    without = np.array([[rock, nothing, rock], [rock, nothing, rock]])
+    points = np.array([[[1.0, 2.0, 0.0], [3.0, 4.0, 0.0], rock], [rock, nothing, rock]])
+    np.testing.assert_allclose(on_planes(points, without), [[2.0, 3.0, 0.0, 1.0, 2.0, 0.0, 0.02], [0.0] * 7])
