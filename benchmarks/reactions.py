@@ -11,8 +11,10 @@ plane's way (negative: into it), by the time that is left.
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -41,18 +43,24 @@ def main() -> None:
     parser.add_argument("--policy", default="dynamic", help="a packaged policy")
     parser.add_argument("--run", help="a run folder instead")
     parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
     folder = policy_folder(args.run, None if args.run else args.policy)
     assert folder is not None, "a policy that learns nothing reads no observation"
     rows = reactions(experiment("env=dynamic", *overrides), load_policy(folder, None, "cpu")[1], args.steps)
     print(f"{'time to the pass':<18}{'steps':>7}{'brakes':>9}{'sideways':>10}{'up or down':>12}   m/s")
+    told = []
     for low, high in pairwise(TIMES):
         chosen = rows[(rows[:, 0] >= low) & (rows[:, 0] < high)]
         if not len(chosen):
             continue
         sides = -np.sign(chosen[:, 2:4]) * chosen[:, 5:7]  # out of the way
-        told = (-chosen[:, 4].mean(), *sides.mean(0))
-        print(f"{low:.2f} to {high:.1f} s{len(chosen):>13}{told[0]:>+9.2f}{told[1]:>+10.2f}{told[2]:>+12.2f}")
+        brakes, (sideways, vertically) = float(-chosen[:, 4].mean()), sides.mean(0).tolist()
+        told.append({"from": low, "to": high, "steps": len(chosen), "brakes": brakes})
+        told[-1] |= {"sideways": sideways, "vertically": vertically}
+        print(f"{low:.2f} to {high:.1f} s{len(chosen):>13}{brakes:>+9.2f}{sideways:>+10.2f}{vertically:>+12.2f}")
+    if args.json:
+        args.json.write_text(json.dumps({"policy": str(args.run or args.policy), "answers": told}, indent=1))
 
 
 if __name__ == "__main__":

@@ -117,7 +117,8 @@ def _signature(target: str, key: str, packages: tuple[str, ...]) -> Mapping[str,
     hints = signature(target)
     if hints is None:
         module, _, name = target.rpartition(".")
-        raise UavrlError(f"{key}: there is no class {target}{did_you_mean(name, classes(module), ': ', 'check it.')}")
+        check = "check the name, and that its folder is on PYTHONPATH or its package installed."
+        raise UavrlError(f"{key}: there is no class {target}{did_you_mean(name, classes(module), ': ', check)}")
     return hints
 
 

@@ -91,10 +91,10 @@ def _source(module: str) -> Path | None:
     """The file of a module; only its topmost package is looked up, which imports nothing."""
     top, *below = module.split(".")
     spec = find_spec(top) if top else None
-    if spec is None or spec.origin is None:
+    if spec is None:
         return None
     if not below and not spec.submodule_search_locations:
-        return Path(spec.origin)
+        return Path(spec.origin) if spec.origin else None
     for folder in spec.submodule_search_locations or ():
         stem = Path(folder, *below)
         for path in (stem / "__init__.py", stem.with_suffix(".py")):
