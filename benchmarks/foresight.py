@@ -1,14 +1,14 @@
-"""How early do the 32 faces tell where a plane will pass? The most that a policy can know of it, whatever it learns.
+"""How early do the 32 faces tell where a plane will pass?
 
     python benchmarks/foresight.py                       # 6,000 steps of 16 vehicles among nine planes
     python benchmarks/foresight.py perception.radius=8.0
 
-Small networks are taught to tell whether a plane that passes within reach will pass above or below, left or right.
-They are asked in flights that they were not taught with. Four inputs are compared, each now and at two steps before:
-the 105 numbers that a policy sees; these and the same without the planes, as if planes could be told from rocks; mean,
-nearest and number of the scan's points on planes, before any reduction; and where the plane is, which no policy knows,
-and which shows that the networks can learn it. By the time that is left, the share of right answers is printed, and of
-how many; half is guessing. `policy=vfh` flies, since it can with any reduction.
+Small networks are taught to tell whether a plane that passes within reach will pass above or below, left or right,
+with three quarters of the steps, and are asked in the last one. Four inputs are compared, each now and at two steps
+before: the 105 numbers that a policy sees; these and the same without the planes, as if planes could be told from
+rocks; mean, nearest and number of the scan's points on planes, before any reduction; and where the plane is, which no
+policy knows, and which shows that the networks can learn it. By the time that is left, the share of right answers is
+printed, and of how many; half is guessing. `policy=vfh` flies, since it can with any reduction.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     python benchmarks/tune_vfh.py [--settings 32] [--tasks 64] [--json FILE]
 
-Settings are drawn at random around the present ones, which take part, too. All fly the same tasks in valleys 200 to
+Settings are drawn at random; the present ones take part, too. All fly the same tasks in valleys 200 to
 209, which no evaluation uses, half of them with the default's obstacles and half with twice as many. The better quarter
 flies four times as many, and so on until one is left.
 """

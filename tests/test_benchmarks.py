@@ -246,3 +246,34 @@ def test_points_on_planes_are_those_that_a_scan_without_planes_has_not(monkeypat
     without = np.array([[rock, nothing, rock], [rock, nothing, rock]])
     points = np.array([[[1.0, 2.0, 0.0], [3.0, 4.0, 0.0], rock], [rock, nothing, rock]])
     np.testing.assert_allclose(on_planes(points, without), [[2.0, 3.0, 0.0, 1.0, 2.0, 0.0, 0.02], [0.0] * 7])
+
+
+def test_the_setting_that_solves_most_is_left_and_flown_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A world in which the patient one arrives: the fifth of sixteen, 4 tasks, then 16 and 64."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import tune_vfh
+
+    settings = tune_vfh.drawn(16)
+    assert settings[0] == {} and settings == tune_vfh.drawn(16)
+    for setting in settings[1:]:
+        assert all(low <= setting[key] <= high for key, (low, high) in tune_vfh.RANGES.items())
+    flown: list[int] = []
+
+    def fly(env: Any, policy: Any, tasks: int) -> list[Any]:
+        flown.append(tasks)
+        outcome = "arrived" if policy.caution == settings[4]["caution"] else "collided"
+        return [SimpleNamespace(outcome=outcome)] * tasks
+
+    monkeypatch.setattr(tune_vfh, "fly", fly)
+    monkeypatch.setattr(tune_vfh, "make_env", lambda *parts, **more: SimpleNamespace(set_seed=lambda seed: None))
+    monkeypatch.setattr(
+        sys, "argv", ["tune_vfh.py", "--settings", "16", "--tasks", "4", "--json", f"{tmp_path}/t.json"]
+    )
+    tune_vfh.main()
+    rounds = json.loads((tmp_path / "t.json").read_text())["rounds"]
+    assert [len(found) for found in rounds] == [16, 4, 1]
+    assert rounds[2][0]["setting"] == settings[4] and rounds[2][0]["rate"] == 1.0
+    assert flown == [2] * 32 + [8] * 8 + [32] * 2  # half of the tasks in each of the two worlds
+    assert "100.0 %" in capsys.readouterr().out
