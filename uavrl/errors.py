@@ -11,6 +11,16 @@ class FolderTaken(UavrlError):
     """The folder is somebody else's: another process trains in it, or it holds something already. It stays as it is."""
 
 
+class FlyingEnded(UavrlError):
+    """A process that flies has died: a run cannot go on, and what it has learned is safe."""
+
+    def __init__(self, reason: object) -> None:
+        super().__init__(
+            f"A process that flies has ended ({' '.join(str(reason).split())}); what it printed stands above. Mend the "
+            f"reason, and go on with resume=RUN_FOLDER."
+        )
+
+
 class Stopped(KeyboardInterrupt):
     """A command that Ctrl-C or SIGTERM has ended: how to go on, and the exit code that shells expect."""
 

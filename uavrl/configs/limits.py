@@ -34,6 +34,7 @@ MOST: dict[str, float] = {
     "algo.exploration_spread": 1e6,
     "algo.n_steps": 1e4,
     "collector.processes": 256,
+    "collector.workers": 4096,
     "collector.steps_per_batch": 10_000,
     "trainer.updates_per_step": 100,
     "trainer.threads": 256,

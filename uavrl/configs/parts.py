@@ -57,7 +57,6 @@ class Collecting:
     """What the loop itself reads of ``collector``."""
 
     steps_per_batch: Count
-    processes: Count
 
 
 @dataclass

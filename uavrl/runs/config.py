@@ -18,6 +18,8 @@ FREE_KEYS = (
     "logger",
     "choices",
     "packages",
+    "collector.address",
+    "collector.workers",
     "trainer.episodes",
     "trainer.until_success",
     "trainer.progress",

@@ -2,17 +2,19 @@
 
 import signal
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import active_children, resource_tracker
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
-from typing import Any
+from typing import Any, ClassVar
 
 from tensordict import TensorDictBase
 from torchrl.collectors import MultiAsyncCollector
+from torchrl.envs import EnvBase
 
-from uavrl.errors import UavrlError
+from uavrl.errors import FlyingEnded, UavrlError
+from uavrl.ranges import Count
 
 
 class AsyncCollector(MultiAsyncCollector):
@@ -22,15 +24,23 @@ class AsyncCollector(MultiAsyncCollector):
     step: both processes hold the same memory. How far these have come depends on how fast both are, hence no two runs
     are the same. A resumed run starts new episodes.
 
+    Args:
+        create_env_fn: makes an environment, in the worker's process.
+        processes: that fly, each with its own vehicles.
+        **kwargs: as TorchRL's collector has them.
+
     Raises:
-        UavrlError: when policy and worker cannot share memory, and while iterating, when the worker has died.
+        UavrlError: when policy and worker cannot share memory.
+        FlyingEnded: while iterating, when a worker has died.
     """
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    flies_elsewhere: ClassVar[bool] = True
+
+    def __init__(self, create_env_fn: Callable[[], EnvBase], *, processes: Count = 1, **kwargs: Any) -> None:
         others = active_children()
         try:
             with _interrupts_held_back():
-                super().__init__(*args, **kwargs)
+                super().__init__([create_env_fn] * processes, **kwargs)
         except BaseException:  # Ctrl-C too: another thread of the library's may hear it, and it is ours then
             _kill([process for process in active_children() if process not in others])
             self._end_schemes()
@@ -98,11 +108,7 @@ def _death_told() -> Iterator[None]:
     try:
         yield
     except (RuntimeError, OSError, EOFError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UavrlError(
-            f"The process that flies has ended ({reason}); what it printed stands above. Mend the reason, and go on "
-            f"with resume=RUN_FOLDER."
-        ) from error
+        raise FlyingEnded(str(error).strip() or type(error).__name__) from error
 
 
 def _kill(processes: Sequence[BaseProcess]) -> None:

@@ -18,7 +18,6 @@ from uavrl.runs.names import ARTIFACT, EPISODES
 from uavrl.runs.provenance import commit
 from uavrl.training.actor_and_loss import make_actor, make_loss
 from uavrl.training.arithmetic import carried
-from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.compiled_updates import chosen_execution
 from uavrl.training.experience import Experience
 from uavrl.training.factory import (
@@ -47,7 +46,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
     backward_reward = make_backward_reward(settings, sizes, run_dir / ARTIFACT)
     buffer = make_buffer(settings, env, sizes, device)
     flown: EnvBase | Callable[[], EnvBase] = env
-    if issubclass(collector_class(settings), AsyncCollector):
+    if collector_class(settings).flies_elsewhere:
         env.close()  # another process makes its own
         flown = carried(new_env)
     taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})

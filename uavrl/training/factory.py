@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from omegaconf import DictConfig
@@ -12,12 +12,11 @@ from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
 from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
-from uavrl.configs.build import build, resolve
+from uavrl.configs.build import build, options, resolve
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
-from uavrl.training.async_collector import AsyncCollector
+from uavrl.training.collecting import OURS, FlightCollector
 from uavrl.training.network_sizes import NetworkSizes, inner_transforms
-from uavrl.training.sync_collector import SyncCollector
 from uavrl.transforms import Mirror
 
 
@@ -127,12 +126,15 @@ def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
     return [[ratio ** (i / (vehicles - 1) - 0.5)] for i in range(vehicles)]
 
 
-def collector_class(settings: TrainConfig) -> type[SyncCollector | AsyncCollector]:
+def collector_class(settings: TrainConfig) -> type[FlightCollector]:
     """The class of the run's collector."""
     found = resolve(str(settings.collector._target_), BaseCollector, settings.packages)
-    if not issubclass(found, SyncCollector | AsyncCollector):
-        raise UavrlError(f"collector must be a SyncCollector or an AsyncCollector, got {found.__name__}: subclass one.")
-    return found
+    if missing := [name for name in OURS if not hasattr(found, name)]:
+        raise UavrlError(
+            f"collector must have what uavrl's collectors have, and {found.__name__} lacks {', '.join(missing)}: "
+            f"subclass one of them."
+        )
+    return cast(type[FlightCollector], found)
 
 
 def make_collector(
@@ -141,10 +143,10 @@ def make_collector(
     actor: TensorDictModuleBase,
     sizes: NetworkSizes,
     device: torch.device,
-) -> SyncCollector | AsyncCollector:
+) -> FlightCollector:
     """Collects whole episodes, one a batch, with exploration noise after the random steps."""
     sigma = settings.algo.exploration_noise * sizes.limit
-    vehicles, processes = settings.env.get("num_uavs", 1), settings.collector.get("processes", 1)
+    vehicles = settings.env.get("num_uavs", 1)
     noise = AdditiveGaussianModule(
         spec=sizes.action_spec(device),
         sigma_init=sigma,
@@ -165,9 +167,7 @@ def make_collector(
         "storing_device": "cpu",
         "auto_register_policy_transforms": False,
     }
-    found = collector_class(settings)
-    if issubclass(found, AsyncCollector):
-        return found([env] * processes, num_threads=settings.trainer.threads, **kwargs)
-    if processes != 1:
-        raise UavrlError(f"collector.processes must be 1, or with collector=async more, got {processes}.")
-    return found(env, **kwargs)
+    found: Any = collector_class(settings)
+    if found.flies_elsewhere:
+        kwargs["num_threads"] = settings.trainer.threads
+    return found(env, **kwargs, **options(settings.collector))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
@@ -16,6 +16,8 @@ class SyncCollector(Collector):
     environment numbers them: it emits ``task``, 0, 1, 2 … in the order in which they begin after ``set_seed``, and
     knows ``tasks_begun``.
     """
+
+    flies_elsewhere: ClassVar[bool] = False
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)

@@ -2,6 +2,8 @@
 
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,19 +13,18 @@ from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
 from uavrl.buffers import BackwardReward
-from uavrl.errors import UavrlError
+from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
 from uavrl.runs.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.runs.files import naming, require_room
-from uavrl.training.async_collector import AsyncCollector
+from uavrl.training.collecting import FlightCollector
 from uavrl.training.experience import Experience
 from uavrl.training.loggers import IntervalLog
 from uavrl.training.progress import Progress
 from uavrl.training.silence import Silence
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop
-from uavrl.training.sync_collector import SyncCollector
 
 WAITED_FOR = (
     "No episode has ended for a while: flights go on for up to env.max_steps steps, or the updates after one are being "
@@ -46,7 +47,7 @@ class EpisodeTrainer:
     to one that was never stopped.
     """
 
-    collector: SyncCollector | AsyncCollector  # yields one whole episode a batch
+    collector: FlightCollector  # yields one whole episode a batch
     policy: torch.nn.Module  # the actor, kept as a component of its own for evaluation
     loss: ActorCriticLoss
     stepper: ActorCriticStepper
@@ -90,7 +91,7 @@ class EpisodeTrainer:
 
     def train(self) -> None:
         """Chansuparp (2022), Algorithm 3.1, for whole episodes: those of N vehicles end one after the other."""
-        with self._silence:  # says what is waited for where no episode ends for long
+        with self._silence, self._kept():  # says what is waited for where no episode ends for long
             for episode in self.collector:  # a_t = clip(μ(s_t) + ε, a_low, a_high) until d_t
                 self.collected_frames += len(episode)
                 stored = self.experience.admitted(episode)
@@ -105,6 +106,17 @@ class EpisodeTrainer:
                     self.save()
                     break
                 self.save_if_due()
+
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        """Keeps what was learned when nobody flies any more."""
+        try:
+            yield
+        except FlyingEnded:
+            if self.collected_frames > self._last_save:
+                self._last_save = self.collected_frames
+                self._write()
+            raise
 
     def learn(self, updates: int, *, actor: bool) -> None:
         """Updates critics and models, and every so many times the actor and the targets, on random batches."""
@@ -164,7 +176,7 @@ class EpisodeTrainer:
         is flown after it. Flights in a process of their own never come again, and are saved at once.
         """
         steps = self.collected_frames - self._last_save
-        anywhere = isinstance(self.collector, AsyncCollector)
+        anywhere = self.collector.flies_elsewhere
         self.stop.foretell(0 if anywhere else self.checkpoint_interval - steps, steps)
         due = steps >= self.checkpoint_interval or (anywhere and self.stop.signal is not None)
         if due and self.collector.wind_down():

@@ -1,0 +1,185 @@
+"""Flying in Ray's workers: whole flights, counted right, each worker with tasks of its own, and one that dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from tests.helpers.runs import small_config
+from uavrl.errors import FlyingEnded, UavrlError
+from uavrl.runs.episodes import read_episodes
+from uavrl.training import run, trainer
+from uavrl.training.ray_collector import RayCollector
+
+ray = pytest.importorskip("ray")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cluster() -> Iterator[None]:
+    """One Ray for all tests here: starting it takes longer than they do."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    ray.init(address="local", num_cpus=2, object_store_memory=2**27, include_dashboard=False, logging_level="error")
+    yield
+    ray.shutdown()
+
+
+class Counter(EnvBase):
+    """Counts to five; observes the seed that it was given, modulo a thousand, and the process that it runs in."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.observation_spec = Composite(observation=Unbounded((2,)))
+        self.action_spec = Bounded(-1000.0, 1000.0, (1,))
+        self.reward_spec = Unbounded((1,))
+        self.count = self.seed = 0
+
+    def seen(self) -> torch.Tensor:
+        return torch.tensor([float(self.seed % 1000), float(os.getpid())])
+
+    def _reset(self, _: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
+        self.count = 0
+        return TensorDict({"observation": self.seen()})
+
+    def _step(self, data: TensorDictBase) -> TensorDictBase:
+        self.count += 1
+        done = torch.tensor([self.count == 5])
+        return TensorDict({"observation": self.seen(), "reward": torch.zeros(1), "done": done, "terminated": done})
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.seed = seed or 0
+
+
+class Policy(torch.nn.Module):
+    """Answers with its only weight."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(1))
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        return self.weight.expand(*seen.shape[:-1], 1)
+
+
+def collector(policy: Policy, workers: int = 2) -> RayCollector:
+    actor = TensorDictModule(policy, ["observation"], ["action"])
+    return RayCollector(Counter, actor, workers=workers, frames_per_batch=5, init_random_frames=0)
+
+
+def test_whole_flights_come_from_every_worker_and_follow_the_learners_weights() -> None:
+    policy = Policy()
+    flown = collector(policy)
+    try:
+        flown.start_anew(11, 100)
+        seeds: dict[float, set[float]] = {}
+        actions: dict[float, list[float]] = {}
+        for turn, flight in enumerate(flown):
+            assert flight["next", "done"].flatten().tolist() == [False] * 4 + [True]
+            seed, worker = flight["observation"][0].tolist()
+            seeds.setdefault(worker, set()).add(seed)
+            actions.setdefault(worker, []).append(flight["action"][0].item())
+            with torch.no_grad():
+                policy.weight.fill_(turn + 1.0)
+            if turn == 11:
+                break
+        assert len(seeds) == 2  # processes
+        assert len(set.union(*seeds.values())) == 2 and all(len(own) == 1 for own in seeds.values())
+        for own in actions.values():
+            assert own == sorted(own) and own[-1] > own[0]  # flown with what was learned meanwhile
+        assert flown.state_dict() == {"frames": 60, "iter": 12}
+        flown.start_anew(12, 100)  # a checkpoint: those that fly go on
+    finally:
+        flown.shutdown()
+
+
+def test_a_worker_that_is_killed_ends_the_flying_with_a_sentence() -> None:
+    flown = collector(Policy())
+    try:
+        with pytest.raises(FlyingEnded, match=r"A process that flies has ended \(.*died.*\); .*resume=RUN_FOLDER\."):
+            for flight in flown:
+                os.kill(int(flight["observation"][0, 1]), signal.SIGKILL)
+    finally:
+        flown.shutdown()
+
+
+@pytest.mark.parametrize(
+    "flights", [pytest.param(0, marks=pytest.mark.slow), 6, pytest.param(12, marks=pytest.mark.slow)]
+)
+def test_a_run_keeps_what_it_learned_when_a_worker_dies_and_goes_on_with_fewer(flights: int, tmp_path: Path) -> None:
+    config = small_config(
+        tmp_path / "run", "collector=ray", "trainer.episodes=14", "trainer.checkpoint_interval=100000"
+    )
+    record = trainer.EpisodeTrainer.record
+    begin = trainer.EpisodeTrainer.train
+
+    def kill(flown: int) -> None:
+        if flown == flights:
+            os.kill(flying()[0], signal.SIGKILL)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            trainer.EpisodeTrainer, "record", lambda self, batch: (record(self, batch), kill(self.episode_log.count))
+        )
+        patch.setattr(trainer.EpisodeTrainer, "train", lambda self: (kill(0), begin(self)))
+        with pytest.raises(FlyingEnded, match="A process that flies has ended"):
+            run.train(config, run.create_run(config))
+    before = read_episodes(tmp_path / "run" / "episodes.csv")
+    assert flights <= len(before) < 14
+
+    config.collector.workers = 1
+    run.train(config, tmp_path / "run", resume=True)
+    episodes = read_episodes(tmp_path / "run" / "episodes.csv")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert episodes[: len(before)] == before  # each flight that was learned from is kept
+    assert [episode.episode for episode in episodes] == list(range(1, 15))
+    assert summary["steps"] == sum(episode.steps for episode in episodes) == episodes[-1].total_steps
+    assert summary["updates"] == sum(episode.steps for episode in episodes if episode.total_steps >= 40)
+    starts = [(episode.start_x, episode.start_y, episode.goal_x, episode.goal_y) for episode in episodes]
+    assert len(set(starts)) == len(starts)  # no task is flown twice
+
+
+def flying() -> list[int]:
+    """The processes of this Ray's workers."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if (process / "cmdline").read_bytes().lower().startswith(b"ray::worker"):
+                found.append(int(process.name))
+        except OSError:
+            continue
+    return found
+
+
+def test_a_cluster_without_enough_processors_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", lambda **_: None)
+    monkeypatch.setattr(ray, "shutdown", lambda: None)
+    with pytest.raises(UavrlError, match="asks for 3 processors, and the Ray cluster has 2"):
+        collector(Policy(), workers=3)
+
+
+def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_: object) -> None:
+        raise ConnectionError("Could not find any\nrunning Ray instance.")
+
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", refuse)
+    told = r"collector.address=auto cannot be reached \(Could not find any running Ray instance.\): start Ray"
+    with pytest.raises(UavrlError, match=told):
+        RayCollector(Counter, TensorDictModule(Policy(), ["observation"], ["action"]), address="auto")
+
+
+def test_ray_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UavrlError, match="pip install 'uavrl\\[ray\\]'"):
+        collector(Policy())

@@ -1,0 +1,37 @@
+"""What a run asks of its collector."""
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import Any, ClassVar, Protocol
+
+from tensordict import TensorDictBase
+
+OURS = ("flies_elsewhere", "start_anew", "wind_down")  # what TorchRL's collectors lack
+
+
+class FlightCollector(Protocol):
+    """Yields whole flights, one a batch, and can be told when to begin anew.
+
+    One of your own subclasses a collector of uavrl's, or one of TorchRL's and has these three beside.
+    """
+
+    flies_elsewhere: ClassVar[bool]  # than in the learner's process: it makes its environments itself
+    init_random_frames: int
+
+    def __iter__(self) -> Iterator[TensorDictBase]:
+        """The flights that count."""
+
+    def start_anew(self, seed: int, flights: int) -> None:
+        """Drops what is open, unless that flies on, and begins from a seed; the first ``flights`` of then on count."""
+
+    def wind_down(self) -> bool:
+        """Begins no flight that counts; tells whether all that count have ended."""
+
+    def state_dict(self) -> OrderedDict[str, Any]:
+        """What a checkpoint keeps."""
+
+    def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+
+    def shutdown(self) -> None:
+        """Ends whatever flies."""

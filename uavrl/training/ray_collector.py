@@ -1,0 +1,173 @@
+"""Flying in processes on many machines, through Ray, while one learns."""
+
+import copy
+import logging
+import os
+import sys
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+import numpy as np
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.collectors import Collector
+from torchrl.collectors.distributed import RayCollector as TorchRLRayCollector
+from torchrl.envs import EnvBase
+
+from uavrl.errors import FlyingEnded, UavrlError
+from uavrl.ranges import Count
+
+OBJECTS = 512 * 2**20  # bytes that a Ray of our own keeps for flights and weights on their way
+
+
+class Worker(Collector):
+    """TorchRL's collector under a short name: Ray begins each line that a worker prints with it."""
+
+    def __repr__(self) -> str:
+        """The name."""
+        return "worker"
+
+
+class RayCollector(TorchRLRayCollector):
+    """TorchRL's collector of Ray's workers, as a run needs it.
+
+    Every worker flies whole flights in a world of its own and sends each when it has ended. It is answered with the
+    learner's weights of that moment and flies on while the learner updates. Flights and weights go through Ray's object
+    store, which finds its way between machines by itself. How old a flight's weights are depends on how fast everybody
+    is, hence no two runs are the same. A resumed run starts new flights.
+
+    Args:
+        create_env_fn: makes an environment, on the worker's machine.
+        policy: what the learner trains; workers fly copies of it on their CPUs.
+        workers: processes that fly, each with its own vehicles.
+        address: of a Ray cluster, ``"auto"`` for the one that runs on this machine; None starts one of our own here.
+        num_threads: processors of the cluster that each worker takes.
+        trajs_per_batch, traj_format, auto_register_policy_transforms, **kwargs: as TorchRL's collector has them.
+
+    Raises:
+        UavrlError: when Ray is not installed, the cluster cannot be reached or has fewer processors than workers.
+        FlyingEnded: while iterating, when a worker has died.
+    """
+
+    flies_elsewhere: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        create_env_fn: Callable[[], EnvBase],
+        policy: TensorDictModuleBase,
+        *,
+        workers: Count = 2,
+        address: str | None = None,
+        num_threads: int = 1,
+        trajs_per_batch: int = 1,
+        traj_format: str = "cat",
+        auto_register_policy_transforms: bool = False,
+        **kwargs: Any,
+    ) -> None:
+        self._learned, self._running = policy, False
+        self._frames = self._batches = 0
+        each = {
+            "trajs_per_batch": trajs_per_batch,
+            "traj_format": traj_format,
+            "auto_register_policy_transforms": auto_register_policy_transforms,
+        }
+        self._connected = _connect(address, workers * num_threads)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "async distributed data collection with init_random_frames")
+            super().__init__(
+                [create_env_fn] * workers,
+                copy.deepcopy(policy).to("cpu"),
+                collector_class=Worker,
+                collector_kwargs=[dict(each) for _ in range(workers)],  # one for all would be one dictionary
+                remote_configs={"num_cpus": num_threads},
+                weight_sync_schemes={},  # through the object store instead
+                # with a total of -1 frames nothing would come; only the learner's machine need have its device
+                **{**kwargs, "total_frames": sys.maxsize, "policy_device": "cpu"},
+            )
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Yields each batch of flights as it comes; who sent it flies on meanwhile."""
+        import ray
+
+        self._running = True
+        flying = {self._fly(worker): worker for worker in self.remote_collectors}
+        while True:
+            with _death_told():
+                ended = ray.wait(list(flying))[0][0]
+                batch = ray.get(ended)
+            worker = flying.pop(ended)
+            del ended  # its memory is given back
+            flying[self._fly(worker)] = worker
+            self._frames += batch.numel()
+            self._batches += 1
+            yield batch
+
+    def _fly(self, worker: Any) -> Any:
+        """Has a worker fly with the weights of now; returns the promise of its next batch."""
+        worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
+        return worker.next.remote()
+
+    def start_anew(self, seed: int, flights: int) -> None:
+        """Starts new flights from a seed, another one in each worker, unless some fly: these go on. All count."""
+        if not self._running:
+            seeds = np.random.SeedSequence(seed).generate_state(self.num_collectors)
+            with _death_told():
+                self.map_fn("set_seed", [(int(own),) for own in seeds])
+                self.map_fn("reset")
+
+    def wind_down(self) -> bool:
+        """Nothing need end: open flights go on through a checkpoint."""
+        return True
+
+    def shutdown(self, *args: Any, **kwargs: Any) -> None:
+        """Ends the workers, and leaves the cluster that was joined or started for them."""
+        super().shutdown(*args, **kwargs, shutdown_ray=self._connected)
+
+    def state_dict(self) -> OrderedDict[str, Any]:
+        """How many frames and batches have come from the workers; open flights are not kept."""
+        return OrderedDict(frames=self._frames, iter=self._batches)
+
+    def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self._frames, self._batches = state_dict["frames"], state_dict["iter"]
+
+
+def _connect(address: str | None, processors: int) -> bool:
+    """Joins the cluster of an address, or starts one here with so many processors; False where it was joined before."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a run tells nobody of itself
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # else Ray warns of its next version
+    try:
+        import ray
+    except ImportError as error:
+        raise UavrlError("collector=ray needs Ray: install it by pip install 'uavrl[ray]'.") from error
+    if ray.is_initialized():
+        return False
+    own: dict[str, Any] = {"num_cpus": processors, "object_store_memory": OBJECTS, "include_dashboard": False}
+    try:
+        ray.init(address=address or "local", logging_level=logging.ERROR, **({} if address else own))
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise UavrlError(
+            f"collector.address={address} cannot be reached ({' '.join(str(error).split())}): start Ray there by "
+            f"ray start --head, or leave collector.address out."
+        ) from error
+    if (there := ray.cluster_resources().get("CPU", 0)) < processors:
+        ray.shutdown()
+        raise UavrlError(
+            f"collector.workers asks for {processors} processors, and the Ray cluster has {there:.0f}: lower it, or "
+            f"add machines by ray start --address=ADDRESS."
+        )
+    return True
+
+
+@contextmanager
+def _death_told() -> Iterator[None]:
+    """Turns what Ray raises when a worker does not answer into a sentence."""
+    import ray
+
+    try:
+        yield
+    except ray.exceptions.RayError as error:
+        raise FlyingEnded(str(getattr(error, "cause", None) or error).strip().splitlines()[0]) from error
