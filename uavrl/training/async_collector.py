@@ -1,6 +1,5 @@
 """Flying in one process while another learns."""
 
-import signal
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from torchrl.envs import EnvBase
 
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.ranges import Count
+from uavrl.training.stopping import interrupts_held_back
 
 
 class AsyncCollector(MultiAsyncCollector):
@@ -39,7 +39,8 @@ class AsyncCollector(MultiAsyncCollector):
     def __init__(self, create_env_fn: Callable[[], EnvBase], *, processes: Count = 1, **kwargs: Any) -> None:
         others = active_children()
         try:
-            with _interrupts_held_back():
+            resource_tracker.ensure_running()  # starting it later would let interrupts through again
+            with interrupts_held_back():
                 super().__init__([create_env_fn] * processes, **kwargs)
         except BaseException:  # Ctrl-C too: another thread of the library's may hear it, and it is ours then
             _kill([process for process in active_children() if process not in others])
@@ -117,14 +118,3 @@ def _kill(processes: Sequence[BaseProcess]) -> None:
         if process.is_alive():
             process.kill()
             process.join()
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Ctrl-C and SIGTERM are the learner's to handle, which ends the worker: it never hears them, we do at the end."""
-    resource_tracker.ensure_running()  # starting it later would let interrupts through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

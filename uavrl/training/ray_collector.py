@@ -3,7 +3,9 @@
 import copy
 import logging
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -19,6 +21,7 @@ from torchrl.envs import EnvBase
 
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.ranges import Count
+from uavrl.training.stopping import interrupts_held_back
 
 OBJECTS = 512 * 2**20  # bytes that a Ray of our own keeps for flights and weights on their way
 
@@ -147,7 +150,8 @@ def _connect(address: str | None, processors: int) -> bool:
         return False
     own: dict[str, Any] = {"num_cpus": processors, "object_store_memory": OBJECTS, "include_dashboard": False}
     try:
-        ray.init(address=address or "local", logging_level=logging.ERROR, **({} if address else own))
+        with interrupts_held_back(), _handlers_kept():
+            ray.init(address=address or "local", logging_level=logging.ERROR, **({} if address else own))
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise UavrlError(
             f"collector.address={address} cannot be reached ({' '.join(str(error).split())}): start Ray there by "
@@ -160,6 +164,15 @@ def _connect(address: str | None, processors: int) -> bool:
             f"add machines by ray start --address=ADDRESS."
         )
     return True
+
+
+@contextmanager
+def _handlers_kept() -> Iterator[None]:
+    """Ray takes SIGTERM for itself; a run has its own way to end."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -60,6 +60,16 @@ class Stop:
 
 
 @contextmanager
+def interrupts_held_back() -> Iterator[None]:
+    """Processes that begin meanwhile never hear Ctrl-C and SIGTERM, which this one handles; it does at the end."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def stoppable() -> Iterator[Stop]:
     """Hears Ctrl-C and SIGTERM, unless they are ignored, as Ctrl-C is in a shell's background jobs.
 
