@@ -43,7 +43,7 @@ GROUPS = {
     "reward": ["navigation", "navigation_prize", "traditional", "walker", "null"],
     "algo": ["td3", "ddpg", "sac", "ppo"],
     "buffer": ["uniform", "prioritized", "failure_biased", "[uniform]"],
-    "backward_reward": ["none", "abr", "abr_plus"],
+    "backward_reward": ["none", "abr", "abr_plus", "ircr"],
     "scheme": ["tr", "abr", "abr_plus", "prize", "best"],
     "fork": ["none", "on", "walker", "off"],
     "lifeguard": ["none", "linear", "mlp", "tree"],
@@ -52,7 +52,7 @@ GROUPS = {
     "logger": ["csv", "tensorboard", "mlflow"],
     "collector": ["sync", "threads"],
     "enhancer": ["none", "own"],
-    "preset": ["slow", "null"],
+    "preset": ["thesis", "slow", "null"],
 }
 WILD = [
     *("0", "-1", "1", "2", "7", "1e-30", "0.5", "1e3", "1e9", "-1e9", "1e30", "1000000000", "10000000000000000000000"),

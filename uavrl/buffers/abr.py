@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 from uavrl.buffers.backward_reward import BackwardReward
+from uavrl.buffers.functional import Scale
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.trajectory_classifier import TrajectoryClassifier, packaged_artifact
@@ -19,6 +20,7 @@ class ABR(BackwardReward):
         threshold: cosine similarity from which a state joins a class (Table 4.1).
         max_classes: classes that are founded at most.
         seed: of the convolution that gives the features.
+        scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
 
@@ -36,6 +38,8 @@ class ABR(BackwardReward):
         threshold: Share = 0.98,
         max_classes: Count = 20_000,
         seed: Whole = 0,
+        scale: Scale = "rank",
+        window: Count = 1000,
         *,
         stacked: int = 3,
         observations: int = 105,
@@ -52,7 +56,7 @@ class ABR(BackwardReward):
             max_classes=max_classes,
             seed=seed,
         )
-        super().__init__(classifier, stacked, multiplier)
+        super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
 
 
 class ABRPlus(BackwardReward):
@@ -60,7 +64,9 @@ class ABRPlus(BackwardReward):
 
     Args:
         multiplier: p_addReward.
-        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``.
+        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states with folded angles. None comes
+            with uavrl for raw ones, ``"packaged_raw"``.
+        scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
         kept: a copy of the artifact, made here at the first time and read from then on; None keeps none.
@@ -77,11 +83,18 @@ class ABRPlus(BackwardReward):
         self,
         multiplier: NonNegative = 0.2,
         artifact: str = "packaged",
+        scale: Scale = "rank",
+        window: Count = 1000,
         *,
         stacked: int = 3,
         observations: int = 105,
         kept: Path | None = None,
     ) -> None:
+        if artifact == "packaged_raw":
+            raise UavrlError(
+                "No artifact of ABR⁺ comes with uavrl for perception.angles=raw: make one by uavrl-pretrain from a run "
+                "with raw angles, and name its folder, backward_reward.artifact=FOLDER."
+            )
         source = packaged_artifact() if artifact == "packaged" else Path(artifact)
         if kept is not None and not kept.exists():
             TrajectoryClassifier.load(source)
@@ -94,4 +107,4 @@ class ABRPlus(BackwardReward):
                 f"The artifact {artifact} classifies states of {classifier.inputs} numbers, these have "
                 f"{observations}: make one with uavrl-pretrain from a run with perception.frames={stacked}."
             )
-        super().__init__(classifier, stacked, multiplier)
+        super().__init__(classifier, stacked, multiplier, scale=scale, window=window)

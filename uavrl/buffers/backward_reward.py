@@ -1,15 +1,16 @@
 """The backward reward as a replay buffer's transform."""
 
 import time
-from typing import Any, Protocol
+from itertools import pairwise
+from typing import Any, Protocol, get_args
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from uavrl.buffers.functional import backward_reward, check_labels, window_ends
-from uavrl.buffers.history import TrajectoryHistory
+from uavrl.buffers.functional import Scale, backward_reward, check_labels, window_ends
+from uavrl.buffers.history import RecentSums, TrajectoryHistory
 
 
 class StateClassifier(Protocol):
@@ -43,6 +44,10 @@ class BackwardReward(Transform):
         classifier: puts states into classes.
         frames: p_frames, steps in a window.
         multiplier: p_addReward (Table 4.1: "extra reward multiplier").
+        scale: what is paid times ``multiplier``. ``"rank"``: the place m among all distinct sums of the class (the
+            thesis), which grows as more are seen. ``"percentile"``: the mid-rank F̂ among the class's last sums, in
+            (0, 1). ``"centred"``: 2 F̂ - 1, on average nothing, so that no flight is paid for lasting longer.
+        window: sums of a class that ``"percentile"`` and ``"centred"`` compare with.
         history: H to start from; a new one if not given.
         observation: key of the states, ``[*B, T, *S]``.
         reward: key of the rewards, one a step; the relabelled ones go there.
@@ -77,7 +82,9 @@ class BackwardReward(Transform):
         frames: int = 3,
         multiplier: float = 0.2,
         *,
-        history: TrajectoryHistory | None = None,
+        scale: Scale = "rank",
+        window: int = 1000,
+        history: TrajectoryHistory | RecentSums | None = None,
         observation: NestedKey = "observation",
         reward: NestedKey = ("next", "reward"),
         arrived: NestedKey = ("next", "arrived"),
@@ -93,7 +100,12 @@ class BackwardReward(Transform):
         self.classifier = classifier
         self.frames = frames
         self.multiplier = multiplier
-        self.history = TrajectoryHistory() if history is None else history
+        if scale not in get_args(Scale):
+            raise ValueError(f"scale must be one of {', '.join(get_args(Scale))}, got {scale!r}.")
+        self.scale: str = scale
+        if history is None:
+            history = TrajectoryHistory() if scale == "rank" else RecentSums(window)
+        self.history = history
         self.episodes = 0
         self.mean_extra = 0.0
         self.relabelling_seconds = 0.0
@@ -116,7 +128,9 @@ class BackwardReward(Transform):
         states, reward, arrived, done = (self._steps(tensordict, key) for key in self.in_keys_inv)
         _check_whole(done, tensordict.batch_size)
         start_time = time.perf_counter()
-        new = self._relabel(states, _one_a_step(reward, reward_key), arrived, done)
+        new = self._relabel(
+            states, _one_a_step(reward, reward_key), _one_a_step(arrived, "arrived"), _one_a_step(done, "done")
+        )
         self.relabelling_seconds += time.perf_counter() - start_time
         old = tensordict.get(reward_key)
         return tensordict.set(raw_key, old.clone()).set(reward_key, new.reshape(old.shape))
@@ -135,7 +149,7 @@ class BackwardReward(Transform):
 
     def _relabel(self, states: Tensor, reward: Tensor, arrived: Tensor, done: Tensor) -> Tensor:
         """New rewards ``[T]`` of flat data that holds whole episodes."""
-        arrivals = _arrived_episodes(_one_a_step(arrived, "arrived"), _one_a_step(done, "done"))
+        arrivals = [(start, end) for start, end in episode_bounds(done) if arrived[end - 1]]
         windows = [window_ends(end - start, self.frames) + start for start, end in arrivals]
         new = reward.clone()
         if not arrivals:
@@ -147,7 +161,12 @@ class BackwardReward(Transform):
         for (start, end), part in zip(arrivals, parts, strict=True):
             steps = slice(start, end)
             new[steps] = backward_reward(
-                reward[steps], part, self.history, frames=self.frames, multiplier=self.multiplier
+                reward[steps],
+                part,
+                self.history,
+                frames=self.frames,
+                multiplier=self.multiplier,
+                centred=self.scale == "centred",
             )
             self.mean_extra = float((new[steps] - reward[steps]).double().mean())
         self.episodes += len(arrivals)
@@ -196,7 +215,6 @@ def _check_whole(done: Tensor, batch_size: torch.Size) -> None:
         )
 
 
-def _arrived_episodes(arrived: Tensor, done: Tensor) -> list[tuple[int, int]]:
-    """Start and end (exclusive) of each episode whose last step arrived."""
-    ends = (done.nonzero().reshape(-1) + 1).tolist()
-    return [(start, end) for start, end in zip([0, *ends], ends, strict=False) if bool(arrived[end - 1])]
+def episode_bounds(done: Tensor) -> list[tuple[int, int]]:
+    """Start and end (exclusive) of each episode."""
+    return list(pairwise([0, *(done.nonzero()[:, 0] + 1).tolist()]))

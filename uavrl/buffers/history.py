@@ -1,6 +1,7 @@
-"""What the backward reward remembers: the distinct sums seen in each class of trajectories, sorted."""
+"""What the backward reward remembers of each class of trajectories: all distinct sums seen, or the last ones."""
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from operator import index
 
@@ -69,13 +70,7 @@ class TrajectoryHistory:
             ``labels [C]`` in ascending order, ``values [M]`` class after class, and ``offsets [C + 1]``: the
             values of class ``labels[c]`` are ``values[offsets[c] : offsets[c + 1]]``.
         """
-        lists = [self._values[label] for label in self.classes]
-        sizes = torch.tensor([0, *map(len, lists)], dtype=torch.int64)
-        return {
-            "labels": torch.tensor(self.classes, dtype=torch.int64),
-            "offsets": sizes.cumsum(0),
-            "values": torch.tensor([value for known in lists for value in known], dtype=torch.int64),
-        }
+        return _flat({label: self._values[label] for label in self.classes})
 
     def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
         """Replaces everything by what :meth:`state_dict` gave.
@@ -83,16 +78,105 @@ class TrajectoryHistory:
         Raises:
             ValueError: when the tensors do not fit together.
         """
-        labels, offsets, values = (state_dict[name].tolist() for name in ("labels", "offsets", "values"))
-        parts = [values[start:end] for start, end in pairwise(offsets)]
-        whole = offsets[:1] == [0] and offsets[-1:] == [len(values)] and offsets == sorted(offsets)
-        if not (whole and len(parts) == len(labels) == len(set(labels)) and all(map(_ascends, parts))):
+        parts = _parts(state_dict)
+        if not all(a < b for values in parts.values() for a, b in pairwise(values)):
             raise ValueError(
-                f"Expected {len(labels)} classes whose values ascend, got offsets that cut {len(values)} values "
-                f"otherwise: the state is damaged, take an older one."
+                f"Expected {len(parts)} classes whose values ascend: the state is damaged, take an older one."
             )
-        self._values = {label: SortedList(part) for label, part in zip(labels, parts, strict=True)}
+        self._values = {label: SortedList(values) for label, values in parts.items()}
 
 
-def _ascends(values: list[int]) -> bool:
-    return all(a < b for a, b in pairwise(values))
+class RecentSums:
+    """The last sums of each class, as often as they came: what a new one is compared with does not grow for ever.
+
+    Args:
+        window: sums that are kept of each class.
+
+    Examples:
+        >>> recent = RecentSums(window=3)
+        >>> [round(recent.insert_and_rank(7, value), 2) for value in (12, 4, 9, 9)]
+        [0.5, 0.25, 0.5, 0.67]
+        >>> recent.values(7), recent.classes, len(recent)
+        ([4, 9, 9], [7], 3)
+    """
+
+    def __init__(self, window: int = 1000) -> None:
+        if window < 1:
+            raise ValueError(f"Expected a window of at least 1, got {window}.")
+        self.window = window
+        self._came: dict[int, deque[int]] = {}
+        self._sorted: dict[int, SortedList] = {}
+
+    def __len__(self) -> int:
+        """How many sums are kept, of all classes together."""
+        return sum(map(len, self._came.values()))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(window={self.window}, classes={len(self._came)}, values={len(self)})"
+
+    @property
+    def classes(self) -> list[int]:
+        """The classes seen, in ascending order."""
+        return sorted(self._came)
+
+    def values(self, label: int) -> list[int]:
+        """The kept sums of a class in the order in which they came; none for a class not seen."""
+        return list(self._came.get(label, ()))
+
+    def insert_and_rank(self, label: int, value: int) -> float:
+        """Inserts a sum into its class and tells its mid-rank among those kept, itself included.
+
+        Args:
+            label: the class l.
+            value: the floored sum R.
+
+        Returns:
+            F̂: the share of smaller sums, and half the share of equal ones; in (0, 1), on average a half.
+
+        Raises:
+            TypeError: when either is no integer.
+        """
+        label, value = index(label), index(value)
+        came = self._came.setdefault(label, deque())
+        known = self._sorted.setdefault(label, SortedList())
+        came.append(value)
+        known.add(value)
+        if len(came) > self.window:
+            known.remove(came.popleft())
+        return (known.bisect_left(value) + known.bisect_right(value)) / (2 * len(known))
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything as three flat int64 tensors, as :meth:`TrajectoryHistory.state_dict`; values as they came."""
+        return _flat({label: self._came[label] for label in self.classes})
+
+    def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
+        """Replaces everything by what :meth:`state_dict` gave; of more than the window the last ones are kept.
+
+        Raises:
+            ValueError: when the tensors do not fit together.
+        """
+        parts = _parts(state_dict)
+        self._came = {label: deque(values[-self.window :]) for label, values in parts.items()}
+        self._sorted = {label: SortedList(values) for label, values in self._came.items()}
+
+
+def _flat(values: Mapping[int, Sequence[int]]) -> dict[str, Tensor]:
+    sizes = torch.tensor([0, *map(len, values.values())], dtype=torch.int64)
+    return {
+        "labels": torch.tensor([*values], dtype=torch.int64),
+        "offsets": sizes.cumsum(0),
+        "values": torch.tensor([value for known in values.values() for value in known], dtype=torch.int64),
+    }
+
+
+def _parts(state_dict: Mapping[str, Tensor]) -> dict[int, list[int]]:
+    """The values of each class, from :func:`_flat`."""
+    labels, offsets, values = (state_dict[name].tolist() for name in ("labels", "offsets", "values"))
+    parts = [values[start:end] for start, end in pairwise(offsets)]
+    whole = offsets[:1] == [0] and offsets[-1:] == [len(values)] and offsets == sorted(offsets)
+    if not (whole and len(parts) == len(labels) == len(set(labels))):
+        raise ValueError(
+            f"Expected the values of {len(labels)} classes, got offsets that cut {len(values)} values otherwise: the "
+            f"state is damaged, take an older one."
+        )
+    return dict(zip(labels, parts, strict=True))

@@ -26,7 +26,7 @@ def conf_dir() -> Path:
 def register_resolvers() -> None:
     """Teaches OmegaConf the functions that our yaml files call."""
     OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
-    OmegaConf.register_new_resolver("with_traditional_reward", _with_traditional_reward, replace=True)
+    OmegaConf.register_new_resolver("where", _where, replace=True)
     OmegaConf.register_new_resolver("random_steps", _random_steps, replace=True)
     OmegaConf.register_new_resolver("run_name", lambda *, _root_: run_name(_choices(_root_)), replace=True)
 
@@ -90,9 +90,10 @@ def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> floa
     return without if OmegaConf.select(_root_, "lifeguard._target_") is None else value
 
 
-def _with_traditional_reward(value: float, otherwise: float, *, _root_: DictConfig) -> float:
-    """``${with_traditional_reward:A,B}`` is A where the traditional reward pays, else B."""
-    return value if _choices(_root_).get("reward") == "traditional" else otherwise
+def _where(key: str, value: str, then: Any, otherwise: Any, *, _root_: DictConfig) -> Any:
+    """``${where:KEY,VALUE,A,B}`` is A where KEY is VALUE, else B; of a group KEY is which of its files was chosen."""
+    found = OmegaConf.select(_root_, key) if "." in key else _choices(_root_).get(key)
+    return then if found == value else otherwise
 
 
 def expected_steps(episodes: int, max_steps: int) -> int:
