@@ -277,3 +277,37 @@ def test_the_setting_that_solves_most_is_left_and_flown_most(
     assert rounds[2][0]["setting"] == settings[4] and rounds[2][0]["rate"] == 1.0
     assert flown == [2] * 32 + [8] * 8 + [32] * 2  # half of the tasks in each of the two worlds
     assert "100.0 %" in capsys.readouterr().out
+
+
+def test_a_model_of_workers_grows_until_the_learner_is_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A step of flying of 4 ms and an update of 2 ms: 166.7 steps a second in turn with one update, 222.2 with ¼."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import workers
+
+    model = workers.modelled({"sync": {1.0: 1 / 6e-3, 0.25: 1 / 4.5e-3}})
+    assert (model["flying"], model["update"]) == (pytest.approx(4e-3), pytest.approx(2e-3))
+    assert model["rates"]["1.0"]["1"] == pytest.approx(250)  # who flies is the bound
+    assert model["rates"]["1.0"]["2"] == model["rates"]["1.0"]["16"] == pytest.approx(500)  # the learner is
+    assert model["rates"]["0.25"]["16"] == pytest.approx(2000)
+
+
+def test_warnings_are_counted_backwards_from_the_collision(monkeypatch: pytest.MonkeyPatch) -> None:
+    """c is what the state says: of two collisions one is warned of two steps ahead, one not at all."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import warning_time
+    from tensordict import TensorDict
+
+    def flight(said: list[float], end: str) -> TensorDict:
+        last = torch.arange(len(said))[:, None] == len(said) - 1
+        after = {key: last & (key == end) for key in ("collided", "arrived")}
+        return TensorDict({"said": torch.tensor(said), "next": after}, [len(said)])
+
+    told = SimpleNamespace(classifier=lambda said: said.logit(), _features=lambda flight: flight["said"])
+    flights = [
+        flight([0.1, 0.9, 0.2, 0.9, 0.9, 0.9], "collided"),
+        flight([0.1] * 16, "collided"),
+        flight([0.5] * 99, "arrived"),
+    ]
+    shares, first = warning_time.warnings(told, flights)
+    assert shares[:6] == [0.5, 0.5, 0.5, 0.0, 0.5, 0.0]
+    assert first == 1.5  # the median of 3 and 0

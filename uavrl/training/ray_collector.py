@@ -148,7 +148,12 @@ def _connect(address: str | None, processors: int) -> bool:
         raise UavrlError("collector=ray needs Ray: install it by pip install 'uavrl[ray]'.") from error
     if ray.is_initialized():
         return False
-    own: dict[str, Any] = {"num_cpus": processors, "object_store_memory": OBJECTS, "include_dashboard": False}
+    own: dict[str, Any] = {
+        "num_cpus": processors,
+        "object_store_memory": OBJECTS,
+        "include_dashboard": False,
+        "_node_ip_address": "127.0.0.1",  # whoever reaches a Ray may run programs in it
+    }
     try:
         with interrupts_held_back(), _handlers_kept():
             ray.init(address=address or "local", logging_level=logging.ERROR, **({} if address else own))

@@ -226,6 +226,8 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
     config = read_config(run_dir)
     before = fingerprint(config)
     config.packages = overrides.packages  # whom the one trusts who runs this, whatever the file says
+    if "address" in config.collector:
+        config.collector.address = None  # what a Ray cluster sends is unpickled: the file may not choose one
     for key in changed:
         OmegaConf.update(config, key, OmegaConf.select(overrides, key), merge=False)
     if fingerprint(config) != before:
