@@ -178,7 +178,9 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("when", ["flying", "starting", "built"])
+@pytest.mark.parametrize(
+    "when", ["flying", pytest.param("starting", marks=pytest.mark.slow), pytest.param("built", marks=pytest.mark.slow)]
+)
 def test_python_ends_after_a_training_that_was_stopped(when: str, tmp_path: Path) -> None:
     (tmp_path / "stopped.py").write_text(STOPPED)
     command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run", when]

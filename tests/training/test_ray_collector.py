@@ -102,6 +102,7 @@ def test_whole_flights_come_from_every_worker_and_follow_the_learners_weights() 
         flown.shutdown()
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_ends_the_flying_with_a_sentence() -> None:
     flown = collector(Policy())
     try:
