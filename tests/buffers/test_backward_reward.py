@@ -328,6 +328,7 @@ def test_a_missing_key_is_named(key) -> None:
         ({"multiplier": -0.1}, "multiplier"),
         ({"multiplier": float("nan")}, "multiplier"),
         ({"scale": "root"}, "scale must be one of rank, percentile, centred"),
+        ({"scale": "centred", "history": TrajectoryHistory()}, "scale='centred' does not go with a TrajectoryHistory"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, object], message: str) -> None:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from omegaconf import open_dict
 from torchrl.collectors import Collector
 
 from tests.helpers.configs import composed
 from tests.helpers.runs import small_config
 from uavrl.configs import to_dataclass
 from uavrl.errors import UavrlError
+from uavrl.runs.config import FREE_KEYS
 from uavrl.training.factory import collector_class
-from uavrl.training.run import create_run, resume_config
+from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sync_collector import SyncCollector
 
 
@@ -42,10 +42,29 @@ def test_one_that_has_what_a_run_asks_for_is_taken_and_another_is_told_what_it_l
         chosen("Plain")
 
 
+def test_what_the_run_sets_itself_is_refused(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "+collector.total_frames=5")
+    with pytest.raises(UavrlError, match=r"collector.total_frames is set by the run itself: leave it out"):
+        train(config, create_run(config))
+
+
 def test_the_address_of_a_cluster_is_not_taken_from_a_run_folder(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", "collector=ray", "collector.address=10.0.0.1:6379")
+    run_dir = create_run(small_config(tmp_path / "run", "collector=ray", "collector.address=10.0.0.1:6379"))
+    told = "was flown on the Ray cluster 10.0.0.1:6379, and .*: add collector=ray collector.address=10.0.0.1:6379"
+    with pytest.raises(UavrlError, match=told):
+        resume_config(run_dir, composed(), [])
+    for address in ("auto", None):
+        given = composed("config", "collector=ray", f"collector.address={address or 'null'}", "collector.workers=1")
+        changed = ["collector", "collector.address", "collector.workers"]  # as the command line has them
+        collector = resume_config(run_dir, given, changed).collector
+        assert (collector.address, collector.workers) == (address, 1)
+
+
+@pytest.mark.parametrize("collector", ["sync", "async", "ray"])
+def test_a_sweep_goes_on_with_a_run_of_any_collector(collector: str, tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", f"collector={collector}")
+    config.trainer.episodes = 7
     run_dir = create_run(config)
-    with open_dict(config):
-        config.collector.address = "auto"
-    assert resume_config(run_dir, config, []).collector.address is None
-    assert resume_config(run_dir, config, ["collector.address"]).collector.address == "auto"
+    resumed = resume_config(run_dir, config, list(FREE_KEYS))
+    assert to_dataclass(resumed).trainer.episodes == 7
+    assert resumed.collector == config.collector

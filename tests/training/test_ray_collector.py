@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
+import time
+from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +19,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from tests.helpers.runs import small_config
+from tests.helpers.runs import SMALL, small_config
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.runs.episodes import read_episodes
 from uavrl.training import run, trainer
@@ -71,9 +74,12 @@ class Policy(torch.nn.Module):
         return self.weight.expand(*seen.shape[:-1], 1)
 
 
-def collector(policy: Policy, workers: int = 2) -> RayCollector:
+def collector(
+    policy: Policy, workers: int = 2, init_random_frames: int = 0, env: type[EnvBase] | None = None
+) -> RayCollector:
     actor = TensorDictModule(policy, ["observation"], ["action"])
-    return RayCollector(Counter, actor, workers=workers, frames_per_batch=5, init_random_frames=0)
+    options = {"frames_per_batch": 5, "init_random_frames": init_random_frames}
+    return RayCollector(env or Counter, actor, workers=workers, **options)
 
 
 def test_whole_flights_come_from_every_worker_and_follow_the_learners_weights() -> None:
@@ -102,8 +108,39 @@ def test_whole_flights_come_from_every_worker_and_follow_the_learners_weights() 
         flown.shutdown()
 
 
+def test_random_actions_are_flown_once_and_not_again_after_a_resume() -> None:
+    flown = collector(Policy(), init_random_frames=40)
+    try:
+        flown.load_state_dict(OrderedDict(frames=30, iter=6))  # 15 of 20 each
+        flown.start_anew(11, 100)
+        actions: dict[float, list[list[float]]] = {}
+        for turn, flight in enumerate(flown):
+            actions.setdefault(flight["observation"][0, 1].item(), []).append(flight["action"].flatten().tolist())
+            if turn == 7:
+                break
+        assert len(actions) == 2
+        (one, other) = (own[0] for own in actions.values())
+        assert all(one) and all(other) and one != other  # five random actions, others in each worker
+        assert all(flight == [0.0] * 5 for own in actions.values() for flight in own[1:])  # the policy's
+    finally:
+        flown.shutdown()
+
+
+class Silent(Counter):
+    """Breaks without a word."""
+
+    def _step(self, data: TensorDictBase) -> TensorDictBase:
+        raise AssertionError
+
+
 @pytest.mark.slow
-def test_a_worker_that_is_killed_ends_the_flying_with_a_sentence() -> None:
+def test_a_worker_that_breaks_or_is_killed_ends_the_flying_with_a_sentence() -> None:
+    broken = collector(Policy(), env=Silent)
+    try:
+        with pytest.raises(FlyingEnded, match=r"A process that flies has ended \(.*Error.*\)"):
+            next(iter(broken))
+    finally:
+        broken.shutdown()
     flown = collector(Policy())
     try:
         with pytest.raises(FlyingEnded, match=r"A process that flies has ended \(.*died.*\); .*resume=RUN_FOLDER\."):
@@ -111,6 +148,42 @@ def test_a_worker_that_is_killed_ends_the_flying_with_a_sentence() -> None:
                 os.kill(int(flight["observation"][0, 1]), signal.SIGKILL)
     finally:
         flown.shutdown()
+
+
+@pytest.mark.slow
+def test_sigterm_ends_a_run_behind_a_checkpoint_and_ends_its_ray(tmp_path: Path) -> None:
+    """Sent to all processes at once, as a cluster's scheduler does."""
+    run_dir = tmp_path / "run"
+    command = [sys.executable, "-m", "uavrl.cli.train", "collector=ray", f"run_dir={run_dir}", *SMALL]
+    command += ["trainer.episodes=100000", "trainer.checkpoint_interval=10000000"]
+    began = subprocess.Popen(
+        command, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        until = time.monotonic() + 300
+        while time.monotonic() < until and len(read_episodes(run_dir / "episodes.csv")) < 3:
+            time.sleep(0.5)
+        os.killpg(began.pid, signal.SIGTERM)
+        said, _ = began.communicate(timeout=120)
+    finally:
+        if began.poll() is None:
+            os.killpg(began.pid, signal.SIGKILL)
+    assert began.returncode == 128 + signal.SIGTERM, said
+    assert "which is saved: go on with uavrl-train resume=" in said
+    assert len(list((run_dir / "checkpoints").glob("checkpoint*"))) == 2
+    command = [sys.executable, "-m", "uavrl.cli.train", f"resume={run_dir}", "collector=ray", "collector.workers=1"]
+    episodes = len(read_episodes(run_dir / "episodes.csv")) + 3
+    subprocess.run([*command, f"trainer.episodes={episodes}"], check=True, capture_output=True, timeout=300)
+    assert len(read_episodes(run_dir / "episodes.csv")) == episodes
+    assert not [pid for pid in Path("/proc").glob("[0-9]*") if group(pid) == began.pid]  # nothing is left behind
+
+
+def group(process: Path) -> int:
+    """The process group, or 0 of one that has gone."""
+    try:
+        return os.getpgid(int(process.name))
+    except OSError:
+        return 0
 
 
 @pytest.mark.parametrize(

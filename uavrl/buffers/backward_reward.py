@@ -103,6 +103,8 @@ class BackwardReward(Transform):
         if scale not in get_args(Scale):
             raise ValueError(f"scale must be one of {', '.join(get_args(Scale))}, got {scale!r}.")
         self.scale: str = scale
+        if history is not None and isinstance(history, TrajectoryHistory) != (scale == "rank"):
+            raise ValueError(f"scale={scale!r} does not go with a {type(history).__name__}.")
         if history is None:
             history = TrajectoryHistory() if scale == "rank" else RecentSums(window)
         self.history = history

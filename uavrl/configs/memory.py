@@ -30,7 +30,7 @@ def bytes_needed(settings: TrainConfig) -> dict[str, float]:
     kept = frame * 17 / 16 if settings.algo.n_steps == 1 else 2 * state * 9 / 8  # both states whole: they share none
     transition = kept * NUMBER + 42
     parts = {
-        "env.num_uavs": uavs * settings.collector.get("processes", 1) * VEHICLE,
+        "env.num_uavs": uavs * _processes(settings) * VEHICLE,
         "buffer.capacity": capacity * (transition + 32 * ("alpha" in settings.buffer)),
         "collector.steps_per_batch": 3 * settings.collector.steps_per_batch * uavs * 2 * state * NUMBER,
         **{
@@ -45,6 +45,13 @@ def bytes_needed(settings: TrainConfig) -> dict[str, float]:
     if "max_classes" in settings.backward_reward:
         parts["backward_reward.max_classes"] = 2 * settings.backward_reward.max_classes * 10 * frames * NUMBER
     return parts
+
+
+def _processes(settings: TrainConfig) -> int:
+    """How many fly on this machine."""
+    collector = settings.collector
+    elsewhere = collector.get("address") is not None
+    return 1 if elsewhere else collector.get("processes", collector.get("workers", 1))
 
 
 def require_memory(settings: TrainConfig, memory: float | None = None) -> None:

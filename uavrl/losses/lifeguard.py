@@ -28,10 +28,11 @@ _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes 
 class LifeGuard(Enhancer):
     """Adds ``p_cp c(o, μ(s))`` to the actor's objective: c predicts that the action collides (Eq. 3.7-3.11).
 
-    Call :meth:`observe` and then :meth:`fit` once for each episode flown. The classifier reads the last observation
-    in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last transition
-    before each collision and from as many other transitions. The actor hears of it after ``min_evaluations``
-    evaluations, each before it is trained on the episode, while its true-negative rate is high enough.
+    Call :meth:`observe` and then :meth:`fit` once for each episode flown. The classifier reads the last ``frames``
+    observations in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last
+    transition before each collision and from as many other transitions. The actor hears of it after
+    ``min_evaluations`` evaluations, each before it is trained on the episode, while its true-negative rate is high
+    enough.
 
     Args:
         base: the loss to enhance.
@@ -438,7 +439,7 @@ class LifeGuard(Enhancer):
         self.collisions.load_state_dict(state["collisions"])
         self.evaluations = deque(state["evaluations"].tolist(), self.evaluations.maxlen)
         self.evaluated = int(state["evaluated"])
-        self.collisions_seen, self.steps_seen = map(int, state["seen"])
+        self.collisions_seen, self.steps_seen = map(int, state.get("seen", (0, 0)))
         if self.successes is not None:
             self.successes = deque(state["successes"].tolist(), self.successes.maxlen)
         self._last_episode = None

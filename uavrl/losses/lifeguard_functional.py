@@ -74,7 +74,7 @@ def calibration(collisions: int, steps: int) -> tuple[float, float]:
 
     Args:
         collisions: that were seen.
-        steps: among which they were; their share is π.
+        steps: that were seen, among which they were; their share is π.
 
     Examples:
         >>> calibration(1, 200)

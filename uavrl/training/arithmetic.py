@@ -60,10 +60,12 @@ def multiply_by(products: Products) -> None:
 
 def carried(function: Callable[[], T]) -> Callable[[], T]:
     """``function`` for another process, which from its call on multiplies as this one does now."""
-    return partial(_after_setting, _ON_CPU.fp32_precision, function)
+    return partial(_after_setting, _ON_CPU.fp32_precision, os.environ.get(ISA), function)
 
 
-def _after_setting(precision: str, function: Callable[[], T]) -> T:
+def _after_setting(precision: str, isa: str | None, function: Callable[[], T]) -> T:
+    if isa is not None:
+        os.environ[ISA] = isa
     _ON_CPU.fp32_precision = precision
     return function()
 

@@ -147,13 +147,15 @@ def make_collector(
     """Collects whole episodes, one a batch, with exploration noise after the random steps."""
     sigma = settings.algo.exploration_noise * sizes.limit
     vehicles = settings.env.get("num_uavs", 1)
+    found: Any = collector_class(settings)
+    flier = torch.device("cpu") if getattr(found, "flies_copies", False) else device
     noise = AdditiveGaussianModule(
-        spec=sizes.action_spec(device),
+        spec=sizes.action_spec(flier),
         sigma_init=sigma,
         sigma_end=sigma,
         annealing_num_steps=1,
         std=spread(vehicles, settings.algo.exploration_spread),
-        device=device,
+        device=flier,
     )
     kwargs: dict[str, Any] = {
         "policy": TensorDictSequential(actor, noise),
@@ -162,12 +164,14 @@ def make_collector(
         "init_random_frames": settings.algo.random_steps,
         "trajs_per_batch": 1,
         "traj_format": "cat",
-        "policy_device": device,
+        "policy_device": flier,
         "env_device": "cpu",
         "storing_device": "cpu",
         "auto_register_policy_transforms": False,
     }
-    found: Any = collector_class(settings)
     if found.flies_elsewhere:
         kwargs["num_threads"] = settings.trainer.threads
-    return found(env, **kwargs, **options(settings.collector))
+    own = options(settings.collector)
+    if taken := own.keys() & kwargs.keys():
+        raise UavrlError(f"collector.{min(taken)} is set by the run itself: leave it out.")
+    return found(env, **kwargs, **own)

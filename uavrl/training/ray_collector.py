@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import numpy as np
+import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector
@@ -23,6 +24,7 @@ from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.ranges import Count
 from uavrl.training.stopping import interrupts_held_back
 
+log = logging.getLogger(__name__)
 OBJECTS = 512 * 2**20  # bytes that a Ray of our own keeps for flights and weights on their way
 
 
@@ -32,6 +34,13 @@ class Worker(Collector):
     def __repr__(self) -> str:
         """The name."""
         return "worker"
+
+    def begin(self, seed: int, frames: int) -> None:
+        """Begins anew, as one that has flown so many frames: those with random actions are among the first."""
+        torch.manual_seed(seed)  # of random actions and of noise
+        self.set_seed(seed)
+        self._frames = frames
+        self.reset()
 
 
 class RayCollector(TorchRLRayCollector):
@@ -56,6 +65,7 @@ class RayCollector(TorchRLRayCollector):
     """
 
     flies_elsewhere: ClassVar[bool] = True
+    flies_copies: ClassVar[bool] = True  # of the policy, on CPUs
 
     def __init__(
         self,
@@ -78,48 +88,54 @@ class RayCollector(TorchRLRayCollector):
             "auto_register_policy_transforms": auto_register_policy_transforms,
         }
         self._connected = _connect(address, workers * num_threads)
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "async distributed data collection with init_random_frames")
-            super().__init__(
-                [create_env_fn] * workers,
-                copy.deepcopy(policy).to("cpu"),
-                collector_class=Worker,
-                collector_kwargs=[dict(each) for _ in range(workers)],  # one for all would be one dictionary
-                remote_configs={"num_cpus": num_threads},
-                weight_sync_schemes={},  # through the object store instead
-                # with a total of -1 frames nothing would come; only the learner's machine need have its device
-                **{**kwargs, "total_frames": sys.maxsize, "policy_device": "cpu"},
-            )
+        try:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "async distributed data collection with init_random_frames")
+                super().__init__(
+                    [create_env_fn] * workers,
+                    copy.deepcopy(policy).to("cpu"),
+                    collector_class=Worker,
+                    collector_kwargs=[dict(each) for _ in range(workers)],  # one for all would be one dictionary
+                    remote_configs={"num_cpus": num_threads},
+                    weight_sync_schemes={},  # through the object store instead
+                    # with a total of -1 frames nothing would come; only the learner's machine need have its device
+                    **{**kwargs, "total_frames": sys.maxsize, "policy_device": "cpu"},
+                )
+        except BaseException:
+            if self._connected:
+                _leave()
+            raise
 
     def iterator(self) -> Iterator[TensorDictBase]:
         """Yields each batch of flights as it comes; who sent it flies on meanwhile."""
         import ray
 
         self._running = True
-        flying = {self._fly(worker): worker for worker in self.remote_collectors}
+        flying = {batch: (worker, told) for worker in self.remote_collectors for batch, told in [self._fly(worker)]}
         while True:
             with _death_told():
                 ended = ray.wait(list(flying))[0][0]
+                worker, told = flying.pop(ended)
+                ray.get(told)
                 batch = ray.get(ended)
-            worker = flying.pop(ended)
-            del ended  # its memory is given back
-            flying[self._fly(worker)] = worker
+            del ended, told  # their memory is given back
+            promise, told = self._fly(worker)
+            flying[promise] = worker, told
             self._frames += batch.numel()
             self._batches += 1
             yield batch
 
-    def _fly(self, worker: Any) -> Any:
-        """Has a worker fly with the weights of now; returns the promise of its next batch."""
-        worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
-        return worker.next.remote()
+    def _fly(self, worker: Any) -> tuple[Any, Any]:
+        """Has a worker fly with the weights of now: the promises of its next batch, and that it has taken them."""
+        told = worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
+        return worker.next.remote(), told
 
     def start_anew(self, seed: int, flights: int) -> None:
         """Starts new flights from a seed, another one in each worker, unless some fly: these go on. All count."""
         if not self._running:
             seeds = np.random.SeedSequence(seed).generate_state(self.num_collectors)
             with _death_told():
-                self.map_fn("set_seed", [(int(own),) for own in seeds])
-                self.map_fn("reset")
+                self.map_fn("begin", [(int(own), self._frames // self.num_collectors) for own in seeds])
 
     def wind_down(self) -> bool:
         """Nothing need end: open flights go on through a checkpoint."""
@@ -127,7 +143,12 @@ class RayCollector(TorchRLRayCollector):
 
     def shutdown(self, *args: Any, **kwargs: Any) -> None:
         """Ends the workers, and leaves the cluster that was joined or started for them."""
-        super().shutdown(*args, **kwargs, shutdown_ray=self._connected)
+        try:
+            super().shutdown(*args, **kwargs)
+        except Exception:  # what has ended the workers may have ended Ray, too; the run tells of that
+            log.debug("Ray's workers did not end as asked.", exc_info=True)
+        if self._connected:
+            _leave()
 
     def state_dict(self) -> OrderedDict[str, Any]:
         """How many frames and batches have come from the workers; open flights are not kept."""
@@ -146,38 +167,51 @@ def _connect(address: str | None, processors: int) -> bool:
         import ray
     except ImportError as error:
         raise UavrlError("collector=ray needs Ray: install it by pip install 'uavrl[ray]'.") from error
-    if ray.is_initialized():
-        return False
-    own: dict[str, Any] = {
-        "num_cpus": processors,
-        "object_store_memory": OBJECTS,
-        "include_dashboard": False,
-        "_node_ip_address": "127.0.0.1",  # whoever reaches a Ray may run programs in it
-    }
-    try:
-        with interrupts_held_back(), _handlers_kept():
-            ray.init(address=address or "local", logging_level=logging.ERROR, **({} if address else own))
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise UavrlError(
-            f"collector.address={address} cannot be reached ({' '.join(str(error).split())}): start Ray there by "
-            f"ray start --head, or leave collector.address out."
-        ) from error
+    joined_before = ray.is_initialized()
+    if not joined_before:
+        _join(address, processors)
     if (there := ray.cluster_resources().get("CPU", 0)) < processors:
-        ray.shutdown()
+        if not joined_before:
+            _leave()
         raise UavrlError(
             f"collector.workers asks for {processors} processors, and the Ray cluster has {there:.0f}: lower it, or "
             f"add machines by ray start --address=ADDRESS."
         )
-    return True
+    return not joined_before
+
+
+def _join(address: str | None, processors: int) -> None:
+    import ray
+
+    own: dict[str, Any] = {"num_cpus": processors, "object_store_memory": OBJECTS, "include_dashboard": False}
+    try:
+        with interrupts_held_back(), _handlers_kept():
+            ray.init(address=address or "local", logging_level=logging.ERROR, **({} if address else own))
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        if address is None:
+            raise UavrlError(f"Ray does not start on this machine ({reason}): try ray start --head by hand.") from error
+        raise UavrlError(
+            f"collector.address={address} cannot be reached ({reason}): start Ray there by ray start --head, or leave "
+            f"collector.address out."
+        ) from error
+
+
+def _leave() -> None:
+    import ray
+
+    ray.shutdown()
 
 
 @contextmanager
 def _handlers_kept() -> Iterator[None]:
     """Ray takes SIGTERM for itself; a run has its own way to end."""
     before = signal.getsignal(signal.SIGTERM)
-    yield
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, before)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
@@ -187,5 +221,6 @@ def _death_told() -> Iterator[None]:
 
     try:
         yield
-    except ray.exceptions.RayError as error:
-        raise FlyingEnded(str(getattr(error, "cause", None) or error).strip().splitlines()[0]) from error
+    except (ray.exceptions.RayError, ConnectionError) as error:
+        cause = getattr(error, "cause", None) or error
+        raise FlyingEnded(next(iter(str(cause).strip().splitlines()), type(cause).__name__)) from error

@@ -20,7 +20,7 @@ from uavrl.configs import learner_name, to_dataclass
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import restore
-from uavrl.runs.config import fingerprint, read_config
+from uavrl.runs.config import FREE_KEYS, fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
@@ -226,9 +226,17 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
     config = read_config(run_dir)
     before = fingerprint(config)
     config.packages = overrides.packages  # whom the one trusts who runs this, whatever the file says
-    if "address" in config.collector:
-        config.collector.address = None  # what a Ray cluster sends is unpickled: the file may not choose one
+    address = config.collector.get("address")
+    if address is not None and "collector.address" not in changed:  # what a Ray cluster sends is unpickled
+        raise UavrlError(
+            f"{run_dir} was flown on the Ray cluster {address}, and a run's folder may not choose whom this machine "
+            f"trusts: add collector=ray collector.address={address}, or collector.address=null for this machine alone."
+        )
+    chosen = OmegaConf.select(overrides, "choices") or {}
     for key in changed:
+        again = key in chosen and config.choices.get(key) == chosen[key]  # the same part, which is the run's own
+        if again or (key in FREE_KEYS and OmegaConf.select(config, key, default=key) == key):  # of another part
+            continue
         OmegaConf.update(config, key, OmegaConf.select(overrides, key), merge=False)
     if fingerprint(config) != before:
         raise UavrlError(
