@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from uavrl.buffers import TrajectoryHistory, backward_reward
-from uavrl.buffers.functional import check_labels, floored_sums, window_ends
+from uavrl.buffers import RecentSums, TrajectoryHistory, backward_reward
+from uavrl.buffers.functional import check_labels, window_ends, window_sums
 
 # Ten steps: three windows, and a tail of one step that gets nothing.
 REWARD = [1.0, 2.0, 0.5, 0.5, 0.25, 1.5, 2.0, 3.0, 1.0, 50.0]
@@ -66,14 +66,24 @@ def test_windows() -> None:
     assert window_ends(3, 1).tolist() == [0, 1, 2]
 
 
-def test_sums_are_floored_towards_minus_infinity() -> None:
-    assert floored_sums(torch.tensor([0.5, 0.25, 0.0, -0.5, 0.25, 0.0, 1.0, 1.0, 1.0])).tolist() == [0, -1, 3]
-    assert floored_sums(torch.tensor([1.0, 1.0])).tolist() == []
-
-
 def test_sums_are_exact_where_floats_are_not() -> None:
     """In float32 2^24 + 0.5 + 0.5 is 2^24."""
-    assert floored_sums(torch.tensor([2.0**24, 0.5, 0.5])).tolist() == [2**24 + 1]
+    assert window_sums(torch.tensor([2.0**24, 0.5, 0.5])).tolist() == [2**24 + 1]
+    assert window_sums(torch.tensor([1.0, 1.0])).tolist() == []
+
+
+def test_ranks_are_of_sums_floored_towards_minus_infinity() -> None:
+    history, reward = TrajectoryHistory(), torch.tensor([0.5, 0.25, 0.0, -0.5, 0.25, 0.0, 1.0, 1.0, 1.0])
+    backward_reward(reward, torch.tensor([4, 4, 4]), history)
+    assert history.values(4) == [-1, 0, 3]
+
+
+def test_mid_ranks_are_of_sums_as_they_are() -> None:
+    """Rewards below one, as a progress in metres is, would all be floored to the same."""
+    recent, reward = RecentSums(), torch.tensor([0.1, 0.1, 0.1, 0.2, 0.2, 0.2])
+    new = backward_reward(reward, torch.tensor([4, 4]), recent, multiplier=1.0, centred=True)
+    assert recent.values(4) == pytest.approx([0.3, 0.6])
+    assert (new - reward).tolist() == pytest.approx([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
 
 
 def test_an_episode_shorter_than_a_window_stays() -> None:

@@ -39,8 +39,8 @@ def window_ends(steps: int, frames: int = 3) -> Tensor:
     return torch.arange(1, steps // frames + 1) * frames - 1
 
 
-def floored_sums(reward: Tensor, frames: int = 3) -> Tensor:
-    """R of each window: ⌊r_{Z - p_frames + 1} + … + r_Z⌋ (Algorithm 3.1).
+def window_sums(reward: Tensor, frames: int = 3) -> Tensor:
+    """The sum of each window's rewards: r_{Z - p_frames + 1} + … + r_Z (Algorithm 3.1, before it is floored).
 
     Summed in double precision, so that neither the order nor the device moves a sum across an integer.
 
@@ -49,24 +49,24 @@ def floored_sums(reward: Tensor, frames: int = 3) -> Tensor:
         frames: p_frames.
 
     Returns:
-        ``[T // frames]`` int64.
+        ``[T // frames]`` float64.
 
     Raises:
         ValueError: for another shape or type, or sums that are not finite.
 
     Examples:
-        >>> floored_sums(torch.tensor([1.0, 2.5, 0.25, -0.5, 0.0, 0.25, 99.0])).tolist()
-        [3, -1]
+        >>> window_sums(torch.tensor([1.0, 2.5, 0.25, -0.5, 0.0, 0.25, 99.0])).tolist()
+        [3.75, -0.25]
     """
     if reward.ndim != 1 or not reward.is_floating_point():
         raise ValueError(f"Expected the rewards of one episode, floats [T], got {reward.dtype} {list(reward.shape)}.")
     whole = len(window_ends(len(reward), frames)) * frames
-    sums = reward[:whole].double().reshape(-1, frames).sum(-1).floor()
+    sums = reward[:whole].double().reshape(-1, frames).sum(-1)
     if not bool((sums.abs() < 2.0**63).all()):
         raise ValueError(
             "Expected finite rewards in an episode that arrived, got a window whose sum is not: check the reward."
         )
-    return sums.long()
+    return sums
 
 
 def backward_reward(
@@ -80,8 +80,8 @@ def backward_reward(
 ) -> Tensor:
     """Relabels one episode that arrived: r += m p_addReward in each window (Eq. 3.5, Algorithm 3.1).
 
-    m is the place of the window's floored sum among the distinct sums that its class has seen, itself included. With
-    :class:`RecentSums` it is the sum's mid-rank F̂ among the last ones, and with ``centred`` 2 F̂ - 1.
+    m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included. With
+    :class:`RecentSums` it is the mid-rank F̂ of the sum, not floored, among the last ones, and with ``centred`` 2 F̂ - 1.
     The windows enter the history one after the other, so that earlier ones of the same episode count.
 
     Args:
@@ -105,7 +105,9 @@ def backward_reward(
         >>> new.tolist(), history.values(0)
         ([1.0, 1.0, 1.0, 2.5, 2.5, 2.5, 5.0], [3, 6])
     """
-    sums = floored_sums(reward, frames)
+    sums = window_sums(reward, frames)
+    if isinstance(history, TrajectoryHistory):
+        sums = sums.floor().long()
     check_labels(labels, len(sums))
     ranks = [history.insert_and_rank(label, r) for label, r in zip(labels.tolist(), sums.tolist(), strict=True)]
     places = torch.tensor(ranks, dtype=torch.float64)

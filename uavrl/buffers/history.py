@@ -4,13 +4,43 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from operator import index
+from typing import Any, ClassVar
 
 import torch
 from sortedcontainers import SortedList
 from torch import Tensor
 
 
-class TrajectoryHistory:
+class ClassHistory:
+    """What is remembered of each class of trajectories, and how a checkpoint keeps it."""
+
+    _values: dict[int, Any]
+    dtype: ClassVar[torch.dtype]  # of the values in a checkpoint
+
+    def __len__(self) -> int:
+        """How many values are stored, in all classes together."""
+        return sum(map(len, self._values.values()))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(classes={len(self._values)}, values={len(self)})"
+
+    @property
+    def classes(self) -> list[int]:
+        """The classes seen, in ascending order."""
+        return sorted(self._values)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything as three flat tensors.
+
+        Returns:
+            ``labels [C]`` int64 in ascending order, ``values [M]`` class after class, in the order of
+            ``values(label)``, and ``offsets [C + 1]`` int64: the values of class ``labels[c]`` are
+            ``values[offsets[c] : offsets[c + 1]]``.
+        """
+        return _flat({label: self._values[label] for label in self.classes}, self.dtype)
+
+
+class TrajectoryHistory(ClassHistory):
     """The trajectories' history H of Chansuparp (2022), §3.4: class → its distinct integers, sorted.
 
     An insertion takes about the logarithm of the number of values in the class. There is no bound: a class holds
@@ -24,20 +54,10 @@ class TrajectoryHistory:
         ([4, 9, 12], [7], 3)
     """
 
+    dtype = torch.int64
+
     def __init__(self) -> None:
-        self._values: dict[int, SortedList] = {}
-
-    def __len__(self) -> int:
-        """How many values are stored, in all classes together."""
-        return sum(map(len, self._values.values()))
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(classes={len(self._values)}, values={len(self)})"
-
-    @property
-    def classes(self) -> list[int]:
-        """The classes seen, in ascending order."""
-        return sorted(self._values)
+        self._values = {}
 
     def values(self, label: int) -> list[int]:
         """The distinct values of a class in ascending order; none for a class not seen."""
@@ -63,15 +83,6 @@ class TrajectoryHistory:
             known.add(value)
         return rank
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """Everything as three flat int64 tensors.
-
-        Returns:
-            ``labels [C]`` in ascending order, ``values [M]`` class after class, and ``offsets [C + 1]``: the
-            values of class ``labels[c]`` are ``values[offsets[c] : offsets[c + 1]]``.
-        """
-        return _flat({label: self._values[label] for label in self.classes})
-
     def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
         """Replaces everything by what :meth:`state_dict` gave.
 
@@ -86,68 +97,59 @@ class TrajectoryHistory:
         self._values = {label: SortedList(values) for label, values in parts.items()}
 
 
-class RecentSums:
+class RecentSums(ClassHistory):
     """The last sums of each class, as often as they came: what a new one is compared with does not grow for ever.
+
+    The sums are not floored: of a reward that is the progress in metres nothing would be left.
 
     Args:
         window: sums that are kept of each class.
 
     Examples:
         >>> recent = RecentSums(window=3)
-        >>> [round(recent.insert_and_rank(7, value), 2) for value in (12, 4, 9, 9)]
+        >>> [round(recent.insert_and_rank(7, value), 2) for value in (0.5, 0.1, 0.3, 0.3)]
         [0.5, 0.25, 0.5, 0.67]
         >>> recent.values(7), recent.classes, len(recent)
-        ([4, 9, 9], [7], 3)
+        ([0.1, 0.3, 0.3], [7], 3)
     """
+
+    dtype = torch.float64
 
     def __init__(self, window: int = 1000) -> None:
         if window < 1:
             raise ValueError(f"Expected a window of at least 1, got {window}.")
         self.window = window
-        self._came: dict[int, deque[int]] = {}
+        self._values = {}
         self._sorted: dict[int, SortedList] = {}
 
-    def __len__(self) -> int:
-        """How many sums are kept, of all classes together."""
-        return sum(map(len, self._came.values()))
-
     def __repr__(self) -> str:
-        return f"{type(self).__name__}(window={self.window}, classes={len(self._came)}, values={len(self)})"
+        return f"{type(self).__name__}(window={self.window}, classes={len(self._values)}, values={len(self)})"
 
-    @property
-    def classes(self) -> list[int]:
-        """The classes seen, in ascending order."""
-        return sorted(self._came)
-
-    def values(self, label: int) -> list[int]:
+    def values(self, label: int) -> list[float]:
         """The kept sums of a class in the order in which they came; none for a class not seen."""
-        return list(self._came.get(label, ()))
+        return list(self._values.get(label, ()))
 
-    def insert_and_rank(self, label: int, value: int) -> float:
+    def insert_and_rank(self, label: int, value: float) -> float:
         """Inserts a sum into its class and tells its mid-rank among those kept, itself included.
 
         Args:
             label: the class l.
-            value: the floored sum R.
+            value: the sum of a window's rewards.
 
         Returns:
             F̂: the share of smaller sums, and half the share of equal ones; in (0, 1), on average a half.
 
         Raises:
-            TypeError: when either is no integer.
+            TypeError: when the label is no integer.
         """
-        label, value = index(label), index(value)
-        came = self._came.setdefault(label, deque())
+        label = index(label)
+        came = self._values.setdefault(label, deque())
         known = self._sorted.setdefault(label, SortedList())
         came.append(value)
         known.add(value)
         if len(came) > self.window:
             known.remove(came.popleft())
         return (known.bisect_left(value) + known.bisect_right(value)) / (2 * len(known))
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """Everything as three flat int64 tensors, as :meth:`TrajectoryHistory.state_dict`; values as they came."""
-        return _flat({label: self._came[label] for label in self.classes})
 
     def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
         """Replaces everything by what :meth:`state_dict` gave; of more than the window the last ones are kept.
@@ -156,16 +158,16 @@ class RecentSums:
             ValueError: when the tensors do not fit together.
         """
         parts = _parts(state_dict)
-        self._came = {label: deque(values[-self.window :]) for label, values in parts.items()}
-        self._sorted = {label: SortedList(values) for label, values in self._came.items()}
+        self._values = {label: deque(values[-self.window :]) for label, values in parts.items()}
+        self._sorted = {label: SortedList(values) for label, values in self._values.items()}
 
 
-def _flat(values: Mapping[int, Sequence[int]]) -> dict[str, Tensor]:
+def _flat(values: Mapping[int, Sequence[float]], dtype: torch.dtype) -> dict[str, Tensor]:
     sizes = torch.tensor([0, *map(len, values.values())], dtype=torch.int64)
     return {
         "labels": torch.tensor([*values], dtype=torch.int64),
         "offsets": sizes.cumsum(0),
-        "values": torch.tensor([value for known in values.values() for value in known], dtype=torch.int64),
+        "values": torch.tensor([value for known in values.values() for value in known], dtype=dtype),
     }
 
 
