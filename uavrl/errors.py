@@ -14,10 +14,10 @@ class FolderTaken(UavrlError):
 class FlyingEnded(UavrlError):
     """A process that flies has died: a run cannot go on, and what it has learned is safe."""
 
-    def __init__(self, reason: object) -> None:
+    def __init__(self, reason: object, how_to_go_on: str = "stopped.") -> None:
+        self.reason = " ".join(str(reason).split())
         super().__init__(
-            f"A process that flies has ended ({' '.join(str(reason).split())}); what it printed stands above. Mend the "
-            f"reason, and go on with resume=RUN_FOLDER."
+            f"A process that flies has ended ({self.reason}); what it printed stands above. The run {how_to_go_on}"
         )
 
 

@@ -377,6 +377,9 @@ class TestAhead:
         loss = lifeguard(calibrated=True, risk_discount=0.5)
         loss.classifier.scaler.update(loss._features(data))
         assert loss._labels(data).tolist() == [0.25, 0.25, 0.0]  # an untrained classifier says a half
+        loss.set_keys(terminated="over")
+        data["next", "over"] = data["next"].pop("terminated")
+        assert loss._labels(data).tolist() == [0.25, 0.25, 0.0]
 
     def test_reads_as_many_frames_as_it_is_told(self) -> None:
         loss = LifeGuard(td3(), observations=6, actions=2, stacked=2, frames=2)

@@ -144,7 +144,7 @@ def test_a_worker_that_breaks_or_is_killed_ends_the_flying_with_a_sentence() -> 
         broken.shutdown()
     flown = collector(Policy())
     try:
-        with pytest.raises(FlyingEnded, match=r"A process that flies has ended \(.*died.*\); .*resume=RUN_FOLDER\."):
+        with pytest.raises(FlyingEnded, match=r"A process that flies has ended \(.*died.*\); .*stands above"):
             for flight in flown:
                 os.kill(int(flight["observation"][0, 1]), signal.SIGKILL)
     finally:

@@ -126,7 +126,7 @@ def _train_in_sweep(config: DictConfig) -> None:
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
             "command is started again."
         )
-    from uavrl.runs.config import FREE_KEYS
+    from uavrl.runs.config import free_keys
     from uavrl.training.claim import locked
     from uavrl.training.run import create_run, resume_config
     from uavrl.training.sweep import is_begun, is_finished, run_folder
@@ -144,7 +144,7 @@ def _train_in_sweep(config: DictConfig) -> None:
                 if is_finished(run_dir, config.trainer.episodes):  # meanwhile, by another process
                     print(f"Finished: {run_dir}")
                 elif is_begun(run_dir):
-                    _fly(resume_config(run_dir, config, list(FREE_KEYS)), run_dir, resume=True)
+                    _fly(resume_config(run_dir, config, free_keys(config)), run_dir, resume=True)
                 else:
                     _fly(config, create_run(config), resume=False)
     except FolderTaken as taken:

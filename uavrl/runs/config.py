@@ -43,6 +43,11 @@ def fingerprint(config: DictConfig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def free_keys(config: DictConfig) -> list[str]:
+    """Those of :data:`FREE_KEYS` that a configuration has."""
+    return [key for key in FREE_KEYS if OmegaConf.select(config, key, default=key) != key]
+
+
 def read_config(run_dir: Path) -> DictConfig:
     """The resolved configuration of a run or a policy."""
     require_folder(run_dir)

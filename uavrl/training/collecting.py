@@ -12,7 +12,8 @@ OURS = ("flies_elsewhere", "start_anew", "wind_down")  # what TorchRL's collecto
 class FlightCollector(Protocol):
     """Yields whole flights, one a batch, and can be told when to begin anew.
 
-    One of your own subclasses a collector of uavrl's, or one of TorchRL's and has these three beside.
+    One of your own subclasses a collector of uavrl's, or one of TorchRL's and has these three beside. With
+    ``flies_copies = True`` it gets a policy on the CPU, whatever the learner's device is.
     """
 
     flies_elsewhere: ClassVar[bool]  # than in the learner's process: it makes its environments itself

@@ -18,9 +18,9 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 import uavrl
 from uavrl.configs import learner_name, to_dataclass
 from uavrl.configs.train import TrainConfig
-from uavrl.errors import FolderTaken, Stopped, UavrlError, was_interrupted
+from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import restore
-from uavrl.runs.config import FREE_KEYS, fingerprint, read_config
+from uavrl.runs.config import fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
@@ -94,6 +94,8 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
             return _train(config, run_dir, stop, resume=resume)
         except BaseException as error:
             if stop.signal is None and not was_interrupted(error):
+                if isinstance(error, FlyingEnded):
+                    raise FlyingEnded(error.reason, how_to_go_on(run_dir)) from error
                 raise
             raise Stopped(how_to_go_on(run_dir), stop.signal or signal.SIGINT) from None
 
@@ -234,8 +236,7 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
         )
     chosen = OmegaConf.select(overrides, "choices") or {}
     for key in changed:
-        again = key in chosen and config.choices.get(key) == chosen[key]  # the same part, which is the run's own
-        if again or (key in FREE_KEYS and OmegaConf.select(config, key, default=key) == key):  # of another part
+        if key in chosen and config.choices.get(key) == chosen[key]:  # the same part, which is the run's own
             continue
         OmegaConf.update(config, key, OmegaConf.select(overrides, key), merge=False)
     if fingerprint(config) != before:
