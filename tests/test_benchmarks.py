@@ -14,6 +14,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from tests.helpers.configs import with_run_dir
+from tests.helpers.folders import episodes, write_episodes
+from uavrl.training.run import create_run
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -67,6 +71,36 @@ def test_minutes_are_counted_until_enough_of_the_last_flights_arrive(
     assert result["fast_vs_default"] is None
     minutes.draw({minutes.DEFAULT: [curve, curve]}, 2, tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 1000
+
+
+def test_methods_are_compared_by_what_is_kept_of_their_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten flights of ten steps a run; the better method's last four arrive, of the other's the last alone."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import methods
+
+    folders = []
+    for method, ends in (("good", "ccccctaaaa"), ("poor", "ccccccctta")):
+        for seed in range(3):
+            run = tmp_path / f"{method}{seed}"
+            create_run(with_run_dir(run, f"seed={seed}", f"algo.gamma={0.9 if method == 'good' else 0.99}"))
+            write_episodes(run / "episodes.csv", episodes(ends))
+            folders.append(f"{method}={run}")
+    arguments = ["methods.py", str(tmp_path / "kept.json"), "--window", "4", "--json", str(tmp_path / "told.json")]
+    monkeypatch.setattr(sys, "argv", [*arguments, "--add", *folders, "--baseline", "poor"])
+    methods.main()
+    told = json.loads((tmp_path / "told.json").read_text())["good"]
+    last, steps = told["measures"]["arrived, last"], told["measures"]["k steps to 80%"]
+    assert (told["seeds"], last["iqm"], steps["iqm"]) == pytest.approx((3, 100.0, 0.1))
+    assert last["difference"] == [75.0, 75.0, 75.0]
+    assert "good against poor, arrived, last: +75.0 (+75.0 to +75.0)" in capsys.readouterr().out
+    kept = json.loads((tmp_path / "kept.json").read_text())
+    assert [run["settings"] for run in kept["good"]] == [{"algo.gamma": 0.9}] * 3
+    monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "5"])  # from the file alone
+    methods.main()
+    told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
+    assert told["arrived, last"]["iqm"] == 0.0 and told["k steps to 80%"]["iqm"] == float("inf")
 
 
 @pytest.mark.slow

@@ -1,0 +1,192 @@
+"""Which method is better: seeds of several methods side by side, as rliable does it.
+
+    python benchmarks/methods.py FILE.json [--add METHOD=RUN_FOLDER ...] [--baseline METHOD] [--flights 1500]
+
+`--add` puts runs into FILE.json: each run's settings that differ from the default's, its commit, and how each flight
+ended after how many steps. The tables are made from that file alone, so that whoever has it can make them again.
+
+For each method, over its seeds: the interquartile mean (the mean of the middle half; with fewer than four seeds of all;
+the median of steps, since some runs may never come so far) and the lowest and highest seed. Against the baseline: the
+difference of the interquartile means, with a 95 % interval by resampling seeds (Agarwal et al. 2021, arXiv:2108.13264).
+With fewer than three seeds of either no interval is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from omegaconf import OmegaConf
+from scipy.stats import trim_mean
+
+from uavrl.configs import compose
+from uavrl.errors import UavrlError
+from uavrl.reporting.groups import below
+from uavrl.reporting.runs import flatten
+from uavrl.runs.config import HOW_IT_RUNS
+from uavrl.runs.episodes import OUTCOMES, read_episodes
+
+LETTERS = {outcome: outcome[0] for outcome in OUTCOMES}
+RESAMPLES = 10_000
+FEWEST = 3  # seeds, for an interval
+
+
+class Flights(NamedTuple):
+    """The flights of one run up to a horizon: steps of each, and how it ended."""
+
+    steps: np.ndarray
+    ends: np.ndarray
+
+    def share(self, end: str, last: int | None = None) -> float:
+        """Of flights that ended so, in %; of the ``last`` ones or of all."""
+        return 100 * float((self.ends[-last if last else None :] == end).mean())
+
+    def until(self, success: float, window: int) -> float:
+        """Thousand steps until so many of the last ``window`` flights arrived; infinite where it never happened."""
+        rates = np.convolve(self.ends == "a", np.full(window, 1 / window), "valid")
+        reached = np.flatnonzero(rates >= success - 1e-9)
+        return float(self.steps.cumsum()[reached[0] + window - 1]) / 1000 if len(reached) else float("inf")
+
+    def steps_per_arrival(self, last: int) -> float:
+        """Mean length of the arriving ones among the last flights."""
+        arrived = self.steps[-last:][self.ends[-last:] == "a"]
+        return float(arrived.mean()) if len(arrived) else float("nan")
+
+
+def measures(window: int, success: float) -> dict[str, Callable[[Flights], float]]:
+    """What is told of a run."""
+    return {
+        "arrived, last": lambda run: run.share("a", window),
+        "arrived, all": lambda run: run.share("a"),
+        f"k steps to {success:.0%}": lambda run: run.until(success, window),
+        "collided, all": lambda run: run.share("c"),
+        "timed out, last": lambda run: run.share("t", window),
+        "steps an arrival": lambda run: run.steps_per_arrival(window),
+    }
+
+
+def iqm(values: np.ndarray) -> np.ndarray:
+    """The interquartile mean over the last axis; the median where one of them is infinite."""
+    return trim_mean(values, 0.25, axis=-1) if np.isfinite(values).all() else np.median(values, axis=-1)
+
+
+def read(run: Path) -> dict[str, Any]:
+    """What is kept of a run."""
+    config = OmegaConf.to_container(OmegaConf.load(run / "config.yaml"))
+    default = OmegaConf.to_container(compose(), resolve=True)
+    if not isinstance(config, dict) or not isinstance(default, dict):
+        raise UavrlError(f"Expected the configuration of a run in {run / 'config.yaml'}.")
+    here, there = ({k: v for k, v in flatten(node).items() if _bears(k)} for node in (config, default))
+    summary = run / "summary.json"
+    versions = json.loads(summary.read_text())["versions"] if summary.is_file() else {}
+    episodes = read_episodes(run / "episodes.csv")
+    return {
+        "seed": int(config["seed"]),
+        "commit": versions.get("commit"),
+        "settings": {key: value for key, value in here.items() if value != there.get(key)},
+        "ends": "".join(LETTERS[episode.outcome] for episode in episodes),
+        "steps": [episode.steps for episode in episodes],
+    }
+
+
+def _bears(key: str) -> bool:
+    return not below(key, ("seed", "trainer.checkpoint_interval", *HOW_IT_RUNS))
+
+
+def cut(run: dict[str, Any], flights: int | None, steps: int | None) -> Flights:
+    """A run up to the horizon."""
+    length, ends = np.array(run["steps"]), np.array(list(run["ends"]))
+    most = len(ends) if steps is None else int(np.searchsorted(length.cumsum(), steps, side="right"))
+    enough = length.sum() >= (steps or 0) and len(ends) >= (flights or 0)
+    if not enough:
+        raise UavrlError(f"Seed {run['seed']} flew {len(ends):,} flights or {length.sum():,} steps: too few for that.")
+    most = min(most, flights or most)
+    return Flights(length[:most], ends[:most])
+
+
+def difference(method: np.ndarray, baseline: np.ndarray) -> tuple[float, float, float]:
+    """Of the interquartile means, with its 95 % interval over resampled seeds."""
+    rng = np.random.default_rng(0)
+    means = [iqm(rng.choice(values, (RESAMPLES, len(values)))) for values in (method, baseline)]
+    low, high = np.quantile(means[0] - means[1], [0.025, 0.975])
+    return float(iqm(method) - iqm(baseline)), float(low), float(high)
+
+
+def told(runs: dict[str, list[Flights]], args: argparse.Namespace) -> dict[str, Any]:
+    """The numbers of the table."""
+    asked = measures(args.window, args.success)
+    values = {
+        name: {key: np.array([ask(run) for run in seeds]) for key, ask in asked.items()} for name, seeds in runs.items()
+    }
+    result: dict[str, Any] = {}
+    for name, found in values.items():
+        result[name] = {"seeds": len(runs[name]), "measures": {}}
+        for key, each in found.items():
+            row = {"iqm": float(iqm(each)), "low": float(each.min()), "high": float(each.max())}
+            base = values.get(args.baseline, {}).get(key)
+            if base is not None and name != args.baseline and min(len(each), len(base)) >= FEWEST:
+                row["difference"] = difference(each, base) if np.isfinite([*each, *base]).all() else None
+            result[name]["measures"][key] = row
+    return result
+
+
+def shown(row: dict[str, Any]) -> str:
+    """A cell: the mean, and between which seeds it lies."""
+    told = ["never" if value == float("inf") else f"{value:.1f}" for value in (row["iqm"], row["low"], row["high"])]
+    return f"{told[0]} ({told[1]}–{told[2]})"
+
+
+def table(result: dict[str, Any], baseline: str | None) -> str:
+    """As markdown."""
+    keys = list(next(iter(result.values()))["measures"])
+    lines = [f"| method | seeds | {' | '.join(keys)} |", "|---" * (len(keys) + 2) + "|"]
+    for name, row in result.items():
+        lines.append(f"| {name} | {row['seeds']} | {' | '.join(shown(row['measures'][key]) for key in keys)} |")
+    for name, row in result.items():
+        for key in keys:
+            if (found := row["measures"][key].get("difference")) is not None:
+                lines.append(f"{name} against {baseline}, {key}: {found[0]:+.1f} ({found[1]:+.1f} to {found[2]:+.1f})")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Adds runs, and prints the tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("file", type=Path, help="where the runs are kept")
+    parser.add_argument("--add", nargs="+", default=[], metavar="METHOD=RUN_FOLDER", help="put runs into the file")
+    parser.add_argument("--baseline", help="the method that others are compared with")
+    parser.add_argument("--methods", nargs="+", help="only these")
+    parser.add_argument("--flights", type=int, help="flights of each run that count (default: all)")
+    parser.add_argument("--steps", type=int, help="steps of each run that count (default: all)")
+    parser.add_argument("--window", type=int, default=250, help="flights that a rate at the end covers")
+    parser.add_argument("--success", type=float, default=0.8, help="share of arrivals whose steps are told")
+    parser.add_argument("--json", type=Path, help="also write the numbers to this file")
+    args = parser.parse_args()
+    kept: dict[str, list[dict[str, Any]]] = json.loads(args.file.read_text()) if args.file.is_file() else {}
+    for pair in args.add:
+        method, _, folder = pair.partition("=")
+        run = read(Path(folder))
+        others = [other for other in kept.get(method, []) if other["seed"] != run["seed"]]
+        kept[method] = sorted([*others, run], key=lambda one: one["seed"])
+    if args.add:
+        lines = ",\n".join(f"{json.dumps(name)}: [\n{_rows(seeds)}\n]" for name, seeds in kept.items())
+        args.file.parent.mkdir(parents=True, exist_ok=True)
+        args.file.write_text(f"{{\n{lines}\n}}\n")
+    names = args.methods or list(kept)
+    runs = {name: [cut(run, args.flights, args.steps) for run in kept[name]] for name in names}
+    result = told(runs, args)
+    print(table(result, args.baseline))
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1) + "\n")
+
+
+def _rows(seeds: list[dict[str, Any]]) -> str:
+    return ",\n".join(json.dumps(run, separators=(",", ":")) for run in seeds)
+
+
+if __name__ == "__main__":
+    main()
