@@ -237,7 +237,7 @@ def test_reactions_are_told_of_a_policy_that_always_flies_on(monkeypatch: pytest
         seen.append(state["observation"].clone())
         return state.set("action", torch.tensor([1.0, 0.0, 0.0, 0.3]).expand(*state.batch_size, 4))
 
-    rows = reactions.reactions(experiment("env=dynamic", "env.world.planes=6"), flies_on, 60)
+    rows = reactions.reactions(experiment("env=dynamic", "env.world.planes=6", "env.world.obstacles=8"), flies_on, 45)
     assert len(rows) > 0 and rows.shape[1] == 8
     assert np.abs(rows[:, 4:]).max() == 0
     assert (np.hypot(rows[:, 1], rows[:, 2]) < 1.6).all() and (rows[:, 0] >= 0).all()
