@@ -1,9 +1,11 @@
 """Wall-clock minutes until a policy flies: `preset=fast` beside the default and Stable-Baselines3's TD3.
 
-Run `python benchmarks/minutes.py [--seeds 5] [--json FILE] [--figure FILE]`. Each row trains in the static valley, on a
-quiet machine with two cores, one run after the other, until `--success` of the last `--window` training flights arrive
-or `--episodes` are flown. "default" is `uavrl-train` with PyTorch's own products (`collector=sync`, one update a step,
-multiplied by MKL). Stable-Baselines3 trains on `uavrl/Valley-v0` with the default's reward, networks and noise.
+    python benchmarks/minutes.py [--seeds 5] [--sb3-seeds 1] [--json FILE] [--figure FILE]
+
+Each row trains in the static valley, on a quiet machine with two cores, one run after the other, until `--success` of
+the last `--window` training flights arrive or `--episodes` are flown. "default" is `uavrl-train` with PyTorch's own
+products (`collector=sync`, one update a step, multiplied by MKL). Stable-Baselines3 trains on `uavrl/Valley-v0` with
+the default's reward, networks and noise, and is given up after `--patience` minutes.
 Minutes are those of training, compiling included, building the valley left out.
 
 What is finished below `--folder` is not run again, so the command can be stopped and started; a run of ours that was
@@ -78,7 +80,7 @@ def train(row: str, seed: int, run: Path, args: argparse.Namespace) -> None:
         return
     if row == SB3:
         command = [__file__, "--folder", str(args.folder), "--stable-baselines", str(seed)]
-        rule = [f"--{key}={getattr(args, key)}" for key in ("success", "window", "episodes")]
+        rule = [f"--{key}={getattr(args, key)}" for key in ("success", "window", "episodes", "patience")]
     elif any((run / "checkpoints").glob("checkpoint*")):
         command, rule = ["-m", "uavrl.cli.train", f"resume={run}"], []
     else:
@@ -113,7 +115,8 @@ def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
                 file.write(f"{(time.monotonic() - began) / 60},{self.num_timesteps},{outcome}\n")
                 file.flush()
                 flown = len(arrived) >= args.window and np.mean(arrived[-args.window :]) >= args.success
-                return len(arrived) < args.episodes and not flown
+                patient = time.monotonic() - began < 60 * args.patience
+                return len(arrived) < args.episodes and not flown and patient
 
         class Prize(gymnasium.Wrapper):
             def step(self, action: Any) -> Any:
@@ -168,7 +171,9 @@ def main() -> None:
     """Trains what is missing, prints the table, and writes the files that were asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--folder", type=Path, default=Path("runs/minutes"), help="where the runs go")
-    parser.add_argument("--seeds", type=int, default=5, help="runs of each row")
+    parser.add_argument("--seeds", type=int, default=5, help="runs of each row of ours")
+    parser.add_argument("--sb3-seeds", type=int, default=1, help="runs of Stable-Baselines3")
+    parser.add_argument("--patience", type=float, default=40.0, help="minutes after which one of those is given up")
     parser.add_argument("--success", type=float, default=0.8, help="share of arrivals that ends a run")
     parser.add_argument("--window", type=int, default=200, help="training flights that the share covers")
     parser.add_argument("--episodes", type=int, default=5000, help="most flights of a run")
@@ -180,12 +185,14 @@ def main() -> None:
     if args.stable_baselines is not None:
         stable_baselines(args.stable_baselines, place(args.folder, SB3, args.stable_baselines), args)
         return
-    for seed in range(args.seeds):
+    seeds = {row: args.sb3_seeds if row == SB3 else args.seeds for row in args.rows}
+    for seed in range(max(seeds.values())):
         for row in args.rows:
-            train(row, seed, place(args.folder, row, seed), args)
-    runs = {row: [read(place(args.folder, row, seed)) for seed in range(args.seeds)] for row in args.rows}
+            if seed < seeds[row]:
+                train(row, seed, place(args.folder, row, seed), args)
+    runs = {row: [read(place(args.folder, row, seed)) for seed in range(seeds[row])] for row in args.rows}
     result = told(runs, args)
-    print(f"minutes until {args.success:.0%} of the last {args.window} training flights arrive, {args.seeds} seeds\n")
+    print(f"minutes until {args.success:.0%} of the last {args.window} training flights arrive\n")
     for row, found in result["rows"].items():
         each = ", ".join("never" if value is None else f"{value:.1f}" for value in found["minutes"])
         middle = found["median_minutes"]
