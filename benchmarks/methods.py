@@ -6,9 +6,9 @@
 ended after how many steps. The tables are made from that file alone, so that whoever has it can make them again.
 
 For each method, over its seeds: the interquartile mean (the mean of the middle half; with fewer than four seeds of all;
-the median of steps, since some runs may never come so far) and the lowest and highest seed. Against the baseline: the
-difference of the interquartile means, with a 95 % interval by resampling seeds (Agarwal et al. 2021, arXiv:2108.13264).
-With fewer than three seeds of either no interval is given.
+the median where a run never came so far) and the lowest and highest seed. Against the baseline: the difference of the
+interquartile means, with a 95 % interval by resampling seeds (Agarwal et al. 2021, arXiv:2108.13264).
+With fewer than five seeds of either no interval is given: of so few it would be much too narrow.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from uavrl.runs.episodes import OUTCOMES, read_episodes
 
 LETTERS = {outcome: outcome[0] for outcome in OUTCOMES}
 RESAMPLES = 10_000
-FEWEST = 3  # seeds, for an interval
+FEWEST = 5  # seeds, for an interval
 
 
 class Flights(NamedTuple):
@@ -148,8 +148,15 @@ def table(result: dict[str, Any], baseline: str | None) -> str:
         lines.append(f"| {name} | {row['seeds']} | {' | '.join(shown(row['measures'][key]) for key in keys)} |")
     for name, row in result.items():
         for key in keys:
-            if (found := row["measures"][key].get("difference")) is not None:
-                lines.append(f"{name} against {baseline}, {key}: {found[0]:+.1f} ({found[1]:+.1f} to {found[2]:+.1f})")
+            if "difference" not in row["measures"][key]:
+                continue
+            found = row["measures"][key]["difference"]
+            told = (
+                f"{found[0]:+.1f} ({found[1]:+.1f} to {found[2]:+.1f})"
+                if found
+                else "no interval, one never came so far"
+            )
+            lines.append(f"{name} against {baseline}, {key}: {told}")
     return "\n".join(lines)
 
 

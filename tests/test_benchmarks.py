@@ -82,7 +82,7 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
 
     folders = []
     for method, ends in (("good", "ccccctaaaa"), ("poor", "ccccccctta")):
-        for seed in range(3):
+        for seed in range(5):
             run = tmp_path / f"{method}{seed}"
             create_run(
                 with_run_dir(
@@ -96,12 +96,12 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     methods.main()
     told = json.loads((tmp_path / "told.json").read_text())["good"]
     last, steps = told["measures"]["arrived, last"], told["measures"]["k steps to 80%"]
-    assert (told["seeds"], last["iqm"], steps["iqm"]) == pytest.approx((3, 100.0, 0.1))
+    assert (told["seeds"], last["iqm"], steps["iqm"]) == pytest.approx((5, 100.0, 0.1))
     assert last["difference"] == [75.0, 75.0, 75.0]
     assert "good against poor, arrived, last: +75.0 (+75.0 to +75.0)" in capsys.readouterr().out
     kept = json.loads((tmp_path / "kept.json").read_text())
-    assert [run["settings"].items() ^ {("trainer.products", "mkl")} for run in kept["poor"]] == [set()] * 3
-    assert [run["settings"]["algo.gamma"] for run in kept["good"]] == [0.9] * 3
+    assert [run["settings"].items() ^ {("trainer.products", "mkl")} for run in kept["poor"]] == [set()] * 5
+    assert [run["settings"]["algo.gamma"] for run in kept["good"]] == [0.9] * 5
     monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "5"])  # from the file alone
     methods.main()
     told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
