@@ -19,7 +19,6 @@ from uavrl.runs.config import free_keys
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.factory import collector_class
 from uavrl.training.run import create_run, resume_config, train
-from uavrl.training.sync_collector import SyncCollector
 
 
 class Plain(Collector):
