@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from common import machine
 from tensordict import TensorDict
 
 FRAMES, WIDTH, ACTION, STEPS, BATCH, BATCHES = 3, 35, 4, 100, 100, 32
@@ -120,6 +121,7 @@ def main() -> None:
     if args.row:
         print(json.dumps(measure(args.row, args.transitions, args.repeats)))
         return
+    about = machine()
     rows: dict[str, dict[str, float]] = {}
     for name in ROWS:
         arguments = ["--row", name, "--transitions", str(args.transitions), "--repeats", str(args.repeats)]
@@ -137,7 +139,7 @@ def main() -> None:
     }
     print("\n" + ", ".join(f"{name} {value:.2f}" for name, value in ratios.items()))
     if args.json:
-        numbers = {**ratios, "transitions": args.transitions, "threads": 1, "rows": rows}
+        numbers = {**ratios, "transitions": args.transitions, "threads": 1, "rows": rows, "machine": about}
         args.json.write_text(json.dumps(numbers, indent=2) + "\n")
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from common import machine
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
@@ -125,6 +126,7 @@ def main() -> None:
     parser.add_argument("--num-pybullet", type=int, default=2, help="UAVs in PyBullet's row")
     parser.add_argument("--repeats", type=int, default=50, help="rounds; PyBullet takes part in every tenth")
     args = parser.parse_args()
+    about = machine()
     torch.set_num_threads(1)
     milliseconds = measure(build_rows(args.num, min(args.num, args.num_pybullet)), args.repeats)
     ours = milliseconds["scan + reduction, cut"]
@@ -141,6 +143,7 @@ def main() -> None:
     if args.json:
         rows = {name: {"ms_per_scan": v, "rays_per_s": NUM_RAYS / v * 1e3} for name, v in milliseconds.items()}
         result = {**ratios, "num": args.num, "rays_per_scan": NUM_RAYS, "threads": 1, "rows": rows}
+        result["machine"] = about
         args.json.write_text(json.dumps(result, indent=2) + "\n")
 
 

@@ -79,16 +79,16 @@ def uavrl_train(overrides: list[str], steps: int, warm_up: int, threads: int) ->
     from uavrl.cli.errors import configure_logging
 
     configure_logging()  # as the command does, before TorchRL is imported
-    from uavrl.training import run
+    from uavrl.training import build, run
 
     clock = Clock(warm_up, steps)
 
-    class Watched(run.ActorCriticStepper):
+    class Watched(build.ActorCriticStepper):
         def step(self, *args: Any) -> Any:
             clock.tick(self.updates)
             return super().step(*args)
 
-    run.ActorCriticStepper = Watched  # type: ignore[misc]
+    build.ActorCriticStepper = Watched  # type: ignore[misc]
     with tempfile.TemporaryDirectory() as folder:
         config = compose(
             f"run_dir={folder}/run",

@@ -22,6 +22,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import torch
+from common import machine
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor
@@ -244,6 +245,7 @@ def main() -> None:
     choices = ("mkl", "onednn", "bf16", "auto")
     parser.add_argument("--products", choices=choices, default="auto", help="what multiplies in uavrl's rows")
     args = parser.parse_args()
+    about = machine()
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)  # as uavrl-train does; it helps every row
     torch.manual_seed(0)
@@ -277,7 +279,7 @@ def main() -> None:
     print("\n" + ", ".join(f"{name} {value:.2f}" for name, value in ratios.items()))
     if args.json:
         args.json.write_text(
-            json.dumps({**ratios, "row": chosen, "products": products, "threads": 1, "ms": milliseconds}, indent=2)
+            json.dumps({**ratios, "row": chosen, "products": products, "ms": milliseconds, "machine": about}, indent=2)
             + "\n"
         )
 
