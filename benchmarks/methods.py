@@ -136,6 +136,8 @@ def told(runs: dict[str, list[Flights]], args: argparse.Namespace) -> dict[str, 
 
 def shown(row: dict[str, Any]) -> str:
     """A cell: the mean, and between which seeds it lies."""
+    if np.isnan(row["iqm"]):
+        return "–"
     told = ["never" if value == float("inf") else f"{value:.1f}" for value in (row["iqm"], row["low"], row["high"])]
     return f"{told[0]} ({told[1]}–{told[2]})"
 
