@@ -11,7 +11,7 @@ from sortedcontainers import SortedList
 from torch import Tensor
 
 
-class ClassHistory:
+class _ClassHistory:
     """What is remembered of each class of trajectories, and how a checkpoint keeps it."""
 
     _values: dict[int, Any]
@@ -40,7 +40,7 @@ class ClassHistory:
         return _flat({label: self._values[label] for label in self.classes}, self.dtype)
 
 
-class TrajectoryHistory(ClassHistory):
+class TrajectoryHistory(_ClassHistory):
     """The trajectories' history H of Chansuparp (2022), §3.4: class → its distinct integers, sorted.
 
     An insertion takes about the logarithm of the number of values in the class. There is no bound: a class holds
@@ -97,7 +97,7 @@ class TrajectoryHistory(ClassHistory):
         self._values = {label: SortedList(values) for label, values in parts.items()}
 
 
-class RecentSums(ClassHistory):
+class RecentSums(_ClassHistory):
     """The last sums of each class, as often as they came: what a new one is compared with does not grow for ever.
 
     The sums are not floored: of a reward that is the progress in metres nothing would be left.
