@@ -61,7 +61,7 @@ def profile(collector: BaseCollector, fly: Row) -> tuple[dict[str, float], list[
         kept = (simulation.position, simulation.lidar_position, simulation.rotation, simulation.velocity)
         states.append(State(*(array.copy() for array in kept)))
 
-    Simulation._publish = publish_and_keep  # type: ignore[method-assign]
+    Simulation._publish = publish_and_keep  # type: ignore[method-assign, assignment]
     try:
         with stopwatch.watching(PARTS):
             fly()  # warms up

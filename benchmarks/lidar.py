@@ -14,6 +14,7 @@ import json
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,11 @@ def pybullet_rays(meshes: list[Mesh], origins: np.ndarray, directions: np.ndarra
     return cast
 
 
+def reduced(lidar: Lidar, positions: np.ndarray, rotations: np.ndarray) -> torch.Tensor:
+    """A scan and its reduction."""
+    return truncated_icosahedron(torch.from_numpy(lidar.scan(positions, rotations)))
+
+
 def build_rows(num: int, num_pybullet: int) -> dict[str, tuple[Callable[[], object], int, int]]:
     """Returns for each row what to time, how many scans that is, and in how many rounds it takes part (1: all)."""
     world = World(WorldConfig())
@@ -89,12 +95,8 @@ def build_rows(num: int, num_pybullet: int) -> dict[str, tuple[Callable[[], obje
     for name, reach in (("cut", CUT), ("uncut", UNCUT)):
         lidar = Lidar(world.meshes, None, LidarConfig(max_range=reach))
         rows[f"bare Embree, {name}"] = (bare_embree(world.meshes, origins, directions, reach), num, 1)
-        rows[f"scan, {name}"] = (lambda lidar=lidar: lidar.scan(positions, rotations), num, 1)
-        rows[f"scan + reduction, {name}"] = (
-            lambda lidar=lidar: truncated_icosahedron(torch.from_numpy(lidar.scan(positions, rotations))),
-            num,
-            1,
-        )
+        rows[f"scan, {name}"] = (partial(lidar.scan, positions, rotations), num, 1)
+        rows[f"scan + reduction, {name}"] = (partial(reduced, lidar, positions, rotations), num, 1)
     few = slice(0, num_pybullet * NUM_RAYS)
     rows["PyBullet rayTestBatch, uncut"] = (
         pybullet_rays(world.meshes, origins[few], directions[few]),

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 from common import experiment, machine
+from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 
 from uavrl.envs import NavigationEnv
@@ -33,7 +34,7 @@ REACHED = 0.5  # m from a point of its way at which a UAV turns to the next one
 AT_WALL = 1.2  # m from the border to the face of the wall at flight level
 
 
-def along(*points: np.ndarray) -> list[np.ndarray]:
+def along(*points: ArrayLike) -> list[np.ndarray]:
     """The points themselves, as ``[3]`` each."""
     return [np.asarray(point, dtype=float) for point in points]
 
@@ -96,14 +97,15 @@ class Pilot:
             apart = self.ways[i][0] - position
         cos, sin = np.cos(yaw), np.sin(yaw)
         wanted = 2.0 * np.array([cos * apart[0] + sin * apart[1], cos * apart[1] - sin * apart[0], apart[2]])
-        wanted[:2] *= min(1.0, ACTION_LIMIT / max(np.linalg.norm(wanted[:2]), 1e-9))
+        wanted[:2] *= min(1.0, ACTION_LIMIT / max(float(np.linalg.norm(wanted[:2])), 1e-9))
         return np.clip(wanted, -ACTION_LIMIT, ACTION_LIMIT)
 
 
 def arrivals(env: NavigationEnv, way: Way, tasks: int, seed: int) -> dict[str, Any]:
     """Flies the first tasks of a seed and counts how they end."""
     env.set_seed(seed)
-    pilot, ended = Pilot(way, env.num_uavs), {}
+    pilot = Pilot(way, env.num_uavs)
+    ended: dict[int, str] = {}
     state = env.reset()
     while len(ended) < tasks:
         stepped, state = env.step_and_maybe_reset(pilot(state))

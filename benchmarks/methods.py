@@ -17,7 +17,7 @@ import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from omegaconf import OmegaConf
@@ -26,6 +26,7 @@ from scipy.stats import trim_mean
 from uavrl.configs import compose
 from uavrl.errors import UavrlError
 from uavrl.reporting.groups import below
+from uavrl.reporting.learning_curves import moving_mean
 from uavrl.reporting.runs import flatten
 from uavrl.runs.config import HOW_IT_RUNS
 from uavrl.runs.episodes import OUTCOMES, read_episodes
@@ -47,7 +48,7 @@ class Flights(NamedTuple):
 
     def until(self, success: float, window: int) -> float:
         """Thousand steps until so many of the last ``window`` flights arrived; infinite where it never happened."""
-        rates = np.convolve(self.ends == "a", np.full(window, 1 / window), "valid")
+        rates = moving_mean(self.ends == "a", window)[window - 1 :]
         reached = np.flatnonzero(rates >= success - 1e-9)
         return float(self.steps.cumsum()[reached[0] + window - 1]) / 1000 if len(reached) else float("inf")
 
@@ -76,16 +77,12 @@ def iqm(values: np.ndarray) -> np.ndarray:
 
 def read(run: Path) -> dict[str, Any]:
     """What is kept of a run."""
-    config = OmegaConf.to_container(OmegaConf.load(run / "config.yaml"))
-    default = OmegaConf.to_container(compose(), resolve=True)
-    if not isinstance(config, dict) or not isinstance(default, dict):
-        raise UavrlError(f"Expected the configuration of a run in {run / 'config.yaml'}.")
-    here, there = ({k: v for k, v in flatten(node).items() if _bears(k)} for node in (config, default))
+    here, there = (_flat(config) for config in (OmegaConf.load(run / "config.yaml"), compose()))
     summary = run / "summary.json"
     versions = json.loads(summary.read_text())["versions"] if summary.is_file() else {}
     episodes = read_episodes(run / "episodes.csv")
     return {
-        "seed": int(config["seed"]),
+        "seed": int(here.pop("seed")),
         "commit": versions.get("commit"),
         "settings": {key: value for key, value in here.items() if value != there.get(key)},
         "ends": "".join(LETTERS[episode.outcome] for episode in episodes),
@@ -93,8 +90,12 @@ def read(run: Path) -> dict[str, Any]:
     }
 
 
-def _bears(key: str) -> bool:
-    return not below(key, ("seed", "trainer.checkpoint_interval", *HOW_IT_RUNS))
+def _flat(config: Any) -> dict[str, Any]:
+    """The values that bear on what is learned, by dotted names."""
+    values = flatten(cast(dict[str, Any], OmegaConf.to_container(config, resolve=True)))
+    return {
+        key: value for key, value in values.items() if not below(key, ("trainer.checkpoint_interval", *HOW_IT_RUNS))
+    }
 
 
 def cut(run: dict[str, Any], flights: int | None, steps: int | None) -> Flights:
@@ -126,7 +127,7 @@ def told(runs: dict[str, list[Flights]], args: argparse.Namespace) -> dict[str, 
     for name, found in values.items():
         result[name] = {"seeds": len(runs[name]), "measures": {}}
         for key, each in found.items():
-            row = {"iqm": float(iqm(each)), "low": float(each.min()), "high": float(each.max())}
+            row: dict[str, Any] = {"iqm": float(iqm(each)), "low": float(each.min()), "high": float(each.max())}
             base = values.get(args.baseline, {}).get(key)
             if base is not None and name != args.baseline and min(len(each), len(base)) >= FEWEST:
                 row["difference"] = difference(each, base) if np.isfinite([*each, *base]).all() else None

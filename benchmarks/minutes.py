@@ -159,8 +159,8 @@ def draw(runs: dict[str, list[Curve]], window: int, path: Path) -> None:
             first = np.cumsum(curve.arrived[: window - 1]) / np.arange(1, window)  # of all flights, as long as few
             success = np.concatenate([first, curve.success(window)])
             label = f"{row}, {len(curves)} seeds" if len(curves) > 1 else row
-            line = {"color": f"C{colour}", "label": label if seed == 0 else None, "linewidth": 1.2}
-            axes.plot(curve.minutes, 100 * success, **line)
+            label = label if seed == 0 else "_"  # matplotlib leaves out of the legend what begins so
+            axes.plot(curve.minutes, 100 * success, color=f"C{colour}", label=label, linewidth=1.2)
     axes.set(xlabel="minutes", ylabel=f"success of the last {window} flights [%]", ylim=(0, 100), xlim=(0, None))
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right")

@@ -71,7 +71,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
     config = experiment("env=dynamic", "perception.blind_to=planes", *overrides)
-    policy = load_policy(policy_folder(None, args.policy), None, "cpu")[1]
+    folder = policy_folder(None, args.policy)
+    assert folder is not None, "a policy that learns nothing reads no observation"
+    policy = load_policy(folder, None, "cpu")[1]
     found: dict[str, Any] = {"machine": machine(), "overrides": overrides, "episodes": args.episodes}
     for name in ("sees no plane", "with the reflex"):
         env = make_env(config.env, config.perception, config.reward, seed=20_000, num_uavs=16)

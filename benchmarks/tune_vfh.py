@@ -66,7 +66,8 @@ def main() -> None:
     for obstacles in OBSTACLES:
         config = experiment(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}")
         environments.append(make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES))
-    left, tasks, rounds = drawn(args.settings), args.tasks, []
+    left, tasks = drawn(args.settings), args.tasks
+    rounds: list[list[dict[str, Any]]] = []
     while left:
         found = [(arrivals(environments, setting, tasks), setting) for setting in left]
         found.sort(key=lambda pair: -pair[0])

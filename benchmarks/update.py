@@ -168,6 +168,7 @@ def stable_baselines() -> Row:
             policy_kwargs={"net_arch": list(HIDDEN)},
         )  # fmt: skip
     model.set_logger(configure(None, []))
+    assert model.replay_buffer is not None
     for _ in range(1000):
         states = np.random.default_rng(0).normal(size=(2, 1, STATE)).astype(np.float32)
         model.replay_buffer.add(states[0], states[1], np.zeros((1, ACTION)), np.zeros(1), np.zeros(1), [{}])

@@ -34,7 +34,8 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     from uavrl.training.stepper import ActorCriticStepper
     from uavrl.training.trainer import EpisodeTrainer
 
-    watch, marks = Stopwatch("collector, policy, bookkeeping"), []
+    watch = Stopwatch("collector, policy, bookkeeping")
+    marks: list[tuple[int, float]] = []
 
     class Watched(run.Progress):
         def update(self, episodes: int, steps_done: int, *args: Any) -> None:
@@ -46,7 +47,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
                 raise EnoughError
 
     run.Progress = Watched  # type: ignore[misc]
-    places = {
+    places: dict[str, list[tuple[Any, str]]] = {
         "environment": [(BipedalEnv, "_step"), (BipedalEnv, "_reset")],
         "LifeGuard's own training": [(ActorCriticStepper, "observe")],
         "updates": [(EpisodeTrainer, "learn")],

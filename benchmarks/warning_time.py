@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,11 @@ def fly(count: int, seed: int) -> tuple[list[TensorDictBase], TensorDictModule, 
     return flights, actor, spec
 
 
+def drawn(steps: TensorDictBase, count: int) -> TensorDictBase:
+    """So many at random."""
+    return steps[torch.randint(len(steps), (count,))]
+
+
 def learned(form: dict[str, Any], flights: list[TensorDictBase], actor: TensorDictModule, spec: Any) -> LifeGuard:
     """A LifeGuard that has seen these flights, one after the other."""
     torch.manual_seed(0)
@@ -80,7 +86,7 @@ def learned(form: dict[str, Any], flights: list[TensorDictBase], actor: TensorDi
     for flight in flights:
         end += len(flight)
         lifeguard.observe(flight)
-        lifeguard.fit(lambda n, end=end: steps[torch.randint(end, (n,))], len(flight), optimizer)
+        lifeguard.fit(partial(drawn, steps[:end]), len(flight), optimizer)
     return lifeguard
 
 

@@ -140,8 +140,8 @@ def main() -> None:
         f"\n{bytes_sent['step']:.0f} bytes a step, {bytes_sent['weights']:.0f} of weights a flight: {sent:.0f} a step"
     )
     if args.json:
-        found = {"rates": rates, "model": model, "bytes": bytes_sent, "machine": about}
-        args.json.write_text(json.dumps(found, indent=2) + "\n")
+        result = {"rates": rates, "model": model, "bytes": bytes_sent, "machine": about}
+        args.json.write_text(json.dumps(result, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,9 @@ collides with a probability that rises as it heads for the obstacle and flies fo
 samples through LifeGuard. Arrows go where the actor is pushed: down the gradient of the penalty in the action.
 """
 
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import matplotlib.pyplot as plt
 import torch
@@ -32,6 +34,11 @@ def samples(count: int) -> TensorDict:
     return TensorDict({"observation": side, "action": action, "next": after}, [count])
 
 
+def drawn(data: TensorDict, count: int) -> TensorDict:
+    """So many at random."""
+    return data[torch.randint(len(data), (count,))]
+
+
 def push(loss: LifeGuard, side: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
     """Minus the penalty's gradient in the action, ``[*B, 2]``."""
     action = action.clone().requires_grad_()
@@ -47,7 +54,8 @@ def main() -> None:
     figure, axes = plt.subplots(2, 3, figsize=(10.5, 7), sharex=True, sharey=True)
     line = torch.linspace(-0.9, 0.9, 9)
     grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
-    for row, model in zip(axes, ("linear", "mlp"), strict=True):
+    models: tuple[Literal["linear", "mlp"], ...] = ("linear", "mlp")
+    for row, model in zip(axes, models, strict=True):
         torch.manual_seed(0)
         critic = Mod(Critic(1, 2), ["observation", "action"], ["state_action_value"])
         base = DDPGLoss(Mod(Actor(1, 2), ["observation"], ["action"]), critic)
@@ -56,7 +64,7 @@ def main() -> None:
         loss.observe(data)
         optimizer = loss.make_optimizer()
         for _ in range(30):
-            loss.fit(lambda n, data=data: data[torch.randint(len(data), (n,))], 50, optimizer)
+            loss.fit(partial(drawn, data), 50, optimizer)
         directions: list[torch.Tensor] = []
         for axis, place in zip(row, (-0.8, 0.0, 0.8), strict=True):
             side = torch.full((len(grid), 1), place)

@@ -145,6 +145,14 @@ def test_what_it_tells_does_not_grow() -> None:
     assert float(told[1000:, 1].mean()) > 1000
 
 
+def test_what_cannot_be_compared_is_refused_and_leaves_no_trace() -> None:
+    recent = RecentSums()
+    recent.insert_and_rank(0, 1.0)
+    with pytest.raises(ValueError, match="Expected a finite sum, got nan"):
+        recent.insert_and_rank(0, float("nan"))
+    assert recent.values(0) == [1.0]
+
+
 def test_a_window_of_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="at least 1, got 0"):
         RecentSums(0)

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from math import isfinite
 from operator import index
 from typing import Any, ClassVar
 
@@ -141,8 +142,11 @@ class RecentSums(_ClassHistory):
 
         Raises:
             TypeError: when the label is no integer.
+            ValueError: for a sum that is not finite, which nothing can be compared with.
         """
         label = index(label)
+        if not isfinite(value):
+            raise ValueError(f"Expected a finite sum, got {value}: check the reward.")
         came = self._values.setdefault(label, deque())
         known = self._sorted.setdefault(label, SortedList())
         came.append(value)
