@@ -30,11 +30,13 @@ def valleys_built_once() -> Iterator[None]:
     """Many tests fly in the same few valleys; tests/envs/test_world.py, which tests their building, builds anew."""
     build = world.build_valley
 
-    def build_once(config: world.WorldConfig, seed: int, origin: np.ndarray) -> world.Valley:
+    def build_once(config: world.WorldConfig, seed: int, origin: np.ndarray, count: int) -> world.Valley:
         like = dict(config) if isinstance(config, Mapping) else asdict(config)
-        key = repr(({**like, "seeds": None}, seed))  # what a valley is like, its neighbours do not say
+        key = repr(
+            ({**like, "seeds": None, "obstacles": count}, seed)
+        )  # what a valley is like, its neighbours do not say
         if key not in _VALLEYS:
-            _VALLEYS[key] = build(config, seed, origin)
+            _VALLEYS[key] = build(config, seed, origin, count)
         return replace(_VALLEYS[key], origin=origin)
 
     with pytest.MonkeyPatch.context() as patch:

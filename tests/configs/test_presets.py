@@ -25,8 +25,11 @@ def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, 
     assert found == (angles, term, reward)
 
 
-def test_abr_plus_asks_for_an_artifact_of_the_angles_that_it_reads() -> None:
+@pytest.mark.parametrize(
+    "other", ["perception.angles=raw", "perception.statistic=range", "perception.statistic=proximity"]
+)
+def test_abr_plus_asks_for_an_artifact_of_the_states_that_it_reads(other: str) -> None:
     assert compose("scheme=abr_plus").backward_reward.artifact == "packaged"
-    raw = compose("scheme=abr_plus", "perception.angles=raw").backward_reward.artifact
-    with pytest.raises(UavrlError, match=r"for perception.angles=raw: make one by uavrl-pretrain"):
-        ABRPlus(artifact=raw)
+    artifact = compose("scheme=abr_plus", other).backward_reward.artifact
+    with pytest.raises(UavrlError, match=f"for {other}: make one by uavrl-pretrain"):
+        ABRPlus(artifact=artifact)

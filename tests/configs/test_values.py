@@ -215,6 +215,7 @@ OUT_OF_RANGE = """
     seed=-1
     env.num_uavs=0 env.max_steps=0 env.goal_angle=yaw
     env.world.seeds=[] env.world.seeds=[-1] env.world.size=[40.0,0.0] env.world.obstacles=-1
+    env.world.obstacles=[] env.world.obstacles=[45,-1]
     env.world.obstacle_scale=0 env.world.flight_level=-1 env.world.ceiling=-8 env.world.goal_radius=0
     env.world.min_goal_distance=-1 env.world.min_clearance=-1 env.world.uav_radius=0 env.world.planes=-3
     env.world.plane_speed=[4.0,2.5] env.world.plane_wingspan=0 env.world.plane_keep_out=-1

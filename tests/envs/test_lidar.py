@@ -142,7 +142,7 @@ def test_a_plane_is_seen_from_within_its_bounding_sphere_and_not_beyond_range() 
 
 
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 2.5, 7.3]), st.sampled_from(["face", "range"]))
+@given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 2.5, 7.3]), st.sampled_from(["face", "range", "proximity"]))
 def test_a_cut_range_leaves_the_reduction_identical(seed: int, radius: float, statistic: str) -> None:
     meshes = clutter(seed)
     positions, rotations = poses(seed, 2)

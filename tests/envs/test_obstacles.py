@@ -100,6 +100,13 @@ def test_number_and_scale_are_keys() -> None:
     assert World(WorldConfig(obstacles=0)).valleys[0].obstacles == []
 
 
+def test_valleys_take_their_numbers_of_obstacles_in_turn() -> None:
+    mixed = World(WorldConfig(seeds=(0, 1, 2), obstacles=(4, 7)))
+    assert [len(valley.obstacles) for valley in mixed.valleys] == [4, 7, 4]
+    alone = World(WorldConfig(seeds=(1,), obstacles=7)).valleys[0]
+    assert [o.position for o in mixed.valleys[1].obstacles] == [o.position for o in alone.obstacles]
+
+
 def test_every_kind_stands_in_every_valley_in_different_sizes(valleys: list[Valley]) -> None:
     for valley in valleys:
         kinds = [obstacle.kind for obstacle in valley.obstacles]

@@ -34,7 +34,7 @@ def test_same_seed_same_world():
 def test_building_ignores_and_keeps_the_global_random_state():
     np.random.seed(1)  # noqa: NPY002
     state = np.random.get_state()[1].copy()  # noqa: NPY002
-    build_valley(WorldConfig(), 0, np.zeros(2))
+    build_valley(WorldConfig(), 0, np.zeros(2), 45)
     np.testing.assert_array_equal(state, np.random.get_state()[1])  # noqa: NPY002
 
 
@@ -151,6 +151,8 @@ def test_arrived_is_at_any_height_within_the_radius(world):
         ({"size": (40.0,)}, "size"),
         ({"size": (0.0, 30.0)}, "size"),
         ({"obstacles": -1}, "obstacles"),
+        ({"obstacles": (10, -1)}, "obstacles"),
+        ({"obstacles": ()}, "obstacles"),
         ({"obstacle_scale": 0.0}, "obstacle_scale"),
         ({"goal_radius": 0.0}, "goal_radius"),
         ({"uav_radius": -0.35}, "uav_radius"),
@@ -168,6 +170,7 @@ def test_invalid_configs_are_refused(change, message):
 
 def test_lists_from_a_file_are_taken():
     assert WorldConfig(seeds=[0, 1], size=[40.0, 30.0]) == WorldConfig(seeds=(0, 1))
+    assert WorldConfig(obstacles=[5, 9]) == WorldConfig(obstacles=(5, 9))
 
 
 @pytest.mark.parametrize(

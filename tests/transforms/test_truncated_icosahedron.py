@@ -66,6 +66,8 @@ def oracle(points: np.ndarray, radius: float, statistic: str) -> tuple[np.ndarra
         face = int(distances.argmin())
         value = first if statistic == "face" else np.linalg.norm(point)
         least[face] = min(least[face], max(value, 1e-6 * radius))
+    if statistic == "proximity":
+        return np.array([max(radius - value, 0.0) for value in least]), close
     return np.array([0.0 if value == math.inf else value for value in least]), close
 
 
@@ -111,7 +113,7 @@ def test_face_order_literally() -> None:
     ],
 )
 def test_single_points_literally(point: tuple[float, ...], face: int, by_face: float, by_range: float) -> None:
-    for statistic, value in (("face", by_face), ("range", by_range)):
+    for statistic, value in (("face", by_face), ("range", by_range), ("proximity", 4.0 - by_range)):
         expected = torch.zeros(32)
         expected[face] = value
         got = truncated_icosahedron(torch.tensor([point]), 4.0, statistic)
@@ -126,6 +128,9 @@ def test_least_distance_wins_and_planes_cut() -> None:
     torch.testing.assert_close(got[[5, 30]], torch.tensor([0.0569, 0.6598]), atol=1e-4, rtol=0)
     by_range = truncated_icosahedron(cloud, statistic="range")
     torch.testing.assert_close(by_range[[5, 30]], torch.tensor([1.0, 1.0]))
+    by_proximity = truncated_icosahedron(cloud, statistic="proximity")
+    torch.testing.assert_close(by_proximity[[5, 30]], torch.tensor([3.0, 3.0]))
+    assert by_proximity.count_nonzero() == 2
 
 
 def test_a_touching_point_does_not_read_empty() -> None:
@@ -159,7 +164,7 @@ clouds = st.tuples(
     st.integers(0, 2**32 - 1),
     st.integers(0, 40),
     st.sampled_from([0.3, 1.0, 4.0, 17.0]),
-    st.sampled_from(["face", "range"]),
+    st.sampled_from(["face", "range", "proximity"]),
 )
 
 
@@ -200,7 +205,7 @@ def test_invariances(cloud: tuple[int, int, float, str]) -> None:
 
 
 @pytest.mark.parametrize("signs", [signs for signs in itertools.product((1, -1), repeat=3) if min(signs) < 0])
-@pytest.mark.parametrize("statistic", ["face", "range"])
+@pytest.mark.parametrize("statistic", ["face", "range", "proximity"])
 def test_mirroring_permutes_the_faces_to_the_last_bit(signs: tuple[int, int, int], statistic: str) -> None:
     """The planes x = 0, y = 0 and z = 0 mirror the solid onto itself."""
     points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0)) * 2

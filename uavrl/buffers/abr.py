@@ -59,13 +59,20 @@ class ABR(BackwardReward):
         super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
 
 
+_NOT_PACKAGED = {
+    "packaged_raw": "perception.angles=raw",
+    "packaged_range": "perception.statistic=range",
+    "packaged_proximity": "perception.statistic=proximity",
+}
+
+
 class ABRPlus(BackwardReward):
     """The backward reward with classes by the trained classifier (Chansuparp (2022), §3.4, Algorithm 3.1).
 
     Args:
         multiplier: p_addReward.
-        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states with folded angles. None comes
-            with uavrl for raw ones, ``"packaged_raw"``.
+        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states as the default has them. None
+            comes with uavrl for others, ``"packaged_raw"``, ``_range`` and ``_proximity``.
         scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
@@ -90,10 +97,10 @@ class ABRPlus(BackwardReward):
         observations: int = 105,
         kept: Path | None = None,
     ) -> None:
-        if artifact == "packaged_raw":
+        if artifact in _NOT_PACKAGED:
             raise UavrlError(
-                "No artifact of ABR⁺ comes with uavrl for perception.angles=raw: make one by uavrl-pretrain from a run "
-                "with raw angles, and name its folder, backward_reward.artifact=FOLDER."
+                f"No artifact of ABR⁺ comes with uavrl for {_NOT_PACKAGED[artifact]}: make one by uavrl-pretrain from "
+                "a run with that, and name its folder, backward_reward.artifact=FOLDER."
             )
         source = packaged_artifact() if artifact == "packaged" else Path(artifact)
         if kept is not None and not kept.exists():

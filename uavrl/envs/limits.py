@@ -40,7 +40,7 @@ def check_world_size(world: WorldConfig) -> None:
                 f"size and ceiling must make at most {most:,.0f} m³ of {of}, got {volume:,.0f} m³; lower size or "
                 "ceiling, or give fewer seeds."
             )
-    obstacles = world.obstacles * max(1.0, world.obstacle_scale**2)
+    obstacles = max(world.obstacle_counts) * max(1.0, world.obstacle_scale**2)
     if obstacles > MOST_OBSTACLES:
         raise UavrlError(
             f"obstacles must be at most {MOST_OBSTACLES:,.0f} in a valley, each counted obstacle_scale² times, got "

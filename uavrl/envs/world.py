@@ -1,6 +1,7 @@
 """The world: valleys of terrain and obstacles, and the tasks to fly in them."""
 
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 
@@ -25,7 +26,7 @@ class WorldConfig:
     Args:
         seeds: One valley per seed.
         size: Extent of a valley along x and y in m.
-        obstacles: Number of obstacles per valley.
+        obstacles: Number of obstacles per valley, or a list of numbers that the valleys take in turn.
         obstacle_scale: Factor on all lengths of the obstacles.
         flight_level: Height in m (world z) at which flights start.
         ceiling: Height above the ground in m at which a flight ends; the goal cylinder reaches up to it.
@@ -41,7 +42,7 @@ class WorldConfig:
 
     seeds: tuple[int, ...] = (0,)
     size: tuple[float, float] = (40.0, 30.0)
-    obstacles: int = 45
+    obstacles: tuple[int, ...] | int = 45
     obstacle_scale: float = 1.0
     flight_level: float = 3.5
     ceiling: float = 5.0
@@ -66,7 +67,14 @@ class WorldConfig:
         for name in (*positive, "plane_wingspan", "size", "plane_speed"):
             if not np.all(np.asarray(getattr(self, name)) > 0):
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}; give it in metres (or m/s).")
-        for name in ("obstacles", "planes", "min_goal_distance", "min_clearance", "plane_keep_out"):
+        if not isinstance(self.obstacles, int):
+            object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        if not self.obstacle_counts or min(self.obstacle_counts) < 0:
+            raise ValueError(
+                f"obstacles takes a number that is not negative, or a list of such, got {self.obstacles}; pass 0 to go "
+                "without."
+            )
+        for name in ("planes", "min_goal_distance", "min_clearance", "plane_keep_out"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}; pass 0 to go without.")
         if len(self.plane_speed) != 2 or self.plane_speed[0] > self.plane_speed[1]:
@@ -78,6 +86,11 @@ class WorldConfig:
                 f"flight_level must be below the ceiling of {self.ceiling} m, got {self.flight_level} m; raise ceiling."
             )
         check_world_size(self)
+
+    @property
+    def obstacle_counts(self) -> tuple[int, ...]:
+        """Numbers of obstacles that the valleys take in turn."""
+        return (self.obstacles,) if isinstance(self.obstacles, int) else self.obstacles
 
 
 @dataclass(frozen=True)
@@ -99,10 +112,10 @@ class Valley:
         return [part.translated((*self.origin, 0.0)) for part in parts]
 
 
-def build_valley(config: WorldConfig, seed: int, origin: np.ndarray) -> Valley:
-    """Builds one valley around ``origin [2]`` and maps its free space."""
+def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int) -> Valley:
+    """Builds one valley of ``count`` obstacles around ``origin [2]`` and maps its free space."""
     ground = valley_ground(np.random.default_rng([seed, 0]), config.size)
-    obstacles = place_obstacles(np.random.default_rng([seed, 1]), config.obstacles, config.obstacle_scale, ground)
+    obstacles = place_obstacles(np.random.default_rng([seed, 1]), count, config.obstacle_scale, ground)
     flight = flight_map(
         ground,
         Mesh.merge(obstacle.mesh for obstacle in obstacles),
@@ -151,7 +164,8 @@ class World:
         columns = int(np.ceil(len(config.seeds) ** 0.5))
         pitch = np.array(config.size) + VALLEY_GAP
         origins = [pitch * divmod(i, columns) for i in range(len(config.seeds))]
-        self.valleys = [build_valley(config, seed, xy) for seed, xy in zip(config.seeds, origins, strict=True)]
+        each = zip(config.seeds, origins, cycle(config.obstacle_counts), strict=False)
+        self.valleys = [build_valley(config, seed, origin, count) for seed, origin, count in each]
         self.meshes = [mesh for valley in self.valleys for mesh in valley.meshes()]
         self._origins = np.stack(origins)
         self._heights = np.stack([valley.ground.heights for valley in self.valleys])

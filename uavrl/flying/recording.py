@@ -82,7 +82,7 @@ class Scenery:
         plane_triangles: ``[B, 3]``.
         goal: ``[2]``, radius and height of the goal cylinder in m.
         ball: Circumradius of the reduction in m.
-        statistic: What a face reports: ``"face"`` or ``"range"``.
+        statistic: What a face reports: ``"face"``, ``"range"`` or ``"proximity"``.
         sensor: ``[3]``, the LiDAR's centre in body axes in m.
     """
 

@@ -3,7 +3,7 @@
 import math
 from functools import lru_cache
 from numbers import Real
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
@@ -18,7 +18,7 @@ __all__ = [
     "truncated_icosahedron_faces",
 ]
 
-Statistic = Literal["face", "range"]
+Statistic = Literal["face", "range", "proximity"]
 
 LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 NUM_FACES = 32
@@ -135,7 +135,8 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
             be 0. A layout with x, y and z each contiguous (as `uavrl.envs.lidar.Lidar.scan` returns) is read fastest.
         radius: circumradius in metres.
         statistic: ``"face"`` for the distance to the face's centre (the thesis), ``"range"`` for the distance of the
-            face's points to the origin. Both are lengths in metres within [0, ``radius``].
+            face's points to the origin, ``"proximity"`` for ``radius`` less that distance, so that nearer is more and
+            nothing is least. All are lengths in metres within [0, ``radius``].
 
     Returns:
         ``[*B, 32]`` in metres, in the order of `truncated_icosahedron_faces`.
@@ -153,8 +154,8 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     """
     _check_points(points)
     _check_radius(radius)
-    if statistic not in ("face", "range"):
-        raise ValueError(f'statistic must be "face" or "range", got {statistic!r}.')
+    if statistic not in get_args(Statistic):
+        raise ValueError(f'statistic must be "face", "range" or "proximity", got {statistic!r}.')
     radius = float(radius)
     batch, (_, centres, ids) = points.shape[:-2], _octant(radius, points.dtype, points.device)
     x, y, z = (coordinate.reshape(-1) for coordinate in points.unbind(-1))
@@ -173,6 +174,8 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     least = least.scatter_reduce(0, images.mul_(7).add_(faces), lengths, "amin").reshape(*batch, ids.numel())
     out = points.new_full((*batch, NUM_FACES), torch.inf)
     out = out.scatter_reduce(-1, ids.expand_as(least), least, "amin")
+    if statistic == "proximity":
+        return (radius - out).clamp_min(0.0)
     return torch.where(out.isinf(), 0.0, out)
 
 

@@ -26,7 +26,8 @@ class TruncatedIcosahedron(Transform):
         in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame, NaN where a ray hit nothing.
         out_keys: one key per cloud for ``[*B, 32]`` in metres, within [0, ``radius``].
         radius: circumradius in metres.
-        statistic: ``"face"`` (distance to the face's centre) or ``"range"`` (distance to the sensor).
+        statistic: ``"face"`` (distance to the face's centre), ``"range"`` (distance to the sensor) or ``"proximity"``
+            (radius less the range).
         del_keys: whether the point clouds are removed. ``False`` keeps them beside the faces.
 
     Examples:

@@ -180,7 +180,7 @@ function changes(flight, moment) {
   const colours = Array.from(reported, (value) => {
     if (value <= 0) return "rgba(160,175,190,0.10)";
     const near = Math.min(value / place.ball, 1);
-    return `rgba(${shade(place.statistic === "face" ? near : 1 - near)},0.85)`;
+    return `rgba(${shade(place.statistic === "range" ? 1 - near : near)},0.85)`;
   });
   const fleet = { x: [], y: [], z: [] };
   for (let n = 0; n < flight.planeCount; n++) {
@@ -441,7 +441,7 @@ function start() {
   legend(BODY, "UAV (its nose pink)");
   const happened = new Set(flights.map((item) => item.outcome));
   for (const [key, [name, colour]] of Object.entries(OUTCOMES)) if (happened.has(key)) legend(colour, `path: ${name}`);
-  const { ball: radius, statistic } = Object.values(sceneries)[0];
+  const { ball: radius } = Object.values(sceneries)[0];
   element("div", { class: "scale", style: `background:linear-gradient(90deg,${NEAR.map(([at, c]) => `${c} ${100 * at}%`)})` },
     $("legend"));
   const ends = element("div", { class: "ends" }, $("legend"));
