@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from uavrl.errors import UavrlError
@@ -24,6 +25,11 @@ LARGEST = {
 }
 
 
+def in_turn(counts: Iterable[int] | int) -> tuple[int, ...]:
+    """The numbers that valleys take in turn, of which there may be one."""
+    return (counts,) if isinstance(counts, int) else tuple(counts)
+
+
 def check_world_size(world: WorldConfig) -> None:
     """Refuses worlds that would take many minutes to build, or more memory than there is."""
     for name, most in LARGEST.items():
@@ -40,7 +46,7 @@ def check_world_size(world: WorldConfig) -> None:
                 f"size and ceiling must make at most {most:,.0f} m³ of {of}, got {volume:,.0f} m³; lower size or "
                 "ceiling, or give fewer seeds."
             )
-    obstacles = max(world.obstacle_counts) * max(1.0, world.obstacle_scale**2)
+    obstacles = max(in_turn(world.obstacles)) * max(1.0, world.obstacle_scale**2)
     if obstacles > MOST_OBSTACLES:
         raise UavrlError(
             f"obstacles must be at most {MOST_OBSTACLES:,.0f} in a valley, each counted obstacle_scale² times, got "

@@ -5,7 +5,7 @@ from itertools import cycle
 
 import numpy as np
 
-from uavrl.envs.limits import check_world_size
+from uavrl.envs.limits import check_world_size, in_turn
 from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
@@ -69,7 +69,8 @@ class WorldConfig:
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}; give it in metres (or m/s).")
         if not isinstance(self.obstacles, int):
             object.__setattr__(self, "obstacles", tuple(self.obstacles))
-        if not self.obstacle_counts or min(self.obstacle_counts) < 0:
+        counts = in_turn(self.obstacles)
+        if not counts or min(counts) < 0:
             raise ValueError(
                 f"obstacles takes a number that is not negative, or a list of such, got {self.obstacles}; pass 0 to go "
                 "without."
@@ -86,11 +87,6 @@ class WorldConfig:
                 f"flight_level must be below the ceiling of {self.ceiling} m, got {self.flight_level} m; raise ceiling."
             )
         check_world_size(self)
-
-    @property
-    def obstacle_counts(self) -> tuple[int, ...]:
-        """Numbers of obstacles that the valleys take in turn."""
-        return (self.obstacles,) if isinstance(self.obstacles, int) else self.obstacles
 
 
 @dataclass(frozen=True)
@@ -164,7 +160,7 @@ class World:
         columns = int(np.ceil(len(config.seeds) ** 0.5))
         pitch = np.array(config.size) + VALLEY_GAP
         origins = [pitch * divmod(i, columns) for i in range(len(config.seeds))]
-        each = zip(config.seeds, origins, cycle(config.obstacle_counts), strict=False)
+        each = zip(config.seeds, origins, cycle(in_turn(config.obstacles)), strict=False)
         self.valleys = [build_valley(config, seed, origin, count) for seed, origin, count in each]
         self.meshes = [mesh for valley in self.valleys for mesh in valley.meshes()]
         self._origins = np.stack(origins)
