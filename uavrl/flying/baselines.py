@@ -65,7 +65,7 @@ class VectorFieldHistogram:
     has no memory, so it cannot leave a dead end on purpose.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the 32 faces instead of
-    a grid of cells.
+    a grid of cells. The defaults were chosen in training valleys (``benchmarks/tune_vfh.py``).
 
     Args:
         flight_level: altitude to hold where nothing is in the way, m.
@@ -93,13 +93,13 @@ class VectorFieldHistogram:
         flight_level: float = 3.5,
         radius: float = 4.0,
         *,
-        obstacle: float = 3.0,
-        goal: float = 1.0,
-        level: float = 0.3,
-        turn: float = 0.2,
-        width: float = 6.0,
-        nearness: float = 2.0,
-        caution: float = 0.7,
+        obstacle: float = 19.6,
+        goal: float = 2.67,
+        level: float = 0.121,
+        turn: float = 0.388,
+        width: float = 4.44,
+        nearness: float = 2.17,
+        caution: float = 0.773,
     ) -> None:
         self.flight_level, self.radius = flight_level, radius
         self.obstacle, self.goal, self.level, self.turn = obstacle, goal, level, turn
