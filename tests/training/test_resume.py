@@ -27,6 +27,7 @@ from uavrl.training.trainer import EpisodeTrainer
 PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
 DYNAMIC = ["env=dynamic", "perception.lidar.dropout=0.1"]
+GUIDED = ["guide=vfh", "algo.random_steps=60", "perception.last_action=true", "buffer.mirror=true"]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 
@@ -111,7 +112,7 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
 @pytest.mark.parametrize(
     "overrides",
     [
-        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC),
+        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, GUIDED),
         *(pytest.param(o, marks=pytest.mark.slow) for o in (DDPG, SAC)),
     ],
 )

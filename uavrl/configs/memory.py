@@ -20,7 +20,8 @@ GIGABYTE = 1e9
 def bytes_needed(settings: TrainConfig) -> dict[str, float]:
     """An estimate of what a training takes, by the key that decides most of it: of two critics, in a valley."""
     uavs, frames = settings.env.get("num_uavs", 1), settings.perception.get("frames", 1)
-    frame, actions = 35, 4
+    actions = 4
+    frame = 35 + actions * settings.perception.get("last_action", False)
     state, batch, capacity = frame * frames, settings.algo.batch_size, settings.buffer.get("capacity", 0)
     widths = {"algo.hidden": (settings.algo.hidden, 3)}
     for name, part in settings.fork.items():

@@ -20,6 +20,7 @@ PARTS = (
     "enhancer",
     "buffer",
     "backward_reward",
+    "guide",
     "env",
     "collector",
     "logger",

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from uavrl.configs.checks import require
 from uavrl.ranges import Count, Positive, Seed, Share
@@ -49,12 +49,18 @@ class TrainConfig:
     collector: DictConfig
     logger: DictConfig
     trainer: TrainerConfig
+    guide: DictConfig = field(default_factory=lambda: OmegaConf.create({"_target_": None}))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[str, ...] = ()
     seed: Seed = 0
     device: str = "cpu"
     run_dir: str = "runs"
     resume: str | None = None
+
+    @property
+    def guided(self) -> bool:
+        """Whether the first steps are a guide's."""
+        return self.guide.get("_target_") is not None
 
     def __post_init__(self) -> None:
         """Checks what a range cannot say."""

@@ -88,6 +88,8 @@ class VectorFieldHistogram:
         [[2.0, 0.0, 0.0, 0.0]]
     """
 
+    in_keys = ("faces", "altitude", "heading_deg")
+
     def __init__(
         self,
         flight_level: float = 3.5,

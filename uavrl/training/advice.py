@@ -11,6 +11,8 @@ log = logging.getLogger(__name__)
 def warn_of_random_steps(settings: TrainConfig) -> None:
     """Before the run: its random steps may not end before it does."""
     random_steps, episodes = settings.algo.random_steps, settings.trainer.episodes
+    if settings.guided:  # whose flights are learned from at once
+        return
     if random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6))):
         log.warning(
             "algo.random_steps=%d: nothing is learned before, and the first trainer.episodes=%d flights may be over by "

@@ -26,7 +26,7 @@ from uavrl.training.factory import (
     make_buffer,
     make_collector,
     make_device,
-    make_env,
+    make_training_env,
 )
 from uavrl.training.loggers import IntervalLog, make_logger
 from uavrl.training.network_sizes import network_sizes
@@ -37,8 +37,7 @@ from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
     """All that a run learns with, new; a large world takes minutes."""
     device = make_device(settings.device)
-    parts = (settings.env, settings.perception, settings.reward)
-    new_env = partial(make_env, *parts, packages=settings.packages, seed=barrier_seed(settings.seed, 0))
+    new_env = partial(make_training_env, settings, seed=barrier_seed(settings.seed, 0))
     env = new_env()
     sizes = network_sizes(env)
     actor = make_actor(settings, sizes, device)
@@ -62,6 +61,8 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         policy=actor,
         episodes=settings.trainer.episodes,
         until_success=settings.trainer.until_success,
+        learns_after=0 if settings.guided else settings.algo.random_steps,
+        judged_after=settings.algo.random_steps if settings.guided else 0,
         seed=settings.seed,
         checkpoint_interval=settings.trainer.checkpoint_interval,
         log=IntervalLog(logger, settings.logger.interval),

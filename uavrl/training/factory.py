@@ -16,7 +16,8 @@ from uavrl.configs.build import build, options, resolve
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.training.collecting import OURS, FlightCollector
-from uavrl.training.network_sizes import NetworkSizes, inner_transforms
+from uavrl.training.guided import GuidedEnv
+from uavrl.training.network_sizes import NetworkSizes, inner_transforms, network_sizes
 from uavrl.transforms import Mirror
 
 
@@ -46,6 +47,7 @@ def make_env(
     packages: Iterable[str] = (),
     num_uavs: int | None = None,
     keep_cloud: bool = False,
+    kind: type[TransformedEnv] = TransformedEnv,
     **offered: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read."""
@@ -54,7 +56,7 @@ def make_env(
     base = build(own, EnvBase, packages=packages, key="env", **several, **offered)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
-    made = TransformedEnv(base, Compose())
+    made = kind(base, Compose())
     state = build(perception, Transform, packages=packages, keep_cloud=keep_cloud)
     paid = None if reward is None else build(reward, Transform, packages=packages)
     for transform, part in ((state, "perception"), (paid, "reward")):
@@ -65,9 +67,22 @@ def make_env(
     return made
 
 
+def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
+    """The environment that a run flies in; a guide's, where one flies its first steps."""
+    parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
+    anything_that_is_called: Any = Callable
+    guide = build(settings.guide, anything_that_is_called, packages=packages)
+    if guide is None:
+        return make_env(*parts, packages=packages, seed=seed)
+    env = cast(GuidedEnv, make_env(*parts, packages=packages, seed=seed, kind=GuidedEnv))
+    _require_keys(env, [(getattr(guide, "in_keys", ()), ())], "guide")
+    env.guide, env.noise = guide, make_noise(settings, network_sizes(env), torch.device("cpu"))
+    return env
+
+
 def _require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:
     """Refuses what reads more than an environment emits, each step also what the steps before it have written."""
-    specs = (env.observation_spec, env.full_reward_spec, env.full_done_spec)
+    specs = (env.observation_spec, env.full_reward_spec, env.full_done_spec, env.full_action_spec)
     emitted = {key for spec in specs for key in spec.keys(True, True)}
     for read, written in steps:
         for key in read:
@@ -99,7 +114,9 @@ def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device
     algo = settings.algo
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
     multi_step = MultiStep(algo.n_steps, algo.gamma) if algo.n_steps > 1 else None
-    mirror = Mirror() if settings.buffer.get("mirror") else None
+    mirror = (
+        Mirror(last_action=settings.perception.get("last_action", False)) if settings.buffer.get("mirror") else None
+    )
     chain = (multi_step, mirror, move)  # writes pass from the right, samples from the left
     transforms = [transform for transform in chain if transform is not None]
     buffer = build(
@@ -126,6 +143,19 @@ def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
     return [[ratio ** (i / (vehicles - 1) - 0.5)] for i in range(vehicles)]
 
 
+def make_noise(settings: TrainConfig, sizes: NetworkSizes, device: torch.device) -> AdditiveGaussianModule:
+    """What is added to actions to explore."""
+    sigma = settings.algo.exploration_noise * sizes.limit
+    return AdditiveGaussianModule(
+        spec=sizes.action_spec(device),
+        sigma_init=sigma,
+        sigma_end=sigma,
+        annealing_num_steps=1,
+        std=spread(settings.env.get("num_uavs", 1), settings.algo.exploration_spread),
+        device=device,
+    )
+
+
 def collector_class(settings: TrainConfig) -> type[FlightCollector]:
     """The class of the run's collector."""
     found = resolve(str(settings.collector._target_), BaseCollector, settings.packages)
@@ -145,18 +175,10 @@ def make_collector(
     device: torch.device,
 ) -> FlightCollector:
     """Collects whole episodes, one a batch, with exploration noise after the random steps."""
-    sigma = settings.algo.exploration_noise * sizes.limit
     vehicles = settings.env.get("num_uavs", 1)
     found: Any = collector_class(settings)
     flier = torch.device("cpu") if getattr(found, "flies_copies", False) else device
-    noise = AdditiveGaussianModule(
-        spec=sizes.action_spec(flier),
-        sigma_init=sigma,
-        sigma_end=sigma,
-        annealing_num_steps=1,
-        std=spread(vehicles, settings.algo.exploration_spread),
-        device=flier,
-    )
+    noise = make_noise(settings, sizes, flier)
     kwargs: dict[str, Any] = {
         "policy": TensorDictSequential(actor, noise),
         "frames_per_batch": vehicles * settings.collector.steps_per_batch,

@@ -32,11 +32,13 @@ class Progress:
         done: int = 0,
         steps: int = 0,
         random_steps: int = 0,
+        guided: bool = False,
         max_steps: int = 300,
         until_success: float | None = None,
     ) -> None:
         self._window = window
         self._random_steps = random_steps
+        self._first = "the guide flies" if guided else "flying at random"
         self._max_steps = max_steps
         self._goal = "" if until_success is None else f" of {until_success:.0%}"
         self._at_most = "" if until_success is None else "at most "
@@ -65,7 +67,7 @@ class Progress:
 
     def _left(self, episodes: int, steps: int) -> str:
         if steps <= self._random_steps:
-            return f"flying at random until step {self._random_steps:,}"
+            return f"{self._first} until step {self._random_steps:,}"
         if self._compiled:  # the first updates are compiled meanwhile
             self._take(steps)
         self._compiled = True

@@ -132,6 +132,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
             done=trainer.episode_log.count,
             steps=trainer.collected_frames,
             random_steps=settings.algo.random_steps,
+            guided=settings.guided,
             max_steps=settings.env.get("max_steps", 0),
             until_success=settings.trainer.until_success,
         )

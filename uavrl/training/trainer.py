@@ -59,6 +59,8 @@ class EpisodeTrainer:
     metadata: dict[str, Any]  # goes into each checkpoint's manifest
     episodes: int
     until_success: float | None  # the share of the last ``episode_log.window`` flights that ends the training before
+    learns_after: int  # steps
+    judged_after: int  # steps; flights that began before are a guide's, and say nothing of the policy
     seed: int
     checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
     progress: Progress = field(default_factory=lambda: Progress(0, 1, enabled=False))
@@ -100,7 +102,7 @@ class EpisodeTrainer:
                 updates = self.experience.store(stored)
                 self.stepper.observe(episode, self.experience.draw)  # the classifier c learns
                 self.record(episode)
-                if self.collected_frames >= self.collector.init_random_frames:
+                if self.collected_frames >= self.learns_after:
                     self.learn(updates, actor=len(stored) > 0)
                 if self.finished:
                     self.save()
@@ -167,7 +169,8 @@ class EpisodeTrainer:
         """Whether enough episodes are flown, or enough of the last ones arrived."""
         log = self.episode_log
         trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
-        return log.count >= self.episodes or (trained and log.count >= log.window)
+        own = log.count >= log.window and log.window_began >= self.judged_after
+        return log.count >= self.episodes or (trained and own)
 
     def save_if_due(self) -> None:
         """Saves once the flights have ended that were open when a checkpoint became due.

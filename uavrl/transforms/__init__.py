@@ -1,5 +1,6 @@
 """TorchRL transforms: the LiDAR reduction, the policy's observation and the thesis's rewards."""
 
+from uavrl.transforms.last_action import LastAction
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
 from uavrl.transforms.rewards import (
@@ -16,6 +17,7 @@ from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 from uavrl.transforms.walker import WalkerReward, walker_reward
 
 __all__ = [
+    "LastAction",
     "Mirror",
     "NavigationObservation",
     "NavigationReward",

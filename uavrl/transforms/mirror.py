@@ -13,21 +13,23 @@ from uavrl.transforms.functional import NUM_FACES, truncated_icosahedron_faces
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
 ACTION_SIGNS = (1.0, -1.0, 1.0, -1.0)  # forward, left, up, yaw rate
+ALONE = NUM_FACES + 3  # numbers in an observation
+WITH_ACTION = ALONE + len(ACTION_SIGNS)  # and in one that ends with the last action
 
 
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)
 def _places_and_signs(device: torch.device) -> tuple[Tensor, Tensor]:
-    """Where each of an observation's 35 numbers comes from in the mirrored one, ``[35]``, and its sign, ``[35]``."""
+    """Where each of an observation's numbers comes from in the mirrored one, and its sign; the last 4 are an action."""
     normals = truncated_icosahedron_faces(dtype=torch.float64).normals
     image = ((normals * normals.new_tensor([1.0, -1.0, 1.0])) @ normals.T).argmax(-1)
-    places = torch.cat([image, torch.tensor([NUM_FACES, NUM_FACES + 1, NUM_FACES + 2])])
-    signs = torch.ones(NUM_FACES + 3)
+    places = torch.cat([image, torch.arange(NUM_FACES, WITH_ACTION)])
+    signs = torch.cat([torch.ones(ALONE), torch.tensor(ACTION_SIGNS)])
     signs[NUM_FACES + 1] = -1.0  # the heading
     return places.to(device), signs.to(device)
 
 
-def mirror_observation(observation: Tensor) -> Tensor:
+def mirror_observation(observation: Tensor, *, last_action: bool = False) -> Tensor:
     """What a vehicle sees in the mirror image of its world, left and right exchanged (y → -y).
 
     The 32 faces change places, altitude and elevation stay, the heading changes its sign (Chansuparp (2022), §3.2, has
@@ -36,6 +38,7 @@ def mirror_observation(observation: Tensor) -> Tensor:
     Args:
         observation: ``[*B, F * 35]``, F stacked observations of :func:`uavrl.transforms.navigation_observation` with
             folded angles.
+        last_action: whether each observation ends with an action, as :class:`uavrl.transforms.LastAction` makes it.
 
     Raises:
         ValueError: for another width.
@@ -47,7 +50,7 @@ def mirror_observation(observation: Tensor) -> Tensor:
         >>> mirrored.nonzero().flatten().tolist(), mirrored[33].item()
         ([1, 33], -0.25)
     """
-    places, signs = _places_and_signs(observation.device)
+    places, signs = (each[: WITH_ACTION if last_action else ALONE] for each in _places_and_signs(observation.device))
     if not observation.shape[-1] or observation.shape[-1] % len(places):
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
@@ -75,6 +78,7 @@ class Mirror(Transform):
         in_keys: the observations, ``[B, F * 35]``, with folded angles.
         action: key of the actions, ``[B, 4]``.
         probability: of the image.
+        last_action: as in :func:`mirror_observation`.
 
     Raises:
         ValueError: for a probability outside [0, 1].
@@ -93,11 +97,13 @@ class Mirror(Transform):
         *,
         action: NestedKey = "action",
         probability: float = 0.5,
+        last_action: bool = False,
     ) -> None:
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"probability must be in [0, 1], got {probability}.")
         super().__init__(in_keys=[*in_keys, action], out_keys=[*in_keys, action])
         self.probability = probability
+        self.last_action = last_action
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
@@ -107,6 +113,6 @@ class Mirror(Transform):
         mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
         for key in observations:
             value = tensordict.get(key)
-            tensordict.set(key, torch.where(mirrored, mirror_observation(value), value))
+            tensordict.set(key, torch.where(mirrored, mirror_observation(value, last_action=self.last_action), value))
         value = tensordict.get(action)
         return tensordict.set(action, torch.where(mirrored, mirror_action(value), value))

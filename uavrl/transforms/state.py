@@ -1,11 +1,22 @@
 """From the raw scan to the policy's state, in one piece."""
 
-from torchrl.envs import CatFrames, Compose
+from collections.abc import Iterator
+
+from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
 from uavrl.ranges import Count, Positive
 from uavrl.transforms.functional import Statistic
+from uavrl.transforms.last_action import LastAction
 from uavrl.transforms.observation import Angles, NavigationObservation
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+
+ACTION_LIMIT = 2.0  # m/s and rad/s, which a network reads as 1
+
+
+def _with_last_action() -> Iterator[Transform]:
+    yield LastAction()
+    yield ObservationNorm(loc=0.0, scale=1.0 / ACTION_LIMIT, in_keys=["last_action"])
+    yield CatTensors(["observation", "last_action"], "observation", del_keys=True, sort=False)
 
 
 class NavigationState(Compose):
@@ -19,6 +30,7 @@ class NavigationState(Compose):
         statistic: as in :class:`TruncatedIcosahedron`.
         flight_level: the altitude at which an observation's altitude is 0, m.
         angles: as in :class:`NavigationObservation`.
+        last_action: whether an observation also holds the action that led to it.
         frames: observations in a state.
         keep_cloud: whether ``point_cloud`` stays beside the state.
 
@@ -40,10 +52,12 @@ class NavigationState(Compose):
         angles: Angles = "folded",
         frames: Count = 3,
         *,
+        last_action: bool = False,
         keep_cloud: bool = False,
     ) -> None:
         super().__init__(
             TruncatedIcosahedron(radius=radius, statistic=statistic, del_keys=not keep_cloud),
             NavigationObservation(radius, flight_level, angles),
+            *(_with_last_action() if last_action else ()),
             CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
         )

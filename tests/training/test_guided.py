@@ -1,0 +1,71 @@
+"""First steps that a guide flies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from tests.helpers.runs import small_config
+from uavrl.configs.checked import to_dataclass
+from uavrl.errors import UavrlError
+from uavrl.flying.baselines import VectorFieldHistogram
+from uavrl.runs.episodes import read_episodes
+from uavrl.training.factory import make_training_env
+from uavrl.training.guided import GuidedEnv
+from uavrl.training.run import create_run, train
+
+EASY = ["env.world.goal_radius=14", "env.world.obstacles=0", "env.max_steps=60", "env.world.min_clearance=3"]
+
+
+class Still:
+    """A guide from elsewhere, which reads nothing and hovers."""
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", torch.zeros(*tensordict.batch_size, 4))
+
+
+def test_the_guides_actions_are_flown_with_noise_and_chance_flies_without_one(tmp_path: Path) -> None:
+    for noise in (0.0, 0.1):
+        config = small_config(tmp_path / "run", "guide=vfh", f"algo.exploration_noise={noise}")
+        env = make_training_env(to_dataclass(config), seed=0)
+        state = env.reset()
+        expected = VectorFieldHistogram()(state.clone())["action"]
+        got = env.rand_action(state)["action"]
+        assert torch.equal(got, expected) == (noise == 0.0)
+        torch.testing.assert_close(got, expected, atol=1.0, rtol=0.0)
+        env.close()
+    plain = make_training_env(to_dataclass(small_config(tmp_path / "run")), seed=0)
+    assert not isinstance(plain, GuidedEnv)
+    plain.close()
+
+
+def test_a_guide_of_ones_own_flies_the_first_steps_and_no_later_ones(tmp_path: Path) -> None:
+    first = ["packages=[tests]", "algo.exploration_noise=0", "algo.random_steps=40", "trainer.episodes=8"]
+    config = small_config(tmp_path / "run", *first)
+    config.guide = {"_target_": "tests.training.test_guided.Still"}
+    train(config, create_run(config))
+    flights = read_episodes(tmp_path / "run" / "episodes.csv")
+    assert [flight.outcome for flight in flights[:2]] == ["timed_out"] * 2, "it hovers"
+
+
+def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_path: Path) -> None:
+    rule = ["trainer.window=3", "trainer.until_success=0.6", "trainer.episodes=30", "logger.interval=1"]
+    config = small_config(tmp_path / "run", "guide=vfh", "algo.random_steps=300", *EASY, *rule)
+    summary = train(config, create_run(config))
+    flights = read_episodes(tmp_path / "run" / "episodes.csv")
+    guided = [flight for flight in flights if flight.total_steps <= 300]
+    assert sum(flight.outcome == "arrived" for flight in guided[:3]) >= 2, "the rule would have ended it"
+    assert summary["episodes"] > len(guided) >= 3
+    (file,) = (tmp_path / "run" / "logs").rglob("optim_steps.csv")
+    first = file.read_text().splitlines()[0]
+    assert int(first.split(",")[0]) < 300, "updates begin with the first flight"
+
+
+def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) -> None:
+    walker = ["env=bipedal_hardcore", "guide=vfh", "guide.flight_level=3", "guide.radius=4"]
+    config = small_config(tmp_path / "run", *walker, base=[])
+    with pytest.raises(UavrlError, match="guide reads 'faces'"):
+        make_training_env(to_dataclass(config), seed=0)
