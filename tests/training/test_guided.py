@@ -13,6 +13,7 @@ from uavrl.configs.checked import to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.flying.baselines import VectorFieldHistogram
 from uavrl.runs.episodes import read_episodes
+from uavrl.training.advice import warn_of_random_steps
 from uavrl.training.factory import make_training_env
 from uavrl.training.guided import GuidedEnv
 from uavrl.training.run import create_run, train
@@ -69,3 +70,11 @@ def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) ->
     config = small_config(tmp_path / "run", *walker, base=[])
     with pytest.raises(UavrlError, match="guide reads 'faces'"):
         make_training_env(to_dataclass(config), seed=0)
+
+
+def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for flights, told in ((20, True), (200, False)):
+        caplog.clear()
+        few = ["guide=vfh", "algo.random_steps=300", "env.max_steps=30", f"trainer.episodes={flights}"]
+        warn_of_random_steps(to_dataclass(small_config(tmp_path / "run", *few)))
+        assert ("the guide may fly all" in caplog.text) == told

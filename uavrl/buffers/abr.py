@@ -112,6 +112,7 @@ class ABRPlus(BackwardReward):
         if classifier.inputs != observations:
             raise UavrlError(
                 f"The artifact {artifact} classifies states of {classifier.inputs} numbers, these have "
-                f"{observations}: make one with uavrl-pretrain from a run with perception.frames={stacked}."
+                f"{observations}: make one with uavrl-pretrain from a run with "
+                f"this perception, perception.frames={stacked} and all."
             )
         super().__init__(classifier, stacked, multiplier, scale=scale, window=window)

@@ -65,7 +65,7 @@ class VectorFieldHistogram:
     has no memory, so it cannot leave a dead end on purpose.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the 32 faces instead of
-    a grid of cells. The defaults were chosen in training valleys (``benchmarks/tune_vfh.py``).
+    a grid of cells. The defaults were chosen in valleys 200 to 209 (``benchmarks/tune_vfh.py``).
 
     Args:
         flight_level: altitude to hold where nothing is in the way, m.

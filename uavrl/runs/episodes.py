@@ -140,7 +140,7 @@ class EpisodeLog:
 
     @property
     def window_began(self) -> int:
-        """Steps before the first episode of the window."""
+        """Steps of the episodes that ended before the window."""
         return self._recent[0].total_steps - self._recent[0].steps if self._recent else 0
 
     def mean_return(self) -> float:

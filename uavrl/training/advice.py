@@ -12,6 +12,13 @@ def warn_of_random_steps(settings: TrainConfig) -> None:
     """Before the run: its random steps may not end before it does."""
     random_steps, episodes = settings.algo.random_steps, settings.trainer.episodes
     if settings.guided:  # whose flights are learned from at once
+        if random_steps >= episodes * settings.env.get("max_steps", 300) // 3:
+            log.warning(
+                "algo.random_steps=%d: the guide may fly all of trainer.episodes=%d flights, and the policy none. "
+                "Choose fewer random steps or more episodes.",
+                random_steps,
+                episodes,
+            )
         return
     if random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6))):
         log.warning(

@@ -60,7 +60,7 @@ class EpisodeTrainer:
     episodes: int
     until_success: float | None  # the share of the last ``episode_log.window`` flights that ends the training before
     learns_after: int  # steps
-    judged_after: int  # steps; flights that began before are a guide's, and say nothing of the policy
+    judged_after: int  # steps; flights that ended before are a guide's, and say nothing of the policy
     seed: int
     checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
     progress: Progress = field(default_factory=lambda: Progress(0, 1, enabled=False))
