@@ -36,8 +36,8 @@ def mirror_observation(observation: Tensor, *, last_action: bool = False) -> Ten
     the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
 
     Args:
-        observation: ``[*B, F * 35]``, F stacked observations of :func:`uavrl.transforms.navigation_observation` with
-            folded angles.
+        observation: ``[*B, F * 35]`` (39 with ``last_action``), F stacked ones of
+            :func:`uavrl.transforms.navigation_observation` with folded angles.
         last_action: whether each observation ends with an action, as :class:`uavrl.transforms.LastAction` makes it.
 
     Raises:
