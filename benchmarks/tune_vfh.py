@@ -1,6 +1,6 @@
-"""Chooses the settings of `policy=vfh` in training valleys: which are best there, and nothing else, is asked.
+"""Chooses the costs of `policy=vfh` in training valleys: which are best there, and nothing else, is asked.
 
-    python benchmarks/tune_vfh.py [--settings 32] [--tasks 64] [--json FILE]
+    python benchmarks/tune_vfh.py [perception.key=value …] [--settings 32] [--tasks 64] [--json FILE]
 
 Settings are drawn at random; the present ones take part, too. All fly the same tasks in valleys 200 to
 209, which no evaluation uses, half of them with the default's obstacles and half with twice as many. The better quarter
@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from common import experiment, machine
 
-from uavrl.flying.baselines import VectorFieldHistogram
+from uavrl.flying.baselines import COSTS, Costs, VectorFieldHistogram
 from uavrl.flying.flight import fly
 from uavrl.runs.episodes import wilson
 from uavrl.training.factory import make_env
@@ -36,21 +37,21 @@ RANGES = {  # drawn uniformly in the logarithm
 }
 
 
-def drawn(count: int) -> list[dict[str, float]]:
+def drawn(count: int, present: dict[str, float]) -> list[dict[str, float]]:
     """The present settings, and others at random."""
     rng = np.random.default_rng(0)
-    settings: list[dict[str, float]] = [{}]
+    settings = [present]
     while len(settings) < count:
         settings.append({key: float(np.exp(rng.uniform(*np.log(ends)))) for key, ends in RANGES.items()})
     return settings
 
 
-def arrivals(environments: list[Any], setting: dict[str, float], tasks: int) -> int:
+def arrivals(environments: list[Any], rule: VectorFieldHistogram, tasks: int) -> int:
     """How many of the tasks, shared evenly between the environments, are solved."""
     solved = 0
     for env in environments:
         env.set_seed(SEED)
-        flights = fly(env, VectorFieldHistogram(**setting), tasks // len(environments))
+        flights = fly(env, rule, tasks // len(environments))
         solved += sum(flight.outcome == "arrived" for flight in flights)
     return solved
 
@@ -58,21 +59,25 @@ def arrivals(environments: list[Any], setting: dict[str, float], tasks: int) -> 
 def main() -> None:
     """Prints what is left after each round, best first."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("overrides", nargs="*", help="perception.key=value")
     parser.add_argument("--settings", type=int, default=32)
     parser.add_argument("--tasks", type=int, default=64, help="of each setting in the first round")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     environments = []
     for obstacles in OBSTACLES:
-        config = experiment(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}")
+        config = experiment(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}", *args.overrides)
         environments.append(make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES))
-    left, tasks = drawn(args.settings), args.tasks
+    seen = (config.perception.reduction, config.perception.statistic)
+    present = asdict(COSTS[seen])
+    left, tasks = drawn(args.settings, present), args.tasks
     rounds: list[list[dict[str, Any]]] = []
     while left:
-        found = [(arrivals(environments, setting, tasks), setting) for setting in left]
+        rules = [VectorFieldHistogram(3.5, config.perception.radius, *seen, Costs(**setting)) for setting in left]
+        found = [(arrivals(environments, rule, tasks), each) for rule, each in zip(rules, left, strict=True)]
         found.sort(key=lambda pair: -pair[0])
         rounds.append([{"setting": setting, **wilson(solved, tasks)} for solved, setting in found])
-        print(f"{len(left)} settings, {tasks} tasks each; present ones: {{}}")
+        print(f"{len(left)} settings, {tasks} tasks each; present ones: {present}")
         for row in rounds[-1][:8]:
             told = {key: round(value, 3) for key, value in row["setting"].items()}
             print(f"  {100 * row['rate']:5.1f} % ({100 * row['low']:.1f}-{100 * row['high']:.1f})  {told}", flush=True)
@@ -80,7 +85,7 @@ def main() -> None:
             break
         left, tasks = [setting for _, setting in found[: max(1, len(left) // 4)]], 4 * tasks
     if args.json:
-        told = {"machine": machine(), "valleys": VALLEYS, "obstacles": OBSTACLES, "rounds": rounds}
+        told = {"machine": machine(), "perception": seen, "valleys": VALLEYS, "obstacles": OBSTACLES, "rounds": rounds}
         args.json.write_text(json.dumps(told, indent=1))
 
 

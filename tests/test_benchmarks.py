@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -294,24 +295,29 @@ def test_the_setting_that_solves_most_is_left_and_flown_most(
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     import tune_vfh
 
-    settings = tune_vfh.drawn(16)
-    assert settings[0] == {} and settings == tune_vfh.drawn(16)
+    present = asdict(tune_vfh.COSTS["range_image", "proximity"])
+    settings = tune_vfh.drawn(16, present)
+    assert settings[0] == present and settings == tune_vfh.drawn(16, present)
     for setting in settings[1:]:
         assert all(low <= setting[key] <= high for key, (low, high) in tune_vfh.RANGES.items())
     flown: list[int] = []
 
     def fly(env: Any, policy: Any, tasks: int) -> list[Any]:
         flown.append(tasks)
-        outcome = "arrived" if policy.caution == settings[4]["caution"] else "collided"
+        outcome = "arrived" if policy.costs.caution == settings[4]["caution"] else "collided"
         return [SimpleNamespace(outcome=outcome)] * tasks
 
     monkeypatch.setattr(tune_vfh, "fly", fly)
     monkeypatch.setattr(tune_vfh, "make_env", lambda *parts, **more: SimpleNamespace(set_seed=lambda seed: None))
     monkeypatch.setattr(
-        sys, "argv", ["tune_vfh.py", "--settings", "16", "--tasks", "4", "--json", f"{tmp_path}/t.json"]
+        sys,
+        "argv",
+        f"tune_vfh.py perception.reduction=range_image --settings 16 --tasks 4 --json {tmp_path}/t.json".split(),
     )
     tune_vfh.main()
-    rounds = json.loads((tmp_path / "t.json").read_text())["rounds"]
+    told = json.loads((tmp_path / "t.json").read_text())
+    rounds = told["rounds"]
+    assert told["perception"] == ["range_image", "proximity"]
     assert [len(found) for found in rounds] == [16, 4, 1]
     assert rounds[2][0]["setting"] == settings[4] and rounds[2][0]["rate"] == 1.0
     assert flown == [2] * 32 + [8] * 8 + [32] * 2  # half of the tasks in each of the two worlds

@@ -29,9 +29,11 @@ def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
     config, fast = compose("preset=best"), compose("preset=fast")
     assert (config.algo.random_steps, fast.algo.random_steps) == (15_000, 2000)
     assert {**config.algo, "random_steps": 2000} == dict(fast.algo)
-    assert (config.guide.obstacle, compose("guide=vfh").guide.obstacle) == (3.0, 19.6)
+    assert (config.guide.reduction, compose("guide=vfh").guide.reduction) == ("range_image", "truncated_icosahedron")
     assert (config.choices.reward, config.choices.backward_reward) == ("traditional", "none")
     assert (config.perception.statistic, config.perception.last_action) == ("proximity", True)
+    assert compose("perception.reduction=range_image").perception.statistic == "proximity"
+    assert compose().perception.statistic == "face"
 
 
 @pytest.mark.parametrize(

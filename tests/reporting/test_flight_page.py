@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from tests.helpers.flights import small_recording, unpack
 from tests.helpers.pages import Page
@@ -20,7 +21,8 @@ from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.flying.recording import Recording
 from uavrl.reporting.flight_page import above_ground, make_page, pack, page_data, write_page
-from uavrl.reporting.flight_shapes import football
+from uavrl.reporting.flight_shapes import belt, football, shell
+from uavrl.transforms import range_image
 from uavrl.transforms.functional import truncated_icosahedron_faces
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -91,6 +93,19 @@ def test_the_football_is_that_of_the_reduction() -> None:
     np.testing.assert_allclose(heights, faces.offsets.numpy()[shape.faces, None].repeat(3, 1), atol=1e-5)
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((outward * faces.normals.numpy()[shape.faces]).sum(1) > 0).all()
+
+
+def test_the_belt_is_that_of_the_range_image() -> None:
+    shape = belt(4.0)
+    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
+    assert np.bincount(shape.faces).tolist() == [2] * 72
+    assert len(shape.edges) == 24 * 4 + 24 * 3  # four rings and three posts a column
+    corners = shape.vertices[shape.triangles]
+    middles = torch.tensor(corners.mean(1) * 0.5)
+    assert range_image(middles[:, None]).argmax(-1).tolist() == shape.faces.tolist()
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * corners.mean(1)).sum(1) > 0).all()
+    assert len(shell(32, 4.0).vertices) == 60 and len(shell(72, 4.0).vertices) == 96
 
 
 def test_foundations_are_left_out_and_nothing_else() -> None:

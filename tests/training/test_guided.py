@@ -12,10 +12,12 @@ from tests.helpers.runs import small_config
 from uavrl.configs.checked import to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.flying.baselines import VectorFieldHistogram
+from uavrl.losses.imitation import distance_to_guide
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.advice import warn_of_random_steps
 from uavrl.training.factory import make_training_env
 from uavrl.training.guided import GuidedEnv
+from uavrl.training.policies import load_policy
 from uavrl.training.run import create_run, train
 
 EASY = ["env.world.goal_radius=14", "env.world.obstacles=0", "env.max_steps=60", "env.world.min_clearance=3"]
@@ -34,6 +36,7 @@ def test_the_guides_actions_are_flown_with_noise_and_chance_flies_without_one(tm
         env = make_training_env(to_dataclass(config), seed=0)
         state = env.reset()
         expected = VectorFieldHistogram()(state.clone())["action"]
+        assert torch.equal(state["guide_action"], expected)
         got = env.rand_action(state)["action"]
         assert torch.equal(got, expected) == (noise == 0.0)
         torch.testing.assert_close(got, expected, atol=1.0, rtol=0.0)
@@ -66,7 +69,8 @@ def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_p
 
 
 def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) -> None:
-    walker = ["env=bipedal_hardcore", "guide=vfh", "guide.flight_level=3", "guide.radius=4"]
+    told = ["guide.flight_level=3", "guide.radius=4", "guide.reduction=range_image", "guide.statistic=proximity"]
+    walker = ["env=bipedal_hardcore", "guide=vfh", *told]
     config = small_config(tmp_path / "run", *walker, base=[])
     with pytest.raises(UavrlError, match="guide reads 'faces'"):
         make_training_env(to_dataclass(config), seed=0)
@@ -78,3 +82,29 @@ def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest
         few = ["guide=vfh", "algo.random_steps=300", "env.max_steps=30", f"trainer.episodes={flights}"]
         warn_of_random_steps(to_dataclass(small_config(tmp_path / "run", *few)))
         assert ("the guide may fly all" in caplog.text) == told
+
+
+def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> None:
+    """Where nothing is paid there is nothing to follow but the guide."""
+    seen = ["perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true", "algo.n_steps=3"]
+    learn = ["algo.random_steps=64", "trainer.episodes=40", "trainer.updates_per_step=2", "algo.actor_lr=1e-3"]
+    far = {}
+    for weight in (0.0, 100.0):
+        flown = ["guide=vfh", "enhancer=imitation", f"enhancer.weight={weight}", "algo.exploration_noise=0.1"]
+        config = small_config(tmp_path / f"run{weight}", *flown, *seen, *learn, *EASY)
+        train(config, create_run(config))
+        policy = load_policy(tmp_path / f"run{weight}", None, torch.device("cpu"), ())[1]
+        env = make_training_env(to_dataclass(config), seed=0)
+        states = env.rollout(20, policy=policy, break_when_any_done=False)
+        far[weight] = distance_to_guide(states["action"], states["guide_action"], 2.0).mean().item()
+        env.close()
+    assert far[100.0] < 0.5 * far[0.0]
+
+
+def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_path: Path) -> None:
+    alone = small_config(tmp_path / "a", "enhancer=imitation")
+    with pytest.raises(UavrlError, match="guide must be a guide's name"):
+        train(alone, create_run(alone))
+    fork = small_config(tmp_path / "b", "fork=on", "algo.n_steps=3")
+    with pytest.raises(UavrlError, match="n_steps must be 1"):
+        to_dataclass(fork)

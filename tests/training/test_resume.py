@@ -27,7 +27,14 @@ from uavrl.training.trainer import EpisodeTrainer
 PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
 DYNAMIC = ["env=dynamic", "perception.lidar.dropout=0.1"]
-GUIDED = ["guide=vfh", "algo.random_steps=60", "perception.last_action=true", "buffer.mirror=true"]
+GUIDED = [
+    "guide=vfh",
+    "enhancer=imitation",
+    "perception.reduction=range_image",
+    "algo.random_steps=60",
+    "perception.last_action=true",
+    "buffer.mirror=true",
+]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 

@@ -62,7 +62,9 @@ def choose(
 
     if folder is None:
         require_valley(settings.env, settings.choices, "policy")
-        policy = named_policy(str(settings.policy), settings.env.world.flight_level, settings.packages)
+        told = {str(key): value for key, value in settings.perception.items()}
+        told["flight_level"] = settings.env.world.flight_level
+        policy = named_policy(str(settings.policy), told, settings.packages)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
         chosen = Chosen(policy, *parts, {"policy": settings.policy})
     else:
@@ -126,18 +128,19 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
     return PACKAGED / str(policy) if policy in packaged_policies() else None
 
 
-def named_policy(name: str, flight_level: float, packages: Sequence[str]) -> Callable[[TensorDictBase], TensorDictBase]:
+def named_policy(
+    name: str, told: Mapping[str, Any], packages: Sequence[str]
+) -> Callable[[TensorDictBase], TensorDictBase]:
     """A policy that is no run: one that learns nothing, a model of Stable-Baselines3, or a class by its dotted name.
 
     Args:
         name: a baseline, a ``.zip``, or ``PACKAGE.MODULE.CLASS``.
-        flight_level: altitude in m, given to a class whose constructor names it.
+        told: ``flight_level``, and what perception says (``radius``, …); a constructor is given those that it names.
         packages: what the user trusts; ``stable_baselines3`` for a ``.zip``, since opening it can run programs.
     """
     from uavrl.flying.baselines import BASELINES
 
-    if name in BASELINES:
-        return BASELINES[name](flight_level)
+    target = f"{BASELINES[name].__module__}.{BASELINES[name].__name__}" if name in BASELINES else name
     if name.endswith(".zip"):
         from uavrl.flying.stable_baselines import StableBaselinesPolicy
 
@@ -145,10 +148,10 @@ def named_policy(name: str, flight_level: float, packages: Sequence[str]) -> Cal
             trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
             raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
         return StableBaselinesPolicy(name)
-    if "." in name:
+    if "." in target:
         from uavrl.configs.build import build
 
-        made = build({"_target_": name}, object, packages=packages, flight_level=flight_level)
+        made = build({**told, "_target_": target}, object, packages=packages)
         if not callable(made):
             raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
         return made

@@ -1,14 +1,16 @@
 """Policies that learn nothing: yardsticks for a task's difficulty."""
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.envs.navigation import ACTION_LIMIT
-from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.errors import UavrlError
+from uavrl.transforms.functional import Statistic
+from uavrl.transforms.reductions import REDUCTIONS, Reduction
 
 
 class StraightPolicy:
@@ -57,6 +59,37 @@ def directions(azimuths: int, elevations: tuple[float, ...]) -> Tensor:
     return torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1).flatten(0, 1)
 
 
+@dataclass(frozen=True)
+class Costs:
+    """What a direction costs a :class:`VectorFieldHistogram`, and how fast it is flown.
+
+    Attributes:
+        obstacle: of a direction whose cell is full.
+        goal: of a direction that leads away from the goal.
+        level: of a metre off the flight level after a second, in a direction.
+        turn: of a direction behind the UAV.
+        width: how near a cell must be to a direction to count: the power of the cosine between them.
+        nearness: power of what a cell tells over the radius; the greater, the less far things count.
+        caution: share of the speed that is left out where the way is full, in [0, 1].
+    """
+
+    obstacle: float
+    goal: float
+    level: float
+    turn: float
+    width: float
+    nearness: float
+    caution: float
+
+
+# Each chosen in valleys 200 to 209 (benchmarks/tune_vfh.py), but the second, which is a first guess.
+COSTS: dict[tuple[Reduction, Statistic], Costs] = {
+    ("truncated_icosahedron", "face"): Costs(19.6, 2.67, 0.121, 0.388, 4.44, 2.17, 0.773),
+    ("truncated_icosahedron", "proximity"): Costs(3.0, 1.0, 0.3, 0.2, 6.0, 2.0, 0.7),
+    ("range_image", "proximity"): Costs(5.0, 1.0, 0.3, 0.2, 6.0, 2.0, 0.95),
+}
+
+
 class VectorFieldHistogram:
     """Flies where the reduced scan is emptiest on the way to the goal: sees what a policy sees, and learns nothing.
 
@@ -64,19 +97,18 @@ class VectorFieldHistogram:
     flight level, and how far the UAV would have to turn. The cheapest is flown, the slower the more stands there. It
     has no memory, so it cannot leave a dead end on purpose.
 
-    Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the 32 faces instead of
-    a grid of cells. The defaults were chosen in valleys 200 to 209 (``benchmarks/tune_vfh.py``).
+    Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
+    instead of a grid.
 
     Args:
         flight_level: altitude to hold where nothing is in the way, m.
-        radius: circumradius of the reduction in m.
-        obstacle: cost of a direction whose face is full.
-        goal: cost of a direction that leads away from the goal.
-        level: cost of a metre off the flight level after a second, in a direction.
-        turn: cost of a direction behind the UAV.
-        width: how near a face must be to a direction to count: the power of the cosine between them.
-        nearness: power of a face's distance over ``radius``; the greater, the less far things count.
-        caution: share of the speed that is left out where the way is full, in [0, 1].
+        radius: of the reduction in m.
+        reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
+        statistic: what a cell tells, likewise.
+        costs: None for those that were chosen for this reduction and statistic.
+
+    Raises:
+        UavrlError: when there are no costs for these.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -94,43 +126,37 @@ class VectorFieldHistogram:
         self,
         flight_level: float = 3.5,
         radius: float = 4.0,
-        *,
-        obstacle: float = 19.6,
-        goal: float = 2.67,
-        level: float = 0.121,
-        turn: float = 0.388,
-        width: float = 4.44,
-        nearness: float = 2.17,
-        caution: float = 0.773,
+        reduction: Reduction = "truncated_icosahedron",
+        statistic: Statistic = "face",
+        costs: Costs | None = None,
     ) -> None:
+        if costs is None and (reduction, statistic) not in COSTS:
+            seen = "; ".join(" with ".join(pair) for pair in COSTS)
+            raise UavrlError(f"vfh has costs for {seen}, and none for {reduction} with {statistic}: hand some over.")
         self.flight_level, self.radius = flight_level, radius
-        self.obstacle, self.goal, self.level, self.turn = obstacle, goal, level, turn
-        self.nearness, self.caution = nearness, caution
+        self.costs = COSTS[reduction, statistic] if costs is None else costs
         self.directions = directions(24, (-0.5, 0.0, 0.5))
-        cosines = self.directions @ truncated_icosahedron_faces(radius).normals.float().T
-        self._seen_in = cosines.clamp_min(0) ** width  # [D, 32]: how much of each face counts in a direction
+        cosines = self.directions @ REDUCTIONS[reduction].directions().T
+        self._seen_in = cosines.clamp_min(0) ** self.costs.width  # [D, cells]: how much of each counts in a direction
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``."""
-        heading = torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
+        costs, heading = self.costs, torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
         x, y, z = self.directions.T
-        in_the_way = (tensordict["faces"] / self.radius) ** self.nearness @ self._seen_in.T  # [N, D]
+        in_the_way = (tensordict["faces"] / self.radius) ** costs.nearness @ self._seen_in.T  # [N, D]
         off_level = (tensordict["altitude"] + ACTION_LIMIT * z - self.flight_level).abs()
         cost = (
-            self.obstacle * in_the_way
-            + self.goal * (1 - x * heading.cos() - y * heading.sin())
-            + self.level * off_level
-            + self.turn * (1 - x)
+            costs.obstacle * in_the_way
+            + costs.goal * (1 - x * heading.cos() - y * heading.sin())
+            + costs.level * off_level
+            + costs.turn * (1 - x)
         )
         best = cost.argmin(-1)
         way = self.directions[best]
-        speed = ACTION_LIMIT * (1 - self.caution * in_the_way.gather(-1, best[:, None]).clamp(0, 1))
+        speed = ACTION_LIMIT * (1 - costs.caution * in_the_way.gather(-1, best[:, None]).clamp(0, 1))
         turn = (3 * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-ACTION_LIMIT, ACTION_LIMIT)
         return tensordict.set("action", torch.cat([speed * way, turn], -1))
 
 
-BASELINES: dict[str, Callable[[float], StraightPolicy | VectorFieldHistogram]] = {
-    "straight": StraightPolicy,
-    "vfh": VectorFieldHistogram,
-}
-"""By the name that chooses them on the command line; each is called with the flight level in m."""
+BASELINES = {"straight": StraightPolicy, "vfh": VectorFieldHistogram}
+"""By the name that chooses them on the command line."""

@@ -18,13 +18,13 @@ from uavrl.envs.world import World
 from uavrl.flying.flight import FlightMeter, Policy, rollout
 from uavrl.flying.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.flying.whereabouts import Whereabouts
-from uavrl.transforms import TruncatedIcosahedron
+from uavrl.transforms import PointCloudReduction
 
 Risk = Callable[[Tensor, Tensor], Tensor]
 _KEPT = ("position", "velocity", "distance", "clearance", "observation", "faces")
 
 
-def make_scenery(world: World, valley: int, reduction: TruncatedIcosahedron, sensor: Sequence[float]) -> Scenery:
+def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sensor: Sequence[float]) -> Scenery:
     """The valley with an index, as numbers to draw."""
     place, config = world.valleys[valley], world.config
     names = tuple(sorted({obstacle.kind for obstacle in place.obstacles}))
@@ -140,7 +140,7 @@ def record_flights(
         for task in tqdm(tasks, disable=not progress, unit="flight")
     )
     world, sensor = env.base_env.world, env.base_env.airframe.lidar_position
-    reduction = next(part for part in env.transform.modules() if isinstance(part, TruncatedIcosahedron))
+    reduction = next(part for part in env.transform.modules() if isinstance(part, PointCloudReduction))
     seen = {flight.summary.world_seed for flight in flights}
     sceneries = {
         valley.seed: make_scenery(world, i, reduction, sensor)

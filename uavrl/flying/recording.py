@@ -37,7 +37,7 @@ class RecordedFlight:
         clearances: ``[T + 1]``, from the hull to the nearest thing in m.
         risks: ``[T]``, the probability of a collision that LifeGuard sees in each action; ``[0]`` without LifeGuard.
         planes: ``[T + 1, K, 4]``: x, y, z in m and yaw in rad.
-        faces: ``[T + 1, 32]``, the reduction of the scan in m; 0 where a face reports nothing.
+        faces: ``[T + 1, cells]``, the reduction of the scan in m; 0 where a cell reports nothing.
         points: ``[P, 3]`` in m in the sensor's frame: the points of all scans, one scan after the other.
         point_ends: ``[T + 1]``, how many points there are up to and with each scan.
     """

@@ -4,9 +4,21 @@ from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.ddpg import DDPGLoss
 from uavrl.losses.enhancer import Enhancer, Model
 from uavrl.losses.fork import Fork
+from uavrl.losses.imitation import Imitation
 from uavrl.losses.lifeguard import LifeGuard
 from uavrl.losses.psae import PSAELoss
 from uavrl.losses.sac import SACLoss
 from uavrl.losses.td3 import TD3Loss
 
-__all__ = ["ActorCriticLoss", "DDPGLoss", "Enhancer", "Fork", "LifeGuard", "Model", "PSAELoss", "SACLoss", "TD3Loss"]
+__all__ = [
+    "ActorCriticLoss",
+    "DDPGLoss",
+    "Enhancer",
+    "Fork",
+    "Imitation",
+    "LifeGuard",
+    "Model",
+    "PSAELoss",
+    "SACLoss",
+    "TD3Loss",
+]

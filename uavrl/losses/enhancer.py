@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from tensordict import TensorDictBase, TensorDictParams
@@ -60,6 +60,9 @@ class Enhancer(ActorCriticLoss, LossModule):
         priority_weight: NestedKey = "priority_weight"
 
     default_keys = _AcceptedKeys
+
+    learns_from_single_steps: ClassVar[bool] = True
+    """Whether n-step returns would mislead it: its states must lie one step apart."""
 
     def __init__(self, base: ActorCriticLoss) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Shapes to draw: the vehicle and the truncated icosahedron around it."""
+"""Shapes to draw: the vehicle and the cells of the reduction around it."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -9,7 +9,8 @@ from scipy.spatial import HalfspaceIntersection
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
 from uavrl.envs.shapes import loft
-from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.transforms.functional import NUM_FACES, truncated_icosahedron_faces
+from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT
 
 ROTOR_RADIUS = 0.14  # m
 OUTCOMES = {"arrived": "#009E73", "collided": "#D55E00", "timed_out": "#56B4E9"}  # colours of Okabe and Ito
@@ -25,8 +26,8 @@ class Part(NamedTuple):
     colour: str
 
 
-class Football(NamedTuple):
-    """The truncated icosahedron as triangles and edges."""
+class Shell(NamedTuple):
+    """The cells of a reduction as triangles and edges; ``faces`` says to which cell a triangle belongs."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -71,7 +72,30 @@ def _bar(start: np.ndarray, end: np.ndarray, width: float) -> Mesh:
     return loft(np.stack([ring + start, ring + end]))
 
 
-def football(radius: float) -> Football:
+def shell(cells: int, radius: float) -> Shell:
+    """Returns the reduction's shell: of 32 cells the truncated icosahedron, of 72 the range image; ``radius`` in m."""
+    return football(radius) if cells == NUM_FACES else belt(radius)
+
+
+def belt(radius: float) -> Shell:
+    """Returns the range image's cells on the sphere of a radius in m."""
+    azimuth, elevation = np.meshgrid(
+        (np.arange(AZIMUTHS) - 0.5) * (2 * np.pi / AZIMUTHS),
+        (np.arange(ELEVATIONS + 1) - ELEVATIONS / 2) * HEIGHT,
+        indexing="ij",
+    )
+    across = np.cos(elevation)
+    vertices = radius * np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], -1)
+    numbers = np.arange(azimuth.size).reshape(azimuth.shape)
+    right, left = numbers, np.roll(numbers, -1, 0)
+    corners = np.stack([right[:, :-1], left[:, :-1], left[:, 1:], right[:, 1:]], -1).reshape(-1, 4)
+    triangles = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], 1).reshape(-1, 3)
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 3]], corners[:, [3, 0]]])
+    edges = np.unique(np.sort(sides, 1), axis=0)
+    return Shell(vertices.reshape(-1, 3), triangles, np.repeat(np.arange(len(corners)), 2), edges)
+
+
+def football(radius: float) -> Shell:
     """Returns the truncated icosahedron of a circumradius in m."""
     shape = truncated_icosahedron_faces(radius)
     normals, offsets = shape.normals.double().numpy(), shape.offsets.double().numpy()
@@ -86,4 +110,4 @@ def football(radius: float) -> Football:
         triangles += [(around[0], a, b) for a, b in pairwise(around[1:])]
         faces += [face] * (len(around) - 2)
         edges |= {tuple(sorted(edge)) for edge in zip(around.tolist(), np.roll(around, -1).tolist(), strict=True)}
-    return Football(vertices, np.array(triangles), np.array(faces), np.array(sorted(edges)))
+    return Shell(vertices, np.array(triangles), np.array(faces), np.array(sorted(edges)))

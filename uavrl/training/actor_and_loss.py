@@ -7,9 +7,10 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 
 from uavrl.configs.build import build, options, resolve
+from uavrl.configs.checks import require
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
-from uavrl.losses import ActorCriticLoss, Enhancer
+from uavrl.losses import ActorCriticLoss, Enhancer, Imitation
 from uavrl.training.network_sizes import NetworkSizes
 
 
@@ -33,10 +34,17 @@ def make_loss(
         for _ in range(loss_class.num_critics)
     ]
     loss = loss_class.of_networks(actor, critics, sizes.action_spec(device), **options(settings.algo, packages))
-    given = {"gamma": settings.algo.gamma, "stacked": sizes.frames, **_widths(sizes)}
+    given = {"gamma": settings.algo.gamma, "stacked": sizes.frames, "limit": sizes.limit, **_widths(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.enhancer):
         enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
-        loss = loss if enhanced is None else enhanced
+        if enhanced is None:
+            continue
+        steps = settings.algo.get("n_steps", 1)
+        single = enhanced.learns_from_single_steps
+        require(steps == 1 or not single, "algo.n_steps", f"1: {part._target_} learns from single steps", steps)
+        told = settings.guided or not isinstance(enhanced, Imitation)
+        require(told, "guide", "a guide's name, such as vfh: Imitation learns what it would do", None)
+        loss = enhanced
     return loss.to(device)
 
 

@@ -8,8 +8,9 @@ from tensordict import TensorDictBase
 
 from uavrl.buffers import EpisodeBuffer
 from uavrl.runs.episodes import split_episodes
+from uavrl.training.guided import GUIDE_ACTION
 
-# What is learned from; everything else that the environment emits is for metrics.
+# What is learned from, beside a guide's actions; everything else that the environment emits is for metrics.
 STORED_KEYS = (
     "observation",
     "action",
@@ -38,7 +39,7 @@ class Experience:
         if self.buffer.admission is not None:
             kept = [episode for episode in split_episodes(episodes) if self.buffer.admission.admits(episode)]
             episodes = torch.cat(kept) if kept else episodes[:0]
-        return episodes.select(*STORED_KEYS)
+        return episodes.select(*STORED_KEYS).update(episodes.select(GUIDE_ACTION, strict=False))
 
     def store(self, episodes: TensorDictBase) -> int:
         """Writes whole episodes ``[T]`` and says how many updates follow; also after one that is left out."""

@@ -16,7 +16,7 @@ from uavrl.configs.build import build, options, resolve
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.training.collecting import OURS, FlightCollector
-from uavrl.training.guided import GuidedEnv
+from uavrl.training.guided import GUIDE_ACTION, Guidance, GuidedEnv
 from uavrl.training.network_sizes import NetworkSizes, inner_transforms, network_sizes
 from uavrl.transforms import Mirror
 
@@ -76,7 +76,9 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
         return make_env(*parts, packages=packages, seed=seed)
     env = cast(GuidedEnv, make_env(*parts, packages=packages, seed=seed, kind=GuidedEnv))
     _require_keys(env, [(getattr(guide, "in_keys", ()), ())], "guide")
-    env.guide, env.noise = guide, make_noise(settings, network_sizes(env), torch.device("cpu"))
+    sizes = network_sizes(env)
+    env.append_transform(Guidance(guide, getattr(guide, "in_keys", ()), sizes.actions))
+    env.noise = make_noise(settings, sizes, torch.device("cpu"))
     return env
 
 
@@ -114,9 +116,9 @@ def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device
     algo = settings.algo
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
     multi_step = MultiStep(algo.n_steps, algo.gamma) if algo.n_steps > 1 else None
-    mirror = (
-        Mirror(last_action=settings.perception.get("last_action", False)) if settings.buffer.get("mirror") else None
-    )
+    seen = {key: settings.perception[key] for key in ("last_action", "reduction") if key in settings.perception}
+    actions = ["action", GUIDE_ACTION] if settings.guided else ["action"]
+    mirror = Mirror(actions=actions, **seen) if settings.buffer.get("mirror") else None
     chain = (multi_step, mirror, move)  # writes pass from the right, samples from the left
     transforms = [transform for transform in chain if transform is not None]
     buffer = build(

@@ -1,25 +1,59 @@
-"""First steps that a guide flies, and not chance."""
+"""A guide beside the policy: it flies the first steps, and says of every state what it would do there."""
 
 from collections.abc import Callable
+from typing import Any
 
 from tensordict import TensorDictBase
+from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import Transform
+
+GUIDE_ACTION = "guide_action"
+
+Guide = Callable[[TensorDictBase], TensorDictBase]
+
+
+class Guidance(Transform):
+    """Writes what a guide would do beside each observation.
+
+    Args:
+        guide: writes ``action`` into a TensorDict with the environment's observations.
+        in_keys: what it reads.
+        actions: numbers in an action.
+    """
+
+    def __init__(self, guide: Guide, in_keys: Any, actions: int) -> None:
+        super().__init__(in_keys=list(in_keys), out_keys=[GUIDE_ACTION])
+        self.guide, self.actions = guide, actions
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set(GUIDE_ACTION, self.guide(next_tensordict.copy())["action"])
+
+    forward = _call
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds the guide's action."""
+        assert isinstance(observation_spec, Composite)
+        observation_spec[GUIDE_ACTION] = Unbounded((*observation_spec.shape, self.actions))
+        return observation_spec
 
 
 class GuidedEnv(TransformedEnv):
     """An environment whose "random" actions, which TorchRL's collectors begin with, are a guide's with noise.
 
     Flights that arrive are in the buffer from the first update on (after Uchendu et al. (2023), Jump-Start
-    Reinforcement Learning, arXiv:2204.02372, whose guide begins every flight).
+    Reinforcement Learning, arXiv:2204.02372, whose guide begins every flight). It holds a :class:`Guidance`.
 
     Attributes:
-        guide: writes ``action`` into a TensorDict with the environment's observations.
-        noise: adds exploration noise to it.
+        noise: adds exploration noise to the guide's action.
     """
 
-    guide: Callable[[TensorDictBase], TensorDictBase]
-    noise: Callable[[TensorDictBase], TensorDictBase]
+    noise: Guide
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
         """The guide's action, with noise."""
-        return self.noise(self.guide(self.reset() if tensordict is None else tensordict))
+        tensordict = self.reset() if tensordict is None else tensordict
+        return self.noise(tensordict.set("action", tensordict[GUIDE_ACTION].clone()))

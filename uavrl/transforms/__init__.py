@@ -3,6 +3,9 @@
 from uavrl.transforms.last_action import LastAction
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
+from uavrl.transforms.point_cloud_reduction import PointCloudReduction
+from uavrl.transforms.range_image import RangeImage, range_image, range_image_directions
+from uavrl.transforms.reductions import REDUCTIONS
 from uavrl.transforms.rewards import (
     NavigationReward,
     SumOfTerms,
@@ -17,11 +20,14 @@ from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 from uavrl.transforms.walker import WalkerReward, walker_reward
 
 __all__ = [
+    "REDUCTIONS",
     "LastAction",
     "Mirror",
     "NavigationObservation",
     "NavigationReward",
     "NavigationState",
+    "PointCloudReduction",
+    "RangeImage",
     "SumOfTerms",
     "TraditionalReward",
     "TruncatedIcosahedron",
@@ -31,6 +37,8 @@ __all__ = [
     "navigation_observation",
     "navigation_reward",
     "navigation_terms",
+    "range_image",
+    "range_image_directions",
     "traditional_reward",
     "traditional_terms",
     "walker_reward",

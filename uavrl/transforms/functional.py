@@ -112,7 +112,7 @@ def truncated_icosahedron_faces(
         >>> [round(value, 4) for value in faces.normals[0].tolist()]
         [0.0, 0.5257, -0.8507]
     """
-    _check_radius(radius)
+    check_radius(radius)
     return TruncatedIcosahedronFaces(*(t.clone() for t in _faces(float(radius), dtype, torch.device(device))))
 
 
@@ -152,10 +152,9 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
         >>> faces.shape, faces.nonzero().tolist(), round(faces[11].item(), 4)
         (torch.Size([32]), [[11]], 0.7569)
     """
-    _check_points(points)
-    _check_radius(radius)
-    if statistic not in get_args(Statistic):
-        raise ValueError(f'statistic must be "face", "range" or "proximity", got {statistic!r}.')
+    check_points(points)
+    check_radius(radius)
+    check_statistic(statistic)
     radius = float(radius)
     batch, (_, centres, ids) = points.shape[:-2], _octant(radius, points.dtype, points.device)
     x, y, z = (coordinate.reshape(-1) for coordinate in points.unbind(-1))
@@ -174,9 +173,14 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     least = least.scatter_reduce(0, images.mul_(7).add_(faces), lengths, "amin").reshape(*batch, ids.numel())
     out = points.new_full((*batch, NUM_FACES), torch.inf)
     out = out.scatter_reduce(-1, ids.expand_as(least), least, "amin")
+    return told(out, radius, statistic)
+
+
+def told(least: Tensor, radius: float, statistic: Statistic) -> Tensor:
+    """What cells report: their least lengths, infinite where there is no point, or what ``"proximity"`` makes of it."""
     if statistic == "proximity":
-        return (radius - out).clamp_min(0.0)
-    return torch.where(out.isinf(), 0.0, out)
+        return (radius - least).clamp_min(0.0)
+    return torch.where(least.isinf(), 0.0, least)
 
 
 def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tensor, Tensor]:
@@ -199,12 +203,20 @@ def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tenso
     return torch.where(gap_to_pentagon < gap_to_hexagon, pentagons, hexagons + 3), inside
 
 
-def _check_radius(radius: float) -> None:
+def check_radius(radius: float) -> None:
+    """Refuses what is no length."""
     if not (isinstance(radius, Real) and 0.0 < radius <= LARGEST_RADIUS):
         raise ValueError(f"radius must be a positive length in metres, at most {LARGEST_RADIUS:g}, got {radius!r}.")
 
 
-def _check_points(points: Tensor) -> None:
+def check_statistic(statistic: Statistic) -> None:
+    """Refuses another word than the three."""
+    if statistic not in get_args(Statistic):
+        raise ValueError(f'statistic must be "face", "range" or "proximity", got {statistic!r}.')
+
+
+def check_points(points: Tensor) -> None:
+    """Refuses what is no cloud."""
     if not isinstance(points, Tensor):
         raise UavrlError(
             f"points must be a tensor [*B, P, 3], got a {type(points).__name__}: pass torch.tensor(points)."

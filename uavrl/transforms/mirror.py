@@ -8,37 +8,38 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from uavrl.transforms.functional import NUM_FACES, truncated_icosahedron_faces
+from uavrl.transforms.reductions import REDUCTIONS, Reduction
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
 ACTION_SIGNS = (1.0, -1.0, 1.0, -1.0)  # forward, left, up, yaw rate
-ALONE = NUM_FACES + 3  # numbers in an observation
-WITH_ACTION = ALONE + len(ACTION_SIGNS)  # and in one that ends with the last action
+BESIDE_SIGNS = (1.0, -1.0, 1.0)  # altitude, heading, elevation
 
 
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)
-def _places_and_signs(device: torch.device) -> tuple[Tensor, Tensor]:
-    """Where each of an observation's numbers comes from in the mirrored one, and its sign; the last 4 are an action."""
-    normals = truncated_icosahedron_faces(dtype=torch.float64).normals
-    image = ((normals * normals.new_tensor([1.0, -1.0, 1.0])) @ normals.T).argmax(-1)
-    places = torch.cat([image, torch.arange(NUM_FACES, WITH_ACTION)])
-    signs = torch.cat([torch.ones(ALONE), torch.tensor(ACTION_SIGNS)])
-    signs[NUM_FACES + 1] = -1.0  # the heading
-    return places.to(device), signs.to(device)
+def _places_and_signs(reduction: Reduction, last_action: bool, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Where each of an observation's numbers comes from in the mirrored one, and its sign."""
+    directions = REDUCTIONS[reduction].directions()
+    image = ((directions * directions.new_tensor([1.0, -1.0, 1.0])) @ directions.T).argmax(-1)
+    rest = torch.tensor(BESIDE_SIGNS + (ACTION_SIGNS if last_action else ()))
+    places = torch.cat([image, len(image) + torch.arange(len(rest))])
+    return places.to(device), torch.cat([torch.ones(len(image)), rest]).to(device)
 
 
-def mirror_observation(observation: Tensor, *, last_action: bool = False) -> Tensor:
+def mirror_observation(
+    observation: Tensor, *, last_action: bool = False, reduction: Reduction = "truncated_icosahedron"
+) -> Tensor:
     """What a vehicle sees in the mirror image of its world, left and right exchanged (y → -y).
 
-    The 32 faces change places, altitude and elevation stay, the heading changes its sign (Chansuparp (2022), §3.2, has
-    the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
+    The reduction's cells change places, altitude and elevation stay, the heading changes its sign (Chansuparp (2022),
+    §3.2, has the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
 
     Args:
-        observation: ``[*B, F * 35]`` (39 with ``last_action``), F stacked ones of
+        observation: ``[*B, F * 35]`` (4 more each with ``last_action``), F stacked ones of
             :func:`uavrl.transforms.navigation_observation` with folded angles.
         last_action: whether each observation ends with an action, as :class:`uavrl.transforms.LastAction` makes it.
+        reduction: what its first numbers come from, as in :class:`uavrl.transforms.NavigationState`.
 
     Raises:
         ValueError: for another width.
@@ -50,7 +51,7 @@ def mirror_observation(observation: Tensor, *, last_action: bool = False) -> Ten
         >>> mirrored.nonzero().flatten().tolist(), mirrored[33].item()
         ([1, 33], -0.25)
     """
-    places, signs = (each[: WITH_ACTION if last_action else ALONE] for each in _places_and_signs(observation.device))
+    places, signs = _places_and_signs(reduction, last_action, observation.device)
     if not observation.shape[-1] or observation.shape[-1] % len(places):
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
@@ -76,9 +77,9 @@ class Mirror(Transform):
 
     Args:
         in_keys: the observations, ``[B, F * 35]``, with folded angles.
-        action: key of the actions, ``[B, 4]``.
+        actions: keys of the actions, ``[B, 4]``.
         probability: of the image.
-        last_action: as in :func:`mirror_observation`.
+        last_action, reduction: as in :func:`mirror_observation`.
 
     Raises:
         ValueError: for a probability outside [0, 1].
@@ -95,24 +96,30 @@ class Mirror(Transform):
         self,
         in_keys: Sequence[NestedKey] = ("observation", ("next", "observation")),
         *,
-        action: NestedKey = "action",
+        actions: Sequence[NestedKey] = ("action",),
         probability: float = 0.5,
         last_action: bool = False,
+        reduction: Reduction = "truncated_icosahedron",
     ) -> None:
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"probability must be in [0, 1], got {probability}.")
-        super().__init__(in_keys=[*in_keys, action], out_keys=[*in_keys, action])
+        super().__init__(in_keys=[*in_keys, *actions], out_keys=[*in_keys, *actions])
+        self.num_actions = len(actions)
         self.probability = probability
         self.last_action = last_action
+        self.reduction = reduction
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
         tensordict = tensordict.copy()  # a slice of a storage is the storage
-        *observations, action = self.in_keys
-        device = tensordict.get(action).device
+        observations, actions = self.in_keys[: -self.num_actions], self.in_keys[-self.num_actions :]
+        device = tensordict.get(actions[0]).device
         mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
         for key in observations:
             value = tensordict.get(key)
-            tensordict.set(key, torch.where(mirrored, mirror_observation(value, last_action=self.last_action), value))
-        value = tensordict.get(action)
-        return tensordict.set(action, torch.where(mirrored, mirror_action(value), value))
+            image = mirror_observation(value, last_action=self.last_action, reduction=self.reduction)
+            tensordict.set(key, torch.where(mirrored, image, value))
+        for key in actions:
+            value = tensordict.get(key)
+            tensordict.set(key, torch.where(mirrored, mirror_action(value), value))
+        return tensordict

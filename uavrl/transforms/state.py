@@ -8,7 +8,7 @@ from uavrl.ranges import Count, Positive
 from uavrl.transforms.functional import Statistic
 from uavrl.transforms.last_action import LastAction
 from uavrl.transforms.observation import Angles, NavigationObservation
-from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+from uavrl.transforms.reductions import REDUCTIONS, Reduction
 
 ACTION_LIMIT = 2.0  # m/s and rad/s, which a network reads as 1
 
@@ -22,14 +22,15 @@ def _with_last_action() -> Iterator[Transform]:
 class NavigationState(Compose):
     """Everything between what :class:`uavrl.envs.NavigationEnv` emits and what a policy reads.
 
-    The scan becomes 32 faces, faces, altitude and goal angles an observation, and ``frames`` of these, oldest first,
-    the state (Chansuparp (2022), §3.2).
+    The scan becomes 32 faces (or what another reduction makes of it), these with altitude and goal angles an
+    observation, and ``frames`` of these, oldest first, the state (Chansuparp (2022), §3.2).
 
     Args:
         radius: the ball's radius, m.
         statistic: as in :class:`TruncatedIcosahedron`.
         flight_level: the altitude at which an observation's altitude is 0, m.
         angles: as in :class:`NavigationObservation`.
+        reduction: of the scan: ``"truncated_icosahedron"``, or the 72 cells of a ``"range_image"``.
         last_action: whether an observation also holds the action that led to it.
         frames: observations in a state.
         keep_cloud: whether ``point_cloud`` stays beside the state.
@@ -52,11 +53,14 @@ class NavigationState(Compose):
         angles: Angles = "folded",
         frames: Count = 3,
         *,
+        reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
         keep_cloud: bool = False,
     ) -> None:
+        if reduction not in REDUCTIONS:
+            raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(
-            TruncatedIcosahedron(radius=radius, statistic=statistic, del_keys=not keep_cloud),
+            REDUCTIONS[reduction](radius=radius, statistic=statistic, del_keys=not keep_cloud),
             NavigationObservation(radius, flight_level, angles),
             *(_with_last_action() if last_action else ()),
             CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),

@@ -115,7 +115,7 @@ function goalShape([x, y, z], [radius, height]) {
 // Index of each trace; those from FLOWN on move.
 const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, VEHICLE, MARK, POINTS,
   EDGES, FACES] = Array(16).keys();
-const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["32 faces", [FACES, EDGES], "#fdc066"],
+const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["what is seen", [FACES, EDGES], "#fdc066"],
   ["obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
 
@@ -171,7 +171,7 @@ function manyPlanes(place, count) {
 // What changes at a moment, by trace.
 function changes(flight, moment) {
   const place = sceneries[flight.world_seed], position = row(flight.positions, moment);
-  const turn = row(flight.attitudes, moment, 4), reported = row(flight.faces, moment, 32);
+  const turn = row(flight.attitudes, moment, 4), reported = row(flight.faces, moment, flight.faces.length / flight.moments);
   const from = moment ? flight.point_ends[moment - 1] : 0, cloud = flight.points.subarray(3 * from, 3 * flight.point_ends[moment]);
   const range = Array.from({ length: cloud.length / 3 }, (_, i) => Math.hypot(...row(cloud, i)));
   const shell = placed(ball.vertices, turn, position, place.sensor), edges = { x: [], y: [], z: [] };

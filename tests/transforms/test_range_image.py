@@ -1,0 +1,127 @@
+"""The coarse range image: literal values, an oracle, and what TorchRL asks of a transform."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import TransformedEnv, check_env_specs
+
+from tests.helpers.contracts import TransformContract
+from uavrl.envs import NavigationEnv
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.world import WorldConfig
+from uavrl.transforms import NavigationState, RangeImage, mirror_observation, range_image, range_image_directions
+
+
+def towards(azimuth_deg: float, elevation_deg: float, distance: float) -> list[float]:
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    across = distance * math.cos(elevation)
+    return [across * math.cos(azimuth), across * math.sin(azimuth), distance * math.sin(elevation)]
+
+
+def oracle(points: np.ndarray, radius: float, statistic: str) -> np.ndarray:
+    """Point by point, with angles in degrees."""
+    least = [math.inf] * 72
+    for x, y, z in points:
+        distance = math.sqrt(x * x + y * y + z * z)
+        if not distance < radius:
+            continue
+        azimuth, elevation = math.degrees(math.atan2(y, x)), math.degrees(math.asin(z / distance))
+        column, row = math.floor((azimuth + 7.5) / 15) % 24, 0 if elevation < -5 else 1 if elevation < 5 else 2
+        middle = towards(15 * column, 10 * (row - 1), radius)
+        told = math.dist((x, y, z), middle) if statistic == "face" else distance
+        least[3 * column + row] = min(least[3 * column + row], told, radius)
+    nothing = math.inf if statistic == "proximity" else 0.0
+    told_all = [nothing if math.isinf(value) else value for value in least]
+    return np.array([max(radius - value, 0.0) if statistic == "proximity" else value for value in told_all])
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "elevation", "cell"),
+    [(0, 0, 1), (7, 0, 1), (8, 0, 4), (-8, 0, 70), (90, 10, 20), (180, -10, 36), (-90, 4, 55), (0, 80, 2), (0, -60, 0)],
+)
+def test_a_point_belongs_to_its_cell(azimuth: float, elevation: float, cell: int) -> None:
+    image = range_image(torch.tensor([towards(azimuth, elevation, 1.5)]))
+    assert image.nonzero().tolist() == [[cell]]
+    assert image[cell].item() == pytest.approx(2.5)
+    by_range = range_image(torch.tensor([towards(azimuth, elevation, 1.5)]), statistic="range")
+    assert by_range[cell].item() == pytest.approx(1.5)
+
+
+def test_directions_are_the_cells_middles() -> None:
+    directions = range_image_directions()
+    assert range_image(directions[:, None]).argmax(-1).tolist() == list(range(72))
+    torch.testing.assert_close(directions[3 * 6 + 2], torch.tensor(towards(90, 10, 1.0)))
+    torch.testing.assert_close(directions.norm(dim=-1), torch.ones(72))
+
+
+@pytest.mark.parametrize("statistic", ["face", "range", "proximity"])
+@pytest.mark.parametrize("radius", [4.0, 2.5])
+def test_it_agrees_with_the_oracle(statistic: str, radius: float) -> None:
+    points = np.random.default_rng(0).normal(scale=(2.0, 2.0, 0.6), size=(4000, 3))
+    got = range_image(torch.tensor(points), radius, statistic)  # type: ignore[arg-type]
+    np.testing.assert_allclose(got, oracle(points, radius, statistic), atol=1e-9)
+
+
+def test_batches_order_and_misses_change_nothing() -> None:
+    clouds = torch.randn(2, 3, 500, 3, generator=torch.Generator().manual_seed(0)) * 2
+    whole = range_image(clouds)
+    assert whole.shape == (2, 3, 72)
+    shuffled = clouds[..., torch.randperm(500), :]
+    bad = torch.tensor([torch.nan, torch.inf, -torch.inf])
+    padded = torch.cat([shuffled, bad[:, None].expand(2, 3, 3, 3)], -2)
+    assert range_image(padded).equal(whole)
+    assert range_image(clouds[1, 2]).equal(whole[1, 2])
+    assert range_image(torch.empty(2, 0, 3)).equal(torch.zeros(2, 72))
+    assert range_image(torch.zeros(1, 3)).amax() > 3.999  # touching is not nothing
+    assert range_image(torch.zeros(1, 3), statistic="range").count_nonzero() == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [((torch.zeros(5, 2),), "shape"), ((torch.zeros(5, 3), 0.0), "radius"), ((torch.zeros(5, 3), 4.0, "mean"), "stat")],
+)
+def test_wrong_arguments(arguments: tuple, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        range_image(*arguments)
+
+
+def test_a_mirrored_scan_is_the_mirrored_observation() -> None:
+    clouds = torch.randn(8, 300, 3, generator=torch.Generator().manual_seed(1)) * 2
+    seen, image = (
+        torch.cat([range_image(points) / 4, beside], -1)
+        for points, beside in (
+            (clouds, torch.tensor([0.1, 0.2, 0.3]).expand(8, 3)),
+            (clouds * torch.tensor([1.0, -1.0, 1.0]), torch.tensor([0.1, -0.2, 0.3]).expand(8, 3)),
+        )
+    )
+    torch.testing.assert_close(mirror_observation(seen, reduction="range_image"), image)
+
+
+def test_the_state_of_a_flight() -> None:
+    base = NavigationEnv(2, world=WorldConfig(size=(60.0, 60.0), obstacles=6), lidar=LidarConfig(max_range=4.0))
+    env = TransformedEnv(base, NavigationState(reduction="range_image", statistic="proximity", last_action=True))
+    check_env_specs(env)
+    flown = env.rollout(3)
+    assert flown["observation"].shape == (2, 3, 3 * (72 + 3 + 4))
+    torch.testing.assert_close(flown["observation"][..., -79:-7], flown["faces"] / 4)
+    with pytest.raises(ValueError, match="reduction must be one of truncated_icosahedron, range_image"):
+        NavigationState(reduction="cube")  # type: ignore[arg-type]
+
+
+class TestTransform(TransformContract):
+    def make_transform(self) -> RangeImage:
+        return RangeImage()
+
+    def make_data(self, *batch: int) -> TensorDict:
+        return TensorDict(
+            {"point_cloud": torch.randn(*batch, 60, 3, generator=torch.Generator().manual_seed(0))}, batch
+        )
+
+    @staticmethod
+    def make_env() -> object:
+        from tests.transforms.test_truncated_icosahedron import CloudEnv
+
+        return CloudEnv((3,))

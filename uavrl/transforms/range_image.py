@@ -1,0 +1,119 @@
+"""A coarse range image: the scan in cells of azimuth and elevation, as fine as what a VLP-16 sees."""
+
+import math
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from uavrl.transforms.functional import Statistic, check_points, check_radius, check_statistic, told
+from uavrl.transforms.point_cloud_reduction import PointCloudReduction
+
+__all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "range_image", "range_image_directions"]
+
+AZIMUTHS, ELEVATIONS = 24, 3
+HEIGHT = math.radians(10.0)  # of a cell: three span the ±15 degrees of a VLP-16
+_TOUCHING = 1e-6  # relative: a cell with a point in it never reads 0, which means "no point"
+
+
+@lru_cache(maxsize=8)
+@torch.inference_mode(False)
+def _directions(dtype: torch.dtype, device: torch.device) -> Tensor:
+    azimuth, elevation = torch.meshgrid(
+        torch.arange(AZIMUTHS, dtype=torch.float64) * (math.tau / AZIMUTHS),
+        (torch.arange(ELEVATIONS, dtype=torch.float64) - (ELEVATIONS - 1) / 2) * HEIGHT,
+        indexing="ij",
+    )
+    across = elevation.cos()
+    return (
+        torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1)
+        .flatten(0, 1)
+        .to(device, dtype)
+    )
+
+
+def range_image_directions(*, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Tensor:
+    """Unit vectors ``[72, 3]`` through the middles of the cells, in the order in which `range_image` reports them.
+
+    Azimuths 0, 15, … 345 degrees (0 is forward, 90 left), and of each the elevations -10, 0 and 10 degrees.
+
+    Examples:
+        >>> range_image_directions()[1].tolist()
+        [1.0, 0.0, 0.0]
+    """
+    return _directions(dtype, torch.device(device)).clone()
+
+
+def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "proximity") -> Tensor:
+    """Reduces point clouds to 72 distances, one for each cell of 15 degrees of azimuth and 10 of elevation.
+
+    A VLP-16 sees 15 degrees up and down. Of the 32 faces of a truncated icosahedron a dozen lie there, each some 40
+    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells. Points
+    farther than ``radius``, and those with a NaN or an infinite coordinate, are misses.
+
+    Args:
+        points: ``[*B, P, 3]`` in metres, float32 or float64, in the sensor frame (x forward, y left, z up), in any
+            order; ``P`` may be 0.
+        radius: of the ball in metres.
+        statistic: as in `uavrl.transforms.functional.truncated_icosahedron`; ``"face"`` is the distance to the point
+            where the cell's middle meets the ball.
+
+    Returns:
+        ``[*B, 72]`` in metres within [0, ``radius``] (``"face"``: cut there), in the order of
+        `range_image_directions`.
+
+    Raises:
+        ValueError: if the shape, the dtype, the radius or the statistic is not as above.
+
+    Examples:
+        One point 3 m ahead and one miss:
+
+        >>> image = range_image(torch.tensor([[3.0, 0.0, 0.0], [torch.nan] * 3]))
+        >>> image.shape, image.nonzero().tolist(), image[1].item()
+        (torch.Size([72]), [[1]], 1.0)
+    """
+    check_points(points)
+    check_radius(radius)
+    check_statistic(statistic)
+    batch, cells = points.shape[:-2], AZIMUTHS * ELEVATIONS
+    x, y, z = (coordinate.reshape(-1) for coordinate in points.unbind(-1))
+    kept = (x * x + y * y).addcmul_(z, z).lt(float(radius) ** 2).nonzero()[:, 0]  # False for NaN and inf
+    x, y, z = (coordinate.index_select(0, kept) for coordinate in (x, y, z))
+    across = (x * x + y * y).sqrt()
+    column = (torch.atan2(y, x) * (AZIMUTHS / math.tau)).round().long().remainder(AZIMUTHS)
+    row = (torch.atan2(z, across) / HEIGHT).add_((ELEVATIONS - 1) / 2).round().long().clamp(0, ELEVATIONS - 1)
+    cell = column * ELEVATIONS + row
+    if statistic == "face":
+        middles = float(radius) * _directions(points.dtype, points.device)
+        x, y, z = (at - middle.index_select(0, cell) for at, middle in zip((x, y, z), middles.T, strict=True))
+    lengths = (x * x + y * y).addcmul_(z, z).sqrt().clamp(_TOUCHING * radius, radius)
+    cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
+    least = points.new_full((batch.numel() * cells,), torch.inf)
+    least = least.scatter_reduce(0, cloud * cells + cell, lengths, "amin").reshape(*batch, cells)
+    return told(least, float(radius), statistic)
+
+
+class RangeImage(PointCloudReduction):
+    """Reduces point clouds to the 72 distances of a coarse range image.
+
+    The maths is `uavrl.transforms.range_image`. The cloud itself is dropped from the data and from the specs.
+
+    Args:
+        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame, NaN where a ray hit nothing.
+        out_keys: one key per cloud for ``[*B, 72]`` in metres, within [0, ``radius``].
+        radius: of the ball in metres.
+        statistic: as in `uavrl.transforms.TruncatedIcosahedron`, but ``"proximity"`` if nothing is said.
+        del_keys: whether the point clouds are removed. ``False`` keeps them beside the cells.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from uavrl.transforms import RangeImage
+        >>> reduce = RangeImage()
+        >>> reduce(TensorDict(point_cloud=torch.full((2, 28928, 3), torch.nan), batch_size=[2]))["faces"].shape
+        torch.Size([2, 72])
+    """
+
+    default_statistic = "proximity"
+    reduced = staticmethod(range_image)
+    directions = staticmethod(range_image_directions)
