@@ -31,7 +31,7 @@ from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.vlp16 import NUM_RAYS
 from uavrl.training.factory import make_env
-from uavrl.transforms import NavigationObservation, NavigationReward, TruncatedIcosahedron
+from uavrl.transforms import NavigationObservation, NavigationReward, PointCloudReduction
 
 PHYSICS, RAYS = "bare PyBullet physics", "bare Embree rays"
 COLLECTOR = "TorchRL: collector, TensorDict, TransformedEnv"
@@ -39,7 +39,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     "physics: stepSimulation": [(pybullet, "stepSimulation")],
     "physics: control, rotors, reading states, contacts": [(Simulation, "step"), (Simulation, "reset")],
     "rays: aiming, culling, casting, points": [(Lidar, "scan")],
-    "reduction": [(TruncatedIcosahedron, "_call")],
+    "reduction": [(PointCloudReduction, "_call")],
     "reward, observation, frames": [
         (NavigationReward, "_step"),
         (NavigationObservation, "_call"),

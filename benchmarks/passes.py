@@ -13,6 +13,7 @@ from torchrl.envs.utils import step_mdp
 
 from uavrl.configs import TrainConfig
 from uavrl.envs import NavigationEnv
+from uavrl.errors import UavrlError
 from uavrl.training.factory import make_env
 from uavrl.transforms.functional import truncated_icosahedron
 
@@ -71,6 +72,8 @@ def passes(offset: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.nda
 @torch.no_grad()
 def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBase], steps: int) -> Iterator[Moment]:
     """Flies a policy; every scan is taken twice, with and without the planes."""
+    if config.perception.get("reduction", "truncated_icosahedron") != "truncated_icosahedron":
+        raise UavrlError("This reads the thesis's 32 faces: leave out perception.reduction.")
     env = make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES)
     base = env.base_env
     assert isinstance(base, NavigationEnv)

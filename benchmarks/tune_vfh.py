@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from common import experiment, machine
 
-from uavrl.flying.baselines import COSTS, Costs, VectorFieldHistogram
+from uavrl.flying.baselines import COSTS, VectorFieldHistogram
+from uavrl.flying.costs import Costs
 from uavrl.flying.flight import fly
 from uavrl.runs.episodes import wilson
 from uavrl.training.factory import make_env
@@ -68,12 +69,13 @@ def main() -> None:
     for obstacles in OBSTACLES:
         config = experiment(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}", *args.overrides)
         environments.append(make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES))
+    flown = (config.perception.flight_level, config.perception.radius)
     seen = (config.perception.reduction, config.perception.statistic)
-    present = asdict(COSTS[seen])
+    present = asdict(COSTS.get(seen, COSTS["range_image", "proximity"]))
     left, tasks = drawn(args.settings, present), args.tasks
     rounds: list[list[dict[str, Any]]] = []
     while left:
-        rules = [VectorFieldHistogram(3.5, config.perception.radius, *seen, Costs(**setting)) for setting in left]
+        rules = [VectorFieldHistogram(*flown, *seen, Costs(**setting)) for setting in left]
         found = [(arrivals(environments, rule, tasks), each) for rule, each in zip(rules, left, strict=True)]
         found.sort(key=lambda pair: -pair[0])
         rounds.append([{"setting": setting, **wilson(solved, tasks)} for solved, setting in found])

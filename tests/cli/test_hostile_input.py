@@ -152,6 +152,12 @@ def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does
         require_memory(large, memory=1e9)
 
 
+def test_the_estimate_of_a_buffer_knows_what_is_seen() -> None:
+    """Two states of three frames of 72 cells, altitude, two angles and an action, and the guide's action beside."""
+    best = bytes_needed(to_dataclass(composed("config", "preset=best")))["buffer.capacity"]
+    assert 1.0 <= best / (1_000_000 * 4 * (2 * 3 * 79 + 4)) < 1.3
+
+
 def test_the_estimate_of_a_network_is_the_size_of_its_weights() -> None:
     wide = bytes_needed(to_dataclass(composed("config", "algo.hidden=[1000,3000]")))
     actor = 106 * 1000 + 1001 * 3000 + 3001 * 4

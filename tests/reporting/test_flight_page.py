@@ -22,8 +22,8 @@ from uavrl.errors import UavrlError
 from uavrl.flying.recording import Recording
 from uavrl.reporting.flight_page import above_ground, make_page, pack, page_data, write_page
 from uavrl.reporting.flight_shapes import belt, football, shell
-from uavrl.transforms import range_image
 from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.transforms.range_image import range_image
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")

@@ -12,6 +12,7 @@ from tests.helpers.runs import small_config
 from uavrl.configs.checked import to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.flying.baselines import VectorFieldHistogram
+from uavrl.losses import Enhancer
 from uavrl.losses.imitation import distance_to_guide
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.advice import warn_of_random_steps
@@ -21,6 +22,13 @@ from uavrl.training.policies import load_policy
 from uavrl.training.run import create_run, train
 
 EASY = ["env.world.goal_radius=14", "env.world.obstacles=0", "env.max_steps=60", "env.world.min_clearance=3"]
+
+
+class Calm(Enhancer):
+    """An enhancer from elsewhere that says nothing of n-step returns."""
+
+    def actor_term(self, acted: TensorDictBase) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        return acted["action"].square().sum(-1), {}
 
 
 class Still:
@@ -85,7 +93,6 @@ def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest
 
 
 def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> None:
-    """Where nothing is paid there is nothing to follow but the guide."""
     seen = ["perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true", "algo.n_steps=3"]
     learn = ["algo.random_steps=64", "trainer.episodes=40", "trainer.updates_per_step=2", "algo.actor_lr=1e-3"]
     far = {}
@@ -105,6 +112,7 @@ def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_pat
     alone = small_config(tmp_path / "a", "enhancer=imitation")
     with pytest.raises(UavrlError, match="guide must be a guide's name"):
         train(alone, create_run(alone))
-    fork = small_config(tmp_path / "b", "fork=on", "algo.n_steps=3")
-    with pytest.raises(UavrlError, match="n_steps must be 1"):
-        to_dataclass(fork)
+    calm = small_config(tmp_path / "b", "algo.n_steps=3")
+    calm.packages, calm.enhancer = ["tests"], {"_target_": "tests.training.test_guided.Calm"}
+    with pytest.raises(UavrlError, match=r"n_steps must be 1: tests.training.test_guided.Calm learns from single"):
+        train(calm, create_run(calm))

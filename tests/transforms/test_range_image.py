@@ -12,7 +12,8 @@ from tests.helpers.contracts import TransformContract
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
-from uavrl.transforms import NavigationState, RangeImage, mirror_observation, range_image, range_image_directions
+from uavrl.transforms import Mirror, NavigationState, RangeImage, mirror_observation
+from uavrl.transforms.range_image import range_image, range_image_directions
 
 
 def towards(azimuth_deg: float, elevation_deg: float, distance: float) -> list[float]:
@@ -98,6 +99,25 @@ def test_a_mirrored_scan_is_the_mirrored_observation() -> None:
         )
     )
     torch.testing.assert_close(mirror_observation(seen, reduction="range_image"), image)
+
+
+def test_a_mirror_shows_the_guides_action_as_the_policys() -> None:
+    data = TensorDict(
+        {
+            "observation": torch.rand(4, 75),
+            "action": torch.ones(4, 4),
+            "guide_action": torch.full((4, 4), 0.5),
+            "next": {"observation": torch.rand(4, 75)},
+        },
+        [4],
+    )
+    image = Mirror(actions=["action", "guide_action"], probability=1.0, reduction="range_image")(data)
+    assert image["action"][0].tolist() == [1.0, -1.0, 1.0, -1.0]
+    assert image["guide_action"][0].tolist() == [0.5, -0.5, 0.5, -0.5]
+    seen = mirror_observation(data["next", "observation"], reduction="range_image")
+    assert image["next", "observation"].equal(seen)
+    with pytest.raises(ValueError, match="reduction must be one of"):
+        Mirror(reduction="cube")  # type: ignore[arg-type]
 
 
 def test_the_state_of_a_flight() -> None:

@@ -135,7 +135,8 @@ def named_policy(
 
     Args:
         name: a baseline, a ``.zip``, or ``PACKAGE.MODULE.CLASS``.
-        told: ``flight_level``, and what perception says (``radius``, …); a constructor is given those that it names.
+        told: ``flight_level``, and what perception says (``radius``, …): a baseline is given what its constructor
+            names, any other class the ``flight_level``.
         packages: what the user trusts; ``stable_baselines3`` for a ``.zip``, since opening it can run programs.
     """
     from uavrl.flying.baselines import BASELINES
@@ -151,7 +152,8 @@ def named_policy(
     if "." in target:
         from uavrl.configs.build import build
 
-        made = build({**told, "_target_": target}, object, packages=packages)
+        given = told if name in BASELINES else {"flight_level": told["flight_level"]}
+        made = build({**given, "_target_": target}, object, packages=packages)
         if not callable(made):
             raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
         return made

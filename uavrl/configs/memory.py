@@ -21,7 +21,8 @@ def bytes_needed(settings: TrainConfig) -> dict[str, float]:
     """An estimate of what a training takes, by the key that decides most of it: of two critics, in a valley."""
     uavs, frames = settings.env.get("num_uavs", 1), settings.perception.get("frames", 1)
     actions = 4
-    frame = 35 + actions * settings.perception.get("last_action", False)
+    cells = 72 if settings.perception.get("reduction") == "range_image" else 32
+    frame = cells + 3 + actions * settings.perception.get("last_action", False)
     state, batch, capacity = frame * frames, settings.algo.batch_size, settings.buffer.get("capacity", 0)
     widths = {"algo.hidden": (settings.algo.hidden, 3)}
     for name, part in settings.fork.items():
@@ -29,7 +30,7 @@ def bytes_needed(settings: TrainConfig) -> dict[str, float]:
             widths[f"fork.{name!s}.hidden"] = (part["hidden"], 1)
     hidden_values = 4 * sum(sum(hidden) for hidden, _ in widths.values())  # of one transition, with their gradients
     kept = frame * 17 / 16 if settings.algo.n_steps == 1 else 2 * state * 9 / 8  # both states whole: they share none
-    transition = kept * NUMBER + 42
+    transition = (kept + actions * settings.guided) * NUMBER + 42
     parts = {
         "env.num_uavs": uavs * _processes(settings) * VEHICLE,
         "buffer.capacity": capacity * (transition + 32 * ("alpha" in settings.buffer)),

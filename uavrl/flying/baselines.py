@@ -1,7 +1,6 @@
 """Policies that learn nothing: yardsticks for a task's difficulty."""
 
 import math
-from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
@@ -9,6 +8,7 @@ from torch import Tensor
 
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.errors import UavrlError
+from uavrl.flying.costs import Costs
 from uavrl.transforms.functional import Statistic
 from uavrl.transforms.reductions import REDUCTIONS, Reduction
 
@@ -59,35 +59,18 @@ def directions(azimuths: int, elevations: tuple[float, ...]) -> Tensor:
     return torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1).flatten(0, 1)
 
 
-@dataclass(frozen=True)
-class Costs:
-    """What a direction costs a :class:`VectorFieldHistogram`, and how fast it is flown.
-
-    Attributes:
-        obstacle: of a direction whose cell is full.
-        goal: of a direction that leads away from the goal.
-        level: of a metre off the flight level after a second, in a direction.
-        turn: of a direction behind the UAV.
-        width: how near a cell must be to a direction to count: the power of the cosine between them.
-        nearness: power of what a cell tells over the radius; the greater, the less far things count.
-        caution: share of the speed that is left out where the way is full, in [0, 1].
-    """
-
-    obstacle: float
-    goal: float
-    level: float
-    turn: float
-    width: float
-    nearness: float
-    caution: float
-
-
 # Chosen in valleys 200 to 209: the first by benchmarks/tune_vfh.py, the last as the best of a dozen tried by hand. The
 # second is a first guess.
 COSTS: dict[tuple[Reduction, Statistic], Costs] = {
-    ("truncated_icosahedron", "face"): Costs(19.6, 2.67, 0.121, 0.388, 4.44, 2.17, 0.773),
-    ("truncated_icosahedron", "proximity"): Costs(3.0, 1.0, 0.3, 0.2, 6.0, 2.0, 0.7),
-    ("range_image", "proximity"): Costs(1.0, 1.0, 0.3, 0.2, 6.0, 2.0, 0.9),
+    ("truncated_icosahedron", "face"): Costs(
+        obstacle=19.6, goal=2.67, level=0.121, turn=0.388, width=4.44, nearness=2.17, caution=0.773
+    ),
+    ("truncated_icosahedron", "proximity"): Costs(
+        obstacle=3.0, goal=1.0, level=0.3, turn=0.2, width=6.0, nearness=2.0, caution=0.7
+    ),
+    ("range_image", "proximity"): Costs(
+        obstacle=1.0, goal=1.0, level=0.3, turn=0.2, width=6.0, nearness=2.0, caution=0.9
+    ),
 }
 
 
@@ -105,7 +88,7 @@ class VectorFieldHistogram:
         flight_level: altitude to hold where nothing is in the way, m.
         radius: of the reduction in m.
         reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
-        statistic: what a cell tells, likewise.
+        statistic: what a cell tells, likewise; None for the reduction's default.
         costs: None for those that were chosen for this reduction and statistic.
 
     Raises:
@@ -128,12 +111,16 @@ class VectorFieldHistogram:
         flight_level: float = 3.5,
         radius: float = 4.0,
         reduction: Reduction = "truncated_icosahedron",
-        statistic: Statistic = "face",
+        statistic: Statistic | None = None,
         costs: Costs | None = None,
     ) -> None:
+        statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and (reduction, statistic) not in COSTS:
-            seen = "; ".join(" with ".join(pair) for pair in COSTS)
-            raise UavrlError(f"vfh has costs for {seen}, and none for {reduction} with {statistic}: hand some over.")
+            seen = " or ".join(" with ".join(pair) for pair in COSTS)
+            raise UavrlError(
+                f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
+                "perception.statistic so, or give a guide its guide.costs."
+            )
         self.flight_level, self.radius = flight_level, radius
         self.costs = COSTS[reduction, statistic] if costs is None else costs
         self.directions = directions(24, (-0.5, 0.0, 0.5))

@@ -28,7 +28,8 @@ class Imitation(Enhancer):
     """What the actor does beside what a guide would have done in the same state costs.
 
     The cost is ``weight · mean |objective| · ‖(μ(s) - g(s)) / limit‖² / A``, so that it keeps its share while values
-    grow. Every state is flown by the policy itself and told the guide's action, not only the guide's own flights.
+    grow. The guide's action is known in states that the policy has reached by itself, too, not only in the guide's
+    own flights.
 
     Source: Fujimoto and Gu (2021), A Minimalist Approach to Offline Reinforcement Learning (arXiv:2106.06860), Eq. 3
     and 5 with α = 1 / ``weight``, where the guide's action stands for that of the data; Ross, Gordon and Bagnell

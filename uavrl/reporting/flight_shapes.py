@@ -9,6 +9,7 @@ from scipy.spatial import HalfspaceIntersection
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
 from uavrl.envs.shapes import loft
+from uavrl.errors import UavrlError
 from uavrl.transforms.functional import NUM_FACES, truncated_icosahedron_faces
 from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT
 
@@ -73,8 +74,15 @@ def _bar(start: np.ndarray, end: np.ndarray, width: float) -> Mesh:
 
 
 def shell(cells: int, radius: float) -> Shell:
-    """Returns the reduction's shell: of 32 cells the truncated icosahedron, of 72 the range image; ``radius`` in m."""
-    return football(radius) if cells == NUM_FACES else belt(radius)
+    """Returns the reduction's shell: of 32 cells the truncated icosahedron, of 72 the range image; ``radius`` in m.
+
+    Raises:
+        UavrlError: for another number of cells.
+    """
+    shells = {NUM_FACES: football, AZIMUTHS * ELEVATIONS: belt}
+    if cells not in shells:
+        raise UavrlError(f"The page draws reductions of {' or '.join(map(str, shells))} cells, got one of {cells}.")
+    return shells[cells](radius)
 
 
 def belt(radius: float) -> Shell:

@@ -10,7 +10,8 @@ from uavrl.configs.build import build, options, resolve
 from uavrl.configs.checks import require
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
-from uavrl.losses import ActorCriticLoss, Enhancer, Imitation
+from uavrl.losses import ActorCriticLoss, Enhancer
+from uavrl.training.guided import GUIDE_ACTION
 from uavrl.training.network_sizes import NetworkSizes
 
 
@@ -42,8 +43,8 @@ def make_loss(
         steps = settings.algo.get("n_steps", 1)
         single = enhanced.learns_from_single_steps
         require(steps == 1 or not single, "algo.n_steps", f"1: {part._target_} learns from single steps", steps)
-        told = settings.guided or not isinstance(enhanced, Imitation)
-        require(told, "guide", "a guide's name, such as vfh: Imitation learns what it would do", None)
+        told = settings.guided or GUIDE_ACTION not in enhanced.in_keys
+        require(told, "guide", f"a guide's name, such as vfh: {part._target_} learns what it would do", None)
         loss = enhanced
     return loss.to(device)
 

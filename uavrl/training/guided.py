@@ -10,7 +10,7 @@ from torchrl.envs.transforms import Transform
 
 GUIDE_ACTION = "guide_action"
 
-Guide = Callable[[TensorDictBase], TensorDictBase]
+Acts = Callable[[TensorDictBase], TensorDictBase]
 
 
 class Guidance(Transform):
@@ -22,7 +22,7 @@ class Guidance(Transform):
         actions: numbers in an action.
     """
 
-    def __init__(self, guide: Guide, in_keys: Any, actions: int) -> None:
+    def __init__(self, guide: Acts, in_keys: Any, actions: int) -> None:
         super().__init__(in_keys=list(in_keys), out_keys=[GUIDE_ACTION])
         self.guide, self.actions = guide, actions
 
@@ -51,7 +51,7 @@ class GuidedEnv(TransformedEnv):
         noise: adds exploration noise to the guide's action.
     """
 
-    noise: Guide
+    noise: Acts
 
     def rand_action(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
         """The guide's action, with noise."""

@@ -13,13 +13,22 @@ from uavrl import losses, transforms
 GROUPS: dict[str, tuple[type, ...]] = {
     "transform": (
         transforms.TruncatedIcosahedron,
+        transforms.RangeImage,
         transforms.NavigationObservation,
         transforms.NavigationState,
         transforms.NavigationReward,
         transforms.TraditionalReward,
         transforms.WalkerReward,
     ),
-    "loss": (losses.TD3Loss, losses.DDPGLoss, losses.SACLoss, losses.Fork, losses.LifeGuard, losses.PSAELoss),
+    "loss": (
+        losses.TD3Loss,
+        losses.DDPGLoss,
+        losses.SACLoss,
+        losses.Fork,
+        losses.LifeGuard,
+        losses.Imitation,
+        losses.PSAELoss,
+    ),
 }
 
 

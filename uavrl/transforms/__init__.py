@@ -4,7 +4,7 @@ from uavrl.transforms.last_action import LastAction
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.observation import NavigationObservation, navigation_observation
 from uavrl.transforms.point_cloud_reduction import PointCloudReduction
-from uavrl.transforms.range_image import RangeImage, range_image, range_image_directions
+from uavrl.transforms.range_image import RangeImage
 from uavrl.transforms.reductions import REDUCTIONS
 from uavrl.transforms.rewards import (
     NavigationReward,
@@ -37,8 +37,6 @@ __all__ = [
     "navigation_observation",
     "navigation_reward",
     "navigation_terms",
-    "range_image",
-    "range_image_directions",
     "traditional_reward",
     "traditional_terms",
     "walker_reward",

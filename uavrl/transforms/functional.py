@@ -173,10 +173,10 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     least = least.scatter_reduce(0, images.mul_(7).add_(faces), lengths, "amin").reshape(*batch, ids.numel())
     out = points.new_full((*batch, NUM_FACES), torch.inf)
     out = out.scatter_reduce(-1, ids.expand_as(least), least, "amin")
-    return told(out, radius, statistic)
+    return reported(out, radius, statistic)
 
 
-def told(least: Tensor, radius: float, statistic: Statistic) -> Tensor:
+def reported(least: Tensor, radius: float, statistic: Statistic) -> Tensor:
     """What cells report: their least lengths, infinite where there is no point, or what ``"proximity"`` makes of it."""
     if statistic == "proximity":
         return (radius - least).clamp_min(0.0)

@@ -82,7 +82,7 @@ class Mirror(Transform):
         last_action, reduction: as in :func:`mirror_observation`.
 
     Raises:
-        ValueError: for a probability outside [0, 1].
+        ValueError: for a probability outside [0, 1], or an unknown reduction.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -103,6 +103,8 @@ class Mirror(Transform):
     ) -> None:
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"probability must be in [0, 1], got {probability}.")
+        if reduction not in REDUCTIONS:
+            raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(in_keys=[*in_keys, *actions], out_keys=[*in_keys, *actions])
         self.num_actions = len(actions)
         self.probability = probability

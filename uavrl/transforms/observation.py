@@ -1,4 +1,4 @@
-"""From the 32 faces, the altitude and the two goal angles to the policy's 35 numbers."""
+"""From the reduction's cells, the altitude and the two goal angles to the policy's observation."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -29,7 +29,7 @@ def navigation_observation(
     there; ``angles="raw"`` keeps 0 to 360 degrees for comparison.
 
     Args:
-        faces: ``[*B, 32]``, m.
+        faces: ``[*B, 32]``, m; or another reduction's ``[*B, cells]``.
         altitude: ``[*B, 1]``, m.
         heading_deg: ``[*B, 1]``, degrees in [0, 360).
         elevation_deg: ``[*B, 1]``, degrees in [0, 360).
@@ -38,7 +38,7 @@ def navigation_observation(
         angles: ``"folded"`` or ``"raw"``.
 
     Returns:
-        ``[*B, 35]``.
+        ``[*B, 35]``, or as many numbers as cells and three.
 
     Examples:
         >>> o = navigation_observation(

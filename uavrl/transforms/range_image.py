@@ -6,7 +6,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from uavrl.transforms.functional import Statistic, check_points, check_radius, check_statistic, told
+from uavrl.transforms.functional import Statistic, check_points, check_radius, check_statistic, reported
 from uavrl.transforms.point_cloud_reduction import PointCloudReduction
 
 __all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "range_image", "range_image_directions"]
@@ -90,13 +90,13 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
     cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
     least = points.new_full((batch.numel() * cells,), torch.inf)
     least = least.scatter_reduce(0, cloud * cells + cell, lengths, "amin").reshape(*batch, cells)
-    return told(least, float(radius), statistic)
+    return reported(least, float(radius), statistic)
 
 
 class RangeImage(PointCloudReduction):
     """Reduces point clouds to the 72 distances of a coarse range image.
 
-    The maths is `uavrl.transforms.range_image`. The cloud itself is dropped from the data and from the specs.
+    The maths is `uavrl.transforms.range_image.range_image`. The cloud itself is dropped.
 
     Args:
         in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame, NaN where a ray hit nothing.

@@ -27,7 +27,7 @@ class NavigationState(Compose):
 
     Args:
         radius: the ball's radius, m.
-        statistic: as in :class:`TruncatedIcosahedron`.
+        statistic: as in :class:`TruncatedIcosahedron`; None for the reduction's default.
         flight_level: the altitude at which an observation's altitude is 0, m.
         angles: as in :class:`NavigationObservation`.
         reduction: of the scan: ``"truncated_icosahedron"``, or the 72 cells of a ``"range_image"``.
@@ -48,7 +48,7 @@ class NavigationState(Compose):
     def __init__(
         self,
         radius: Positive = 4.0,
-        statistic: Statistic = "face",
+        statistic: Statistic | None = None,
         flight_level: Positive = 3.5,
         angles: Angles = "folded",
         frames: Count = 3,

@@ -115,7 +115,7 @@ function goalShape([x, y, z], [radius, height]) {
 // Index of each trace; those from FLOWN on move.
 const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, VEHICLE, MARK, POINTS,
   EDGES, FACES] = Array(16).keys();
-const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["what is seen", [FACES, EDGES], "#fdc066"],
+const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], "#fdc066"],
   ["obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
 
