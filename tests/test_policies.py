@@ -23,8 +23,8 @@ def evaluation(name: str, file: str = "evaluation.json") -> dict[str, Any]:
     return json.loads((PACKAGED / name / file).read_text())
 
 
-def test_one_is_packaged_for_each_valley() -> None:
-    assert packaged_policies() == ["dynamic", "static"]
+def test_these_are_packaged() -> None:
+    assert packaged_policies() == ["best", "dynamic", "static"]
 
 
 @pytest.mark.parametrize("name", packaged_policies())

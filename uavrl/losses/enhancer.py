@@ -62,7 +62,7 @@ class Enhancer(ActorCriticLoss, LossModule):
     default_keys = _AcceptedKeys
 
     learns_from_single_steps: ClassVar[bool] = True
-    """Whether n-step returns would mislead it: its states must lie one step apart."""
+    """Whether n-step returns would mislead it, because its states must lie one step apart."""
 
     def __init__(self, base: ActorCriticLoss) -> None:
         super().__init__()
