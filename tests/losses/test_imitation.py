@@ -7,11 +7,12 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
+from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torchrl.data import Bounded
+from torchrl.modules import MLP
 
 from tests.helpers.contracts import ActorCriticLossContract
-from uavrl.losses import Fork, Imitation, TD3Loss
+from uavrl.losses import DDPGLoss, Fork, Imitation, SACLoss, TD3Loss
 from uavrl.losses.imitation import distance_to_guide
 from uavrl.models import Actor, Critic, RewardNet, SystemNet
 
@@ -20,6 +21,17 @@ def make_td3(**options: Any) -> TD3Loss:
     critics = [TensorDictModule(Critic(6, 2), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
     actor = TensorDictModule(Actor(6, 2), ["observation"], ["action"])
     return TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,)), **options)
+
+
+class MLPCritic(torch.nn.Module):
+    """TorchRL's network, of state and action end to end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mlp = MLP(in_features=8, out_features=1, num_cells=[16])
+
+    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return self.mlp(torch.cat([observation, action], -1))
 
 
 class TestContract(ActorCriticLossContract):
@@ -67,6 +79,27 @@ def test_without_a_guide_it_says_what_is_missing() -> None:
     loss.set_keys(guide_action="advice")
     assert "advice" in loss.in_keys
     loss.actor_loss(TestContract().make_data().rename_key_("guide_action", "advice"))
+
+
+@pytest.mark.parametrize("algorithm", ["ddpg", "sac", "foreign"])
+def test_it_attaches_to_other_losses_and_to_critics_that_are_not_ours(algorithm: str) -> None:
+    torch.manual_seed(0)
+    spec = Bounded(-2.0, 2.0, (2,))
+    kind = {"ddpg": DDPGLoss, "sac": SACLoss, "foreign": TD3Loss}[algorithm]
+    network: torch.nn.Module = MLP(in_features=6, out_features=4 if kind is SACLoss else 2, num_cells=[16])
+    if kind is SACLoss:  # mean and deviation
+        network = torch.nn.Sequential(network, NormalParamExtractor())
+    critics = [
+        TensorDictModule(MLPCritic(), ["observation", "action"], ["state_action_value"])
+        for _ in range(kind.num_critics)
+    ]
+    loss = Imitation(kind.of_networks(kind.policy_of(network, spec), critics, spec), limit=2.0)
+    data = TestContract().make_data()
+    plain, enhanced = loss.base.actor_loss(data)[0], loss.actor_loss(data)
+    assert enhanced[1]["guide_distance"].shape == data.batch_size
+    assert enhanced[0].isfinite() and (algorithm == "sac" or enhanced[0] > plain)
+    enhanced[0].backward()
+    assert any(p.grad is not None and p.grad.abs().sum() > 0 for p in loss.actor_network_params.values(True, True))
 
 
 def test_fork_goes_around_it() -> None:

@@ -106,6 +106,8 @@ def test_the_belt_is_that_of_the_range_image() -> None:
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((outward * corners.mean(1)).sum(1) > 0).all()
     assert len(shell(32, 4.0).vertices) == 60 and len(shell(72, 4.0).vertices) == 96
+    with pytest.raises(UavrlError, match="draws reductions of 32 or 72 cells, got one of 50"):
+        shell(50, 4.0)
 
 
 def test_foundations_are_left_out_and_nothing_else() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDictBase
+from torchrl.envs import check_env_specs
 
 from tests.helpers.runs import small_config
 from uavrl.configs.checked import to_dataclass
@@ -16,10 +17,12 @@ from uavrl.losses import Enhancer
 from uavrl.losses.imitation import distance_to_guide
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.advice import warn_of_random_steps
-from uavrl.training.factory import make_training_env
+from uavrl.training.factory import make_buffer, make_training_env
 from uavrl.training.guided import GuidedEnv
+from uavrl.training.network_sizes import inner_transforms, network_sizes
 from uavrl.training.policies import load_policy
 from uavrl.training.run import create_run, train
+from uavrl.transforms import Mirror
 
 EASY = ["env.world.goal_radius=14", "env.world.obstacles=0", "env.max_steps=60", "env.world.min_clearance=3"]
 
@@ -45,6 +48,7 @@ def test_the_guides_actions_are_flown_with_noise_and_chance_flies_without_one(tm
         state = env.reset()
         expected = VectorFieldHistogram()(state.clone())["action"]
         assert torch.equal(state["guide_action"], expected)
+        check_env_specs(env)
         got = env.rand_action(state)["action"]
         assert torch.equal(got, expected) == (noise == 0.0)
         torch.testing.assert_close(got, expected, atol=1.0, rtol=0.0)
@@ -106,6 +110,25 @@ def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> Non
         far[weight] = distance_to_guide(states["action"], states["guide_action"], 2.0).mean().item()
         env.close()
     assert far[100.0] < 0.5 * far[0.0]
+
+
+def test_the_guides_action_is_mirrored_with_the_policys_as_it_sees(tmp_path: Path) -> None:
+    chosen = ["guide=vfh", "perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true"]
+    settings = to_dataclass(small_config(tmp_path / "run", *chosen))
+    env = make_training_env(settings, seed=0)
+    buffer = make_buffer(settings, env, network_sizes(env), torch.device("cpu"))
+    (mirror,) = (part for part in inner_transforms(buffer.transform) if isinstance(part, Mirror))
+    assert mirror.in_keys[-2:] == ["action", "guide_action"]
+    assert (mirror.reduction, mirror.last_action) == ("range_image", True)
+    env.close()
+
+
+def test_a_guides_costs_can_be_given(tmp_path: Path) -> None:
+    costs = "{obstacle: 2, goal: 1, level: 0.3, turn: 0.2, width: 6, nearness: 2, caution: 0.5}"
+    config = small_config(tmp_path / "run", "guide=vfh", f"guide.costs={costs}")
+    env = make_training_env(to_dataclass(config), seed=0)
+    assert (env.transform[-1].guide.costs.obstacle, env.transform[-1].guide.costs.caution) == (2.0, 0.5)
+    env.close()
 
 
 def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_path: Path) -> None:

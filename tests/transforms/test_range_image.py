@@ -12,7 +12,7 @@ from tests.helpers.contracts import TransformContract
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
-from uavrl.transforms import Mirror, NavigationState, RangeImage, mirror_observation
+from uavrl.transforms import REDUCTIONS, Mirror, NavigationState, RangeImage, mirror_observation
 from uavrl.transforms.range_image import range_image, range_image_directions
 
 
@@ -127,6 +127,7 @@ def test_the_state_of_a_flight() -> None:
     flown = env.rollout(3)
     assert flown["observation"].shape == (2, 3, 3 * (72 + 3 + 4))
     torch.testing.assert_close(flown["observation"][..., -79:-7], flown["faces"] / 4)
+    assert [NavigationState(reduction=each)[0].statistic for each in REDUCTIONS] == ["face", "proximity"]
     with pytest.raises(ValueError, match="reduction must be one of truncated_icosahedron, range_image"):
         NavigationState(reduction="cube")  # type: ignore[arg-type]
 

@@ -1,15 +1,13 @@
 """Policies that learn nothing: yardsticks for a task's difficulty."""
 
-import math
-
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
 
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.errors import UavrlError
 from uavrl.flying.costs import Costs
 from uavrl.transforms.functional import Statistic
+from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.reductions import REDUCTIONS, Reduction
 
 
@@ -41,22 +39,6 @@ class StraightPolicy:
         climb = (self.flight_level - tensordict["altitude"]).clamp(-ACTION_LIMIT, ACTION_LIMIT)
         turn = (3 * heading).clamp(-ACTION_LIMIT, ACTION_LIMIT)
         return tensordict.set("action", torch.cat([forward, torch.zeros_like(forward), climb, turn], -1))
-
-
-def directions(azimuths: int, elevations: tuple[float, ...]) -> Tensor:
-    """Unit vectors ``[azimuths * len(elevations), 3]`` all around, x forward, y left, z up; ``elevations`` in rad.
-
-    Examples:
-        >>> directions(4, (0.0, math.pi / 2)).shape
-        torch.Size([8, 3])
-        >>> torch.allclose(directions(4, (0.0,))[1], torch.tensor([0.0, 1.0, 0.0]), atol=1e-6)
-        True
-    """
-    azimuth, elevation = torch.meshgrid(
-        torch.arange(azimuths) * (math.tau / azimuths), torch.tensor(elevations), indexing="ij"
-    )
-    across = elevation.cos()
-    return torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1).flatten(0, 1)
 
 
 # Chosen in valleys 200 to 209: the first by benchmarks/tune_vfh.py, the last as the best of a dozen tried by hand. The
@@ -123,7 +105,7 @@ class VectorFieldHistogram:
             )
         self.flight_level, self.radius = flight_level, radius
         self.costs = COSTS[reduction, statistic] if costs is None else costs
-        self.directions = directions(24, (-0.5, 0.0, 0.5))
+        self.directions = grid_directions(24, (-0.5, 0.0, 0.5))
         cosines = self.directions @ REDUCTIONS[reduction].directions().T
         self._seen_in = cosines.clamp_min(0) ** self.costs.width  # [D, cells]: how much of each counts in a direction
 

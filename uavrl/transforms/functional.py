@@ -26,7 +26,7 @@ NUM_FACES = 32
 
 _PHI = (1.0 + math.sqrt(5.0)) / 2.0
 # A face with a point in it never reads 0, which means "no point": see `truncated_icosahedron`.
-_TOUCHING = 1e-6
+TOUCHING = 1e-6
 # The ball stops this much (relative, squared) short of the vertices, so that float32 rounding cannot let in a point
 # that a sensor whose range ends at the circumradius does not report.
 _BALL_EDGE = 1.0 - 2e-6
@@ -167,7 +167,7 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     faces, inside = _nearest_face(x, y, z, radius)
     if statistic == "face":
         x, y, z = (at - centre.index_select(0, faces) for at, centre in zip((x, y, z), centres, strict=True))
-    lengths = (x * x + y * y + z * z).sqrt().clamp(_TOUCHING * radius, radius)
+    lengths = (x * x + y * y + z * z).sqrt().clamp(TOUCHING * radius, radius)
     lengths = torch.where(inside & near, lengths, torch.inf)
     least = points.new_full((batch.numel() * ids.numel(),), torch.inf)
     least = least.scatter_reduce(0, images.mul_(7).add_(faces), lengths, "amin").reshape(*batch, ids.numel())

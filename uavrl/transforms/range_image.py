@@ -1,35 +1,33 @@
 """A coarse range image: the scan in cells of azimuth and elevation, as fine as what a VLP-16 sees."""
 
 import math
-from functools import lru_cache
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from uavrl.transforms.functional import Statistic, check_points, check_radius, check_statistic, reported
+from uavrl.transforms.functional import TOUCHING, Statistic, check_points, check_radius, check_statistic, reported
 from uavrl.transforms.point_cloud_reduction import PointCloudReduction
 
-__all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "range_image", "range_image_directions"]
+__all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "grid_directions", "range_image", "range_image_directions"]
 
 AZIMUTHS, ELEVATIONS = 24, 3
 HEIGHT = math.radians(10.0)  # of a cell: three span the ±15 degrees of a VLP-16
-_TOUCHING = 1e-6  # relative: a cell with a point in it never reads 0, which means "no point"
 
 
-@lru_cache(maxsize=8)
-@torch.inference_mode(False)
-def _directions(dtype: torch.dtype, device: torch.device) -> Tensor:
-    azimuth, elevation = torch.meshgrid(
-        torch.arange(AZIMUTHS, dtype=torch.float64) * (math.tau / AZIMUTHS),
-        (torch.arange(ELEVATIONS, dtype=torch.float64) - (ELEVATIONS - 1) / 2) * HEIGHT,
-        indexing="ij",
-    )
+def grid_directions(azimuths: int, elevations: Sequence[float], *, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Unit vectors ``[azimuths * len(elevations), 3]`` all around, x forward, y left, z up; ``elevations`` in rad.
+
+    Examples:
+        >>> grid_directions(4, (0.0, math.pi / 2)).shape
+        torch.Size([8, 3])
+        >>> torch.allclose(grid_directions(4, (0.0,))[1], torch.tensor([0.0, 1.0, 0.0]), atol=1e-6)
+        True
+    """
+    around = torch.arange(azimuths, dtype=dtype) * (math.tau / azimuths)
+    azimuth, elevation = torch.meshgrid(around, around.new_tensor(elevations), indexing="ij")
     across = elevation.cos()
-    return (
-        torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1)
-        .flatten(0, 1)
-        .to(device, dtype)
-    )
+    return torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1).flatten(0, 1)
 
 
 def range_image_directions(*, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Tensor:
@@ -41,7 +39,8 @@ def range_image_directions(*, dtype: torch.dtype = torch.float32, device: torch.
         >>> range_image_directions()[1].tolist()
         [1.0, 0.0, 0.0]
     """
-    return _directions(dtype, torch.device(device)).clone()
+    rows = [(row - (ELEVATIONS - 1) / 2) * HEIGHT for row in range(ELEVATIONS)]
+    return grid_directions(AZIMUTHS, rows, dtype=torch.float64).to(device, dtype)
 
 
 def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "proximity") -> Tensor:
@@ -84,9 +83,9 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
     row = (torch.atan2(z, across) / HEIGHT).add_((ELEVATIONS - 1) / 2).round().long().clamp(0, ELEVATIONS - 1)
     cell = column * ELEVATIONS + row
     if statistic == "face":
-        middles = float(radius) * _directions(points.dtype, points.device)
+        middles = float(radius) * range_image_directions(dtype=points.dtype, device=points.device)
         x, y, z = (at - middle.index_select(0, cell) for at, middle in zip((x, y, z), middles.T, strict=True))
-    lengths = (x * x + y * y).addcmul_(z, z).sqrt().clamp(_TOUCHING * radius, radius)
+    lengths = (x * x + y * y).addcmul_(z, z).sqrt().clamp(TOUCHING * radius, radius)
     cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
     least = points.new_full((batch.numel() * cells,), torch.inf)
     least = least.scatter_reduce(0, cloud * cells + cell, lengths, "amin").reshape(*batch, cells)
