@@ -1,6 +1,6 @@
 """Which method is better: seeds of several methods side by side, as rliable does it.
 
-    python benchmarks/methods.py FILE.json [--add METHOD=RUN_FOLDER ...] [--baseline METHOD] [--flights 1500]
+    python benchmarks/methods.py FILE.json [--add METHOD=RUN_FOLDER ...] [--baseline METHOD] [--flights 1500] ...
 
 `--add` puts runs into FILE.json: each run's settings that differ from the default's, its commit, and how each flight
 ended after how many steps. The tables are made from that file alone, so that whoever has it can make them again.
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 from scipy.stats import trim_mean
 
@@ -163,6 +164,27 @@ def table(result: dict[str, Any], baseline: str | None) -> str:
     return "\n".join(lines)
 
 
+def plot(runs: dict[str, list[Flights]], window: int, output: Path) -> None:
+    """Draws how often each method arrived in the last ``window`` flights: thin a seed, thick their median."""
+    figure = Figure(figsize=(7, 3.8), layout="constrained")
+    axes = figure.subplots()
+    for number, (name, seeds) in enumerate(runs.items()):
+        colour = f"C{number}"
+        curves = [
+            (seed.steps.cumsum()[window - 1 :] / 1000, 100 * moving_mean(seed.ends == "a", window)[window - 1 :])
+            for seed in seeds
+        ]
+        for steps, rates in curves:
+            axes.plot(steps, rates, color=colour, linewidth=0.7, alpha=0.6)
+        shared = np.linspace(max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves), 200)
+        median = np.median([np.interp(shared, steps, rates) for steps, rates in curves], axis=0)
+        axes.plot(shared, median, color=colour, linewidth=2.2, label=f"{name} ({len(seeds)})")
+    axes.set(xlabel="environment steps [thousand]", ylabel=f"arrivals of the last {window} flights [%]", ylim=(0, 100))
+    axes.grid(alpha=0.3)
+    axes.legend(loc="best", fontsize="small")
+    figure.savefig(output, dpi=120)
+
+
 def main() -> None:
     """Adds runs, and prints the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -175,6 +197,7 @@ def main() -> None:
     parser.add_argument("--window", type=int, default=250, help="flights that a rate at the end covers")
     parser.add_argument("--success", type=float, default=0.8, help="share of arrivals whose steps are told")
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
+    parser.add_argument("--plot", type=Path, metavar="PNG", help="also draw arrivals over steps")
     args = parser.parse_args()
     kept: dict[str, list[dict[str, Any]]] = json.loads(args.file.read_text()) if args.file.is_file() else {}
     for pair in args.add:
@@ -192,6 +215,8 @@ def main() -> None:
     print(table(result, args.baseline))
     if args.json:
         args.json.write_text(json.dumps(result, indent=1) + "\n")
+    if args.plot:
+        plot(runs, args.window, args.plot)
 
 
 def _rows(seeds: list[dict[str, Any]]) -> str:

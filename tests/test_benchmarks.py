@@ -103,8 +103,9 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     kept = json.loads((tmp_path / "kept.json").read_text())
     assert [run["settings"].items() ^ {("trainer.products", "mkl")} for run in kept["poor"]] == [set()] * 5
     assert [run["settings"]["algo.gamma"] for run in kept["good"]] == [0.9] * 5
-    monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "5"])  # from the file alone
-    methods.main()
+    monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "5", "--plot", str(tmp_path / "curves.png")])
+    methods.main()  # from the file alone
+    assert (tmp_path / "curves.png").stat().st_size > 5_000
     told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
     assert told["arrived, last"]["iqm"] == 0.0 and told["k steps to 80%"]["iqm"] == float("inf")
 

@@ -34,3 +34,13 @@ def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> No
     low, middle, high = (float(x) for x in printed.split("%: ")[1].split(" m")[0].split(" / "))
     assert 0 < low < middle < high < 5
     assert (tmp_path / "altitudes.png").stat().st_size > 5_000
+
+
+def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path) -> None:
+    suites = EXAMPLES.parent / "docs/data/suite"
+    picture = tmp_path / "worlds.png"
+    said("scenarios.py", f"a rule={suites / 'vfh.json'}", suites / "best.json", "--output", picture)
+    assert picture.stat().st_size > 5_000
+    command = [sys.executable, EXAMPLES / "scenarios.py", PACKAGED / "static" / "evaluation.json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert "Expected worlds with a success each in" in done.stderr

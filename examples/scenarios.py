@@ -1,0 +1,53 @@
+"""Draws success in each world, with its interval, from the files that ``uavrl-evaluate suite=... output=FILE`` writes.
+
+python examples/scenarios.py "straight=docs/data/suite/straight.json" "best=docs/data/suite/best.json"
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from uavrl.errors import UavrlError
+
+
+def read(pair: str) -> tuple[str, dict[str, dict[str, float]]]:
+    """A policy's name, and its success in each world: ``rate``, ``low`` and ``high``."""
+    name, _, path = pair.rpartition("=")
+    try:
+        worlds = json.loads(Path(path).read_text(encoding="utf-8"))
+        return name or Path(path).stem, {world: found["success"] for world, found in worlds.items()}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UavrlError(f"Expected worlds with a success each in {path}, as of uavrl-evaluate: {error!r}.") from error
+
+
+def main() -> None:
+    """Draws the files named on the command line into one picture."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("policies", nargs="+", metavar="NAME=FILE")
+    parser.add_argument("--worlds", nargs="+", default=["static", "held_out", "dynamic", "dense"])
+    parser.add_argument("--output", type=Path, default=Path("scenarios.png"))
+    args = parser.parse_args()
+    figure = Figure(figsize=(8, 3.8), layout="constrained")
+    axes = figure.subplots()
+    policies = [read(pair) for pair in args.policies]
+    offsets = np.linspace(-0.3, 0.3, len(policies)) if len(policies) > 1 else [0.0]
+    for offset, (name, found) in zip(offsets, policies, strict=True):
+        worlds = [world for world in args.worlds if world in found]
+        rate, low, high = (100 * np.array([found[world][key] for world in worlds]) for key in ("rate", "low", "high"))
+        at = [args.worlds.index(world) + offset for world in worlds]
+        axes.errorbar(at, rate, yerr=(rate - low, high - rate), fmt="o", capsize=3, label=name)
+    axes.set_xticks(range(len(args.worlds)), [world.replace("_", " ") for world in args.worlds])
+    axes.set(ylabel="success [%]", ylim=(0, 100))
+    axes.grid(axis="y", alpha=0.3)
+    figure.legend(loc="outside right upper")
+    figure.savefig(args.output, dpi=120)
+    print(f"Drawn to {args.output}")
+
+
+if __name__ == "__main__":
+    main()
