@@ -54,6 +54,18 @@ for name in ("uavrl:uavrl/Valley-v0", "uavrl/Valley-v0"):
     assert done.stdout.splitlines()[-2:] == ["(105,)", "(105,)"]
 
 
+def test_it_can_show_what_the_best_policy_sees() -> None:
+    env = gymnasium.make("uavrl/Valley-v0", max_steps=3, reduction="range_image", last_action=True)
+    first = env.reset(seed=0)[0]
+    action = np.array([1.5, -0.5, 0.0, 1.0], dtype=np.float32)
+    state = env.step(action)[0]
+    env.close()
+    assert first.shape == env.observation_space.shape == (3 * 79,)
+    np.testing.assert_allclose(state[-4:], action / 2)
+    with pytest.raises(ValueError, match="reduction must be one of truncated_icosahedron, range_image"):
+        gymnasium.make("uavrl/Valley-v0", reduction="cube")
+
+
 def test_registering_twice_does_no_harm() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -14,6 +14,7 @@ from uavrl.envs.navigation import ACTION_LIMIT, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
+from uavrl.transforms.reductions import Reduction
 
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
 
@@ -22,18 +23,19 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One quadrotor in the valley; the LiDAR's reduction and the frames are inside.
 
     Observations are the thesis's state (Chansuparp (2022), §3.2): ``frames`` times 35 numbers, oldest
-    first. ``info`` holds ``is_success``, ``collided``, ``position``, ``goal`` and ``distance``.
+    first; with ``reduction="range_image"`` and ``last_action=True``, as ``policy=best`` has them, 79 each. ``info`` holds ``is_success``, ``collided``, ``position``, ``goal`` and ``distance``.
 
     Args:
         reward: ``"navigation"`` (Eq. 3.6) or ``"traditional"`` (Eq. 2.15).
         radius: the ball's radius, m.
         frames: observations in a state.
+        reduction, last_action: as in :class:`uavrl.transforms.NavigationState`.
         lidar: the sensor; by default its range is cut at the ball, which leaves the faces identical.
         world: the valley; ``WorldConfig(planes=3)`` gives the dynamic environment.
         **kwargs: as in :class:`uavrl.envs.NavigationEnv`.
 
     Raises:
-        ValueError: for an unknown reward or settings out of range.
+        ValueError: for an unknown reward or reduction, or settings out of range.
 
     Examples:
         >>> import gymnasium
@@ -51,6 +53,8 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         *,
         radius: float = 4.0,
         frames: int = 3,
+        reduction: Reduction = "truncated_icosahedron",
+        last_action: bool = False,
         lidar: LidarConfig | None = None,
         world: WorldConfig | None = None,
         **kwargs: Any,
@@ -58,7 +62,9 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if reward not in _REWARDS:
             raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
         world = world or WorldConfig()
-        state = NavigationState(radius, flight_level=world.flight_level, frames=frames)
+        state = NavigationState(
+            radius, flight_level=world.flight_level, frames=frames, reduction=reduction, last_action=last_action
+        )
         base = NavigationEnv(1, world=world, lidar=lidar or LidarConfig(max_range=radius), **kwargs)
         self._env = TransformedEnv(base, Compose(state, _REWARDS[reward]()))
         width = self._env.observation_spec["observation"].shape[-1]
