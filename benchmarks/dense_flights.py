@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from uavrl.reporting.learning_curves import moving_mean
 from uavrl.runs.episodes import read_episodes, wilson
 
 COLUMNS = ("run", "total_steps", "outcome", "world_seed")
+FEWEST = 20  # flights of which a share is told
 Rows = list[tuple[str, int, str, int]]
 
 
@@ -47,7 +49,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("file", type=Path)
     parser.add_argument("--add", nargs="+", default=[], metavar="NAME=RUN_FOLDER")
-    parser.add_argument("--ranges", nargs="+", default=["0-15000", "20000-40000", "60000-80000"], metavar="FROM-TO")
+    parser.add_argument(
+        "--ranges", nargs="+", default=["0-15000", "20000-40000", "40000-60000", "60000-80000"], metavar="FROM-TO"
+    )
     parser.add_argument("--window", type=int, default=60, help="flights that a point of the picture covers")
     parser.add_argument("--plot", type=Path, metavar="PNG")
     args = parser.parse_args()
@@ -62,7 +66,8 @@ def main() -> None:
     runs: dict[str, dict[str, list[tuple[int, bool]]]] = {}
     for name, steps, outcome, valley in rows:
         if valley % 2:
-            method, _, seed = name.rpartition(" s") if name[-1].isdigit() else (name, "", "0")
+            found = re.fullmatch(r"(.+) s(\d+)", name)
+            method, seed = found.groups() if found else (name, "0")
             runs.setdefault(method, {}).setdefault(seed, []).append((steps, outcome == "arrived"))
     spans = [tuple(int(end) for end in span.split("-")) for span in args.ranges]
     print(f"| in dense valleys | seeds | {' | '.join(f'steps {low:,} to {high:,}' for low, high in spans)} |")
@@ -76,8 +81,8 @@ def main() -> None:
 
 
 def cell(arrived: list[bool]) -> str:
-    """Of so many flights so many arrived, with the interval."""
-    if not arrived:
+    """Of so many flights so many arrived, with the interval; nothing of a few."""
+    if len(arrived) < FEWEST:
         return "–"
     found = wilson(sum(arrived), len(arrived))
     rate, low, high = (100 * found[key] for key in ("rate", "low", "high"))

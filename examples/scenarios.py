@@ -32,9 +32,12 @@ def main() -> None:
     parser.add_argument("--worlds", nargs="+", default=["static", "held_out", "dynamic", "dense"])
     parser.add_argument("--output", type=Path, default=Path("scenarios.png"))
     args = parser.parse_args()
+    policies = [read(pair) for pair in args.policies]
+    unknown = [world for world in args.worlds if not any(world in found for _, found in policies)]
+    if unknown:
+        raise UavrlError(f"Expected worlds that a file tells of, got {', '.join(unknown)}: leave them out of --worlds.")
     figure = Figure(figsize=(8, 3.8), layout="constrained")
     axes = figure.subplots()
-    policies = [read(pair) for pair in args.policies]
     offsets = np.linspace(-0.3, 0.3, len(policies)) if len(policies) > 1 else [0.0]
     for offset, (name, found) in zip(offsets, policies, strict=True):
         worlds = [world for world in args.worlds if world in found]

@@ -113,24 +113,25 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
 def test_dense_flights_are_told_of_the_odd_valleys_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two seeds of a method: in the dense valley all arrive first and none later, elsewhere the other way round."""
+    """Two seeds of a method: in the dense valley all arrive at first and none later, elsewhere the other way round."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     import dense_flights
 
     for seed in (0, 1):
         run = tmp_path / str(seed)
         run.mkdir()
-        flown = episodes("acacacaccacacaca")
+        flown = episodes("ac" * 20 + "ca" * 20)
         write_episodes(run / "episodes.csv", [replace(each, world_seed=1 - i % 2) for i, each in enumerate(flown)])
     kept, picture = tmp_path / "kept.csv", tmp_path / "picture.png"
     added = [f"mine s{seed}={tmp_path / str(seed)}" for seed in (0, 1)]
-    arguments = ["dense_flights.py", str(kept), "--ranges", "0-80", "80-160", "--window", "3"]
-    monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, *added])
+    arguments = ["dense_flights.py", str(kept), "--ranges", "0-400", "400-800", "790-800", "--window", "3"]
+    monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, *added, f"cells2={tmp_path / '0'}"])
     dense_flights.main()
-    assert "| mine | 2 | 100 % (68–100) of 8 | 0 % (0–32) of 8 |" in capsys.readouterr().out
+    assert "| mine | 2 | 100 % (91–100) of 40 | 0 % (0–9) of 40 | – |" in (told := capsys.readouterr().out)
+    assert "| cells2 | 1 | 100 % (84–100) of 20 |" in told
     monkeypatch.setattr(sys, "argv", [*arguments, "--plot", str(picture)])  # from the file alone
     dense_flights.main()
-    assert "of 8 | 0 %" in capsys.readouterr().out and picture.stat().st_size > 5_000
+    assert "of 40 | 0 %" in capsys.readouterr().out and picture.stat().st_size > 5_000
 
 
 @pytest.mark.slow

@@ -41,6 +41,10 @@ def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path
     picture = tmp_path / "worlds.png"
     said("scenarios.py", f"a rule={suites / 'vfh.json'}", suites / "best.json", "--output", picture)
     assert picture.stat().st_size > 5_000
-    command = [sys.executable, EXAMPLES / "scenarios.py", PACKAGED / "static" / "evaluation.json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
-    assert "Expected worlds with a success each in" in done.stderr
+    drawing = [sys.executable, EXAMPLES / "scenarios.py"]
+    for wrong, message in (
+        ([PACKAGED / "static" / "evaluation.json"], "Expected worlds with a success each in"),
+        ([suites / "best.json", "--worlds", "dence"], "Expected worlds that a file tells of, got dence"),
+    ):
+        done = subprocess.run([*drawing, *wrong], capture_output=True, text=True, timeout=600)
+        assert message in done.stderr

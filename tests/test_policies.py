@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import torch
 
-from uavrl.cli.policies import PACKAGED, packaged_policies
-from uavrl.configs import to_dataclass
+from uavrl.cli.policies import PACKAGED, packaged_policies, with_overrides
+from uavrl.configs import compose, to_dataclass
 from uavrl.flying.flight import fly
 from uavrl.runs.episodes import wilson
 from uavrl.training.factory import make_env
@@ -24,7 +24,7 @@ def evaluation(name: str, file: str = "evaluation.json") -> dict[str, Any]:
 
 
 def test_these_are_packaged() -> None:
-    assert packaged_policies() == ["best", "dynamic", "static"]
+    assert packaged_policies() == ["best", "best_dynamic", "dynamic", "static"]
 
 
 @pytest.mark.parametrize("name", packaged_policies())
@@ -41,6 +41,7 @@ def test_its_evaluation_is_of_this_policy(name: str) -> None:
 def test_it_succeeds_as_often_as_its_evaluation_states(name: str) -> None:
     stated = evaluation(name)
     config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
+    config = with_overrides(config, compose(*stated["overrides"], name="evaluate"), stated["overrides"])
     settings = to_dataclass(config)
     env = make_env(settings.env, settings.perception, seed=stated["seed"], num_uavs=8, measure_clearance=True)
     threads = torch.get_num_threads()

@@ -101,4 +101,4 @@ plt.show()
 # ## The real thing
 #
 # `make train` is this with the whole valley: 40 m × 30 m, 45 obstacles, larger networks, and training until 90 % of 200 flights arrive.
-# [What it gave](../results.md#the-fast-policy).
+# [What it gave](../journal/first_policies.md#the-fast-policy).

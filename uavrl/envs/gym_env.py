@@ -22,8 +22,9 @@ _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
 class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One quadrotor in the valley; the LiDAR's reduction and the frames are inside.
 
-    Observations are the thesis's state (Chansuparp (2022), §3.2): ``frames`` times 35 numbers, oldest
-    first; with ``reduction="range_image"`` and ``last_action=True``, as ``policy=best`` has them, 79 each. ``info`` holds ``is_success``, ``collided``, ``position``, ``goal`` and ``distance``.
+    Observations are the thesis's state (Chansuparp (2022), §3.2): ``frames`` times 35 numbers, oldest first; with
+    ``reduction="range_image"`` and ``last_action=True``, as ``policy=best`` has them, 79 each. ``info`` holds
+    ``is_success``, ``collided``, ``position``, ``goal`` and ``distance``.
 
     Args:
         reward: ``"navigation"`` (Eq. 3.6) or ``"traditional"`` (Eq. 2.15).
