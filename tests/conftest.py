@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import signal
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +24,13 @@ def interrupts_are_heard() -> None:
     """A shell's background jobs do not hear Ctrl-C: the tests that send it do."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(autouse=True)
+def log_is_heard() -> None:
+    """Hydra silences loggers that were there before it, and a test may have called it in this process."""
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("uavrl")]:
+        logging.getLogger(name).disabled = False
 
 
 @pytest.fixture(scope="module", autouse=True)
