@@ -166,6 +166,9 @@ def table(result: dict[str, Any], baseline: str | None) -> str:
 
 def plot(runs: dict[str, list[Flights]], window: int, output: Path) -> None:
     """Draws how often each method arrived in the last ``window`` flights: thin a seed, thick their median."""
+    fewest = min(len(seed.ends) for seeds in runs.values() for seed in seeds)
+    if fewest < window:
+        raise UavrlError(f"A run flew {fewest} flights, fewer than --window {window}: draw with a smaller one.")
     figure = Figure(figsize=(7, 3.8), layout="constrained")
     axes = figure.subplots()
     for number, (name, seeds) in enumerate(runs.items()):

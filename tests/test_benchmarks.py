@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers.configs import with_run_dir
 from tests.helpers.folders import episodes, write_episodes
+from uavrl.errors import UavrlError
 from uavrl.training.run import create_run
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -105,6 +106,9 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     assert [run["settings"]["algo.gamma"] for run in kept["good"]] == [0.9] * 5
     monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "5", "--plot", str(tmp_path / "curves.png")])
     methods.main()  # from the file alone
+    monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "3", "--plot", str(tmp_path / "curves.png")])
+    with pytest.raises(UavrlError, match="flew 3 flights, fewer than --window 4"):
+        methods.main()
     assert (tmp_path / "curves.png").stat().st_size > 5_000
     told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
     assert told["arrived, last"]["iqm"] == 0.0 and told["k steps to 80%"]["iqm"] == float("inf")
