@@ -144,7 +144,9 @@ def test_the_process_that_flies_multiplies_as_the_learner() -> None:
     assert python(script, function.hex()).stdout.split() == ["none", "ieee"]
 
 
-@pytest.mark.parametrize("products", ["mkl", "onednn", "bf16"])
+@pytest.mark.parametrize(
+    "products", ["onednn", *(pytest.param(name, marks=pytest.mark.slow) for name in ("mkl", "bf16"))]
+)
 def test_the_same_run_twice_is_the_same_bit_by_bit(products: str, tmp_path: Path) -> None:
     result = python(TWICE, str(tmp_path), products)
     if "is not possible here" in result.stderr:
