@@ -59,6 +59,7 @@ def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.Capt
     assert about["source"]["episodes"] == 50 == sum(about["source"]["outcomes"].values())
     assert about["classifier"]["held_out_accuracy"] > 0.7 and 0 < about["classifier"]["held_out_states"] < 200
     assert about["config"]["pretrain"]["hidden"] == 16
+    assert about["perception"] == {"angles": "folded"}
     assert about["versions"]["torch"] == version("torch")
     text = (out_folder / "artifact.json").read_text()
     assert "NaN" not in text and str(tmp_path) not in text, "plain JSON that names no place of this machine"
@@ -68,6 +69,7 @@ def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.Capt
     assert f"Artifact: {out_folder}" in said
 
     classifier = TrajectoryClassifier.load(out_folder)
+    assert classifier.perception == about["perception"]
     states = torch.from_numpy(read_states(run).states)
     labels = classifier(states)
     nearest = torch.cdist(classifier.encode(states), classifier.centres).argmin(-1)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import pytest
+from omegaconf import OmegaConf
 
 from uavrl.buffers import ABRPlus
 from uavrl.configs import compose
@@ -37,10 +40,16 @@ def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
 
 
 @pytest.mark.parametrize(
-    "other", ["perception.angles=raw", "perception.statistic=range", "perception.statistic=proximity"]
+    ("other", "told"),
+    [
+        ("perception.angles=raw", "of perception.angles=folded, and this is raw: make one by uavrl-pretrain"),
+        ("perception.statistic=range", "of perception.statistic=face, and this is range"),
+        ("perception.frames=4", "of perception.frames=3, and this is 4"),
+    ],
 )
-def test_abr_plus_asks_for_an_artifact_of_the_states_that_it_reads(other: str) -> None:
-    assert compose("scheme=abr_plus").backward_reward.artifact == "packaged"
-    artifact = compose("scheme=abr_plus", other).backward_reward.artifact
-    with pytest.raises(UavrlError, match=f"for {other}: make one by uavrl-pretrain"):
-        ABRPlus(artifact=artifact)
+def test_abr_plus_asks_for_an_artifact_of_the_states_that_it_reads(other: str, told: str) -> None:
+    perception = OmegaConf.to_container(compose("env.world.flight_level=3").perception, resolve=True)
+    ABRPlus(perception=cast(dict[str, Any], perception))
+    perception = OmegaConf.to_container(compose(other).perception, resolve=True)
+    with pytest.raises(UavrlError, match=told):
+        ABRPlus(perception=cast(dict[str, Any], perception))

@@ -57,7 +57,10 @@ def checkpoint_run(
     for i, states in enumerate(episodes):
         buffer.extend(transitions(states, OUTCOMES[i % 3]))
     run_dir.mkdir(parents=True)
-    (run_dir / "config.yaml").write_text(f"algo:\n  name: td3\nbuffer:\n  capacity: {capacity}\n")
+    config = (
+        f"algo: {{name: td3}}\nbuffer: {{capacity: {capacity}}}\nperception: {{angles: folded, lidar: {{radius: 4}}}}\n"
+    )
+    (run_dir / "config.yaml").write_text(config)
     checkpoint = Checkpoint(replay_data=BufferState(buffer), format="archive", archive_compression="stored")
     about = {
         "fingerprint": fingerprint(read_config(run_dir)),

@@ -1,7 +1,9 @@
 """The two backward rewards of the thesis, with the classifiers that make them."""
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from uavrl.buffers.backward_reward import BackwardReward
 from uavrl.buffers.functional import Scale
@@ -59,23 +61,16 @@ class ABR(BackwardReward):
         super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
 
 
-_NOT_PACKAGED = {
-    "packaged_raw": "perception.angles=raw",
-    "packaged_range": "perception.statistic=range",
-    "packaged_proximity": "perception.statistic=proximity",
-}
-
-
 class ABRPlus(BackwardReward):
     """The backward reward with classes by the trained classifier (Chansuparp (2022), §3.4, Algorithm 3.1).
 
     Args:
         multiplier: p_addReward.
-        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states as the default has them. None
-            comes with uavrl for others, ``"packaged_raw"``, ``_range`` and ``_proximity``.
+        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states as the default has them.
         scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
+        perception: how the states are made; an artifact of others is refused. Not compared where not given.
         kept: a copy of the artifact, made here at the first time and read from then on; None keeps none.
 
     Raises:
@@ -95,13 +90,9 @@ class ABRPlus(BackwardReward):
         *,
         stacked: int = 3,
         observations: int = 105,
+        perception: Mapping[str, Any] | None = None,
         kept: Path | None = None,
     ) -> None:
-        if artifact in _NOT_PACKAGED:
-            raise UavrlError(
-                f"No artifact of ABR⁺ comes with uavrl for {_NOT_PACKAGED[artifact]}: make one by uavrl-pretrain from "
-                "a run with that, and name its folder, backward_reward.artifact=FOLDER."
-            )
         source = packaged_artifact() if artifact == "packaged" else Path(artifact)
         if kept is not None and not kept.exists():
             TrajectoryClassifier.load(source)
@@ -109,10 +100,19 @@ class ABRPlus(BackwardReward):
             for name in (ARTIFACT.safetensors, ARTIFACT.json):  # and nothing that lies beside them
                 shutil.copyfile(source / name, kept / name)
         classifier = TrajectoryClassifier.load(source if kept is None else kept)
-        if classifier.inputs != observations:
-            raise UavrlError(
-                f"The artifact {artifact} classifies states of {classifier.inputs} numbers, these have "
-                f"{observations}: make one with uavrl-pretrain from a run with "
-                f"this perception, perception.frames={stacked} and all."
-            )
+        _require_its_states(classifier, str(artifact), observations, perception or {})
         super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
+
+
+def _require_its_states(
+    classifier: TrajectoryClassifier, artifact: str, observations: int, perception: Mapping[str, Any]
+) -> None:
+    remedy = "make one by uavrl-pretrain from a run with this perception, and name it, backward_reward.artifact=FOLDER."
+    for key, known in classifier.perception.items():
+        if (value := perception.get(key, known)) != known:
+            raise UavrlError(f"The artifact {artifact} is of perception.{key}={known}, and this is {value}: {remedy}")
+    if classifier.inputs != observations:
+        raise UavrlError(
+            f"The artifact {artifact} classifies states of {classifier.inputs} numbers, these have {observations}: "
+            f"{remedy}"
+        )

@@ -13,6 +13,8 @@ from uavrl.errors import UavrlError
 from uavrl.models.actor_critic import mlp
 from uavrl.runs.weights import ARTIFACT
 
+_SENSED = ("lidar", "blind", "blind_to", "flight_level")  # keys of a perception: what it sees, not how that is told
+
 
 class TrajectoryClassifier(nn.Module):
     """States to classes: PSAE's encoder, a fixed scaling of its features, and a network from features to classes.
@@ -23,6 +25,10 @@ class TrajectoryClassifier(nn.Module):
         hidden: width of the encoder's hidden layer.
         classifier_hidden: widths of the classifier's hidden layers.
         k: number of classes.
+
+    Attributes:
+        perception: keys and values of the perception whose states it knows, as :func:`form_of_states` has them; empty
+            where that is not known.
 
     Examples:
         >>> classifier = TrajectoryClassifier(k=50)
@@ -45,6 +51,7 @@ class TrajectoryClassifier(nn.Module):
     ) -> None:
         super().__init__()
         self.inputs, self.k = inputs, k
+        self.perception: Mapping[str, Any] = {}
         self.sizes = {
             "inputs": inputs,
             "features": features,
@@ -108,10 +115,21 @@ class TrajectoryClassifier(nn.Module):
                 raise ValueError("the sizes that it tells are not those of its weights")
             classifier = cls(**about["sizes"])
             classifier.load_state_dict(weights)
+            classifier.perception = dict(about.get("perception", {}))
         except Exception as error:
             reason = str(error).splitlines()[0]
             raise UavrlError(f"The artifact {path} is damaged ({reason}): {ARTIFACT.remedy}.") from error
         return classifier.requires_grad_(False).eval()
+
+
+def form_of_states(perception: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a perception decides what each number of a state means.
+
+    Examples:
+        >>> form_of_states({"angles": "raw", "frames": 3, "blind": False})
+        {'angles': 'raw', 'frames': 3}
+    """
+    return {key: value for key, value in perception.items() if key not in _SENSED}
 
 
 def packaged_artifact(name: str = "abr_plus_static") -> Path:

@@ -138,6 +138,7 @@ def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Pat
     report = {
         "k": k,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "perception": flown.perception,
         "source": _source(flown, sample),
         "config": _settings(config),
         "config_sha256": hashlib.sha256(json.dumps(_settings(config), sort_keys=True).encode()).hexdigest(),

@@ -2,8 +2,10 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,7 +13,9 @@ from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.buffers import FrameStorage
+from uavrl.configs.build import plain_data
 from uavrl.errors import UavrlError
+from uavrl.models.trajectory_classifier import form_of_states
 from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
 from uavrl.trust import check_links
@@ -28,12 +32,14 @@ class States:
         episode: ``[N]``, the index of the episode that each state belongs to, from 0.
         outcomes: of each episode: arrived, collided or timed_out.
         name: where they come from, for people to read.
+        perception: of the run, what decides what their numbers mean.
     """
 
     states: np.ndarray
     episode: np.ndarray
     outcomes: list[str]
     name: str
+    perception: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -98,7 +104,8 @@ def read_states(run_dir: Path) -> States:
         "arrived" if arrived else "collided" if terminated else "timed_out"
         for arrived, terminated in zip(ends["arrived"].tolist(), ends["terminated"].tolist(), strict=True)
     ]
-    return States(states.numpy(), episode.numpy(), outcomes, f"{run_dir.name}/{path.name}")
+    seen = form_of_states(plain_data(config.get("perception")) or {})
+    return States(states.numpy(), episode.numpy(), outcomes, f"{run_dir.name}/{path.name}", seen)
 
 
 def _in_order(storage: FrameStorage, oldest: int) -> TensorDict:

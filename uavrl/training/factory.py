@@ -104,6 +104,7 @@ def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path)
         packages=settings.packages,
         stacked=sizes.frames,
         observations=sizes.state,
+        perception=settings.perception,
         kept=kept,
     )
 
