@@ -52,10 +52,11 @@ def test_the_distance_by_hand() -> None:
 def test_the_term_has_the_size_of_the_objective() -> None:
     data = TestContract().make_data()
     loss = TestContract().seeded_loss(reduction="none")
+    loss.weight = 0.7
     plain, metadata = loss.base.actor_loss(data)
     actions = loss.act(data)["action"]
     distance = distance_to_guide(actions, data["guide_action"], 2.0)
-    torch.testing.assert_close(loss.actor_loss(data)[0], plain + 0.4 * plain.abs().mean() * distance)
+    torch.testing.assert_close(loss.actor_loss(data)[0], plain + 0.7 * plain.abs().mean() * distance)
     torch.testing.assert_close(loss.actor_loss(data)[1]["guide_distance"], distance)
     assert set(metadata) < set(loss.actor_loss(data)[1])
 

@@ -38,7 +38,7 @@ class Imitation(Enhancer):
     Args:
         base: the loss to enhance.
         limit: the largest action.
-        weight: of the distance; 0.4 is the 1 / α of Fujimoto and Gu.
+        weight: of the distance; Fujimoto and Gu have 1 / α = 0.4.
 
     Raises:
         KeyError: from ``actor_loss``, for a batch without the guide's actions.
@@ -70,7 +70,7 @@ class Imitation(Enhancer):
 
     default_keys = _AcceptedKeys
 
-    def __init__(self, base: ActorCriticLoss, *, limit: Positive = 1.0, weight: NonNegative = 0.4) -> None:
+    def __init__(self, base: ActorCriticLoss, *, limit: Positive = 1.0, weight: NonNegative = 1.0) -> None:
         super().__init__(base)
         self.limit, self.weight = limit, weight
 
