@@ -78,7 +78,7 @@ nitpick_ignore_regex = [
     ),
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
     (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task)"),
-    (r"py:.*", r"(typing\.)?(Annotated|Literal|tuple|dict)\[[^\]]*"),
+    (r"py:.*", r"(typing\.|collections\.abc\.)?(Annotated|Literal|Mapping|tuple|dict)\[[^\]]*"),
 ]
 
 # Pages at the root of the repository, which the site has under the names of docs/.

@@ -27,7 +27,7 @@ class TrajectoryClassifier(nn.Module):
         k: number of classes.
 
     Attributes:
-        perception: keys and values of the perception whose states it knows, as :func:`form_of_states` has them; empty
+        perception: the keys of the perception that decide what its states mean, with their values; empty
             where that is not known.
 
     Examples:
@@ -51,7 +51,7 @@ class TrajectoryClassifier(nn.Module):
     ) -> None:
         super().__init__()
         self.inputs, self.k = inputs, k
-        self.perception: Mapping[str, Any] = {}
+        self.perception: dict[str, Any] = {}
         self.sizes = {
             "inputs": inputs,
             "features": features,
