@@ -43,7 +43,7 @@ def test_it_succeeds_as_often_as_its_evaluation_states(name: str) -> None:
     config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
     config = with_overrides(config, compose(*stated["overrides"], name="evaluate"), stated["overrides"])
     settings = to_dataclass(config)
-    env = make_env(settings.env, settings.perception, seed=stated["seed"], num_uavs=8, measure_clearance=True)
+    env = make_env(settings.env, settings.perception, seed=stated["seed"], num_uavs=8)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # as uavrl-evaluate: a sum over two threads rounds otherwise
     try:

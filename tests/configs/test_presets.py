@@ -34,6 +34,7 @@ def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
     assert {**config.algo, "random_steps": 2000} == dict(fast.algo)
     assert (config.guide.reduction, compose("guide=vfh").guide.reduction) == ("range_image", "truncated_icosahedron")
     assert (config.choices.reward, config.choices.backward_reward) == ("traditional", "none")
+    assert config.enhancer.weight == 1.0
     assert (config.perception.statistic, config.perception.last_action) == ("proximity", True)
     assert compose("perception.reduction=range_image").perception.statistic == "proximity"
     assert compose().perception.statistic == "face"
@@ -44,12 +45,14 @@ def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
     [
         ("perception.angles=raw", "of perception.angles=folded, and this is raw: make one by uavrl-pretrain"),
         ("perception.statistic=range", "of perception.statistic=face, and this is range"),
+        ("perception.blind=true", "of perception.blind=False, and this is True"),
         ("perception.frames=4", "of perception.frames=3, and this is 4"),
     ],
 )
 def test_abr_plus_asks_for_an_artifact_of_the_states_that_it_reads(other: str, told: str) -> None:
     perception = OmegaConf.to_container(compose("env.world.flight_level=3").perception, resolve=True)
     ABRPlus(perception=cast(dict[str, Any], perception))
+    ABRPlus(perception={"statistic": None, "a key of one's own": 1})
     perception = OmegaConf.to_container(compose(other).perception, resolve=True)
     with pytest.raises(UavrlError, match=told):
         ABRPlus(perception=cast(dict[str, Any], perception))

@@ -70,7 +70,7 @@ class ABRPlus(BackwardReward):
         scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
-        perception: how the states are made; an artifact of others is refused. Not compared where not given.
+        perception: the run's; an artifact of another one is refused. What one of the two does not tell is not compared.
         kept: a copy of the artifact, made here at the first time and read from then on; None keeps none.
 
     Raises:
@@ -109,8 +109,11 @@ def _require_its_states(
 ) -> None:
     remedy = "make one by uavrl-pretrain from a run with this perception, and name it, backward_reward.artifact=FOLDER."
     for key, known in classifier.perception.items():
-        if (value := perception.get(key, known)) != known:
-            raise UavrlError(f"The artifact {artifact} is of perception.{key}={known}, and this is {value}: {remedy}")
+        value = perception.get(key)
+        if None not in (known, value) and value != known:  # None is the default of the class
+            raise UavrlError(
+                f"The artifact {artifact} is of perception.{key}={known!s:.80}, and this is {value!s:.80}: {remedy}"
+            )
     if classifier.inputs != observations:
         raise UavrlError(
             f"The artifact {artifact} classifies states of {classifier.inputs} numbers, these have {observations}: "

@@ -32,7 +32,8 @@ def _pretrain(config: DictConfig) -> None:
             f"SD {sizes['sd']:.2f}"
         )
     print(f"Artifact: {about['output']}")
-    print(f"Train with it: uavrl-train backward_reward=abr_plus backward_reward.artifact={about['output']}")
+    chosen = f"backward_reward=abr_plus backward_reward.artifact={about['output']}"
+    print(f"Train with it, and with that run's perception: uavrl-train {chosen}")
 
 
 if __name__ == "__main__":

@@ -13,7 +13,9 @@ from uavrl.errors import UavrlError
 from uavrl.models.actor_critic import mlp
 from uavrl.runs.weights import ARTIFACT
 
-_SENSED = ("lidar", "blind", "blind_to", "flight_level")  # keys of a perception: what it sees, not how that is told
+# Keys of a perception that leave the meaning of a state's numbers alone: how good the sensor is, which bodies it does
+# not see, and from where altitude is counted.
+_NOT_COMPARED = ("lidar", "blind_to", "flight_level")
 
 
 class TrajectoryClassifier(nn.Module):
@@ -95,7 +97,7 @@ class TrajectoryClassifier(nn.Module):
         Returns:
             What ``artifact.json`` holds.
         """
-        return ARTIFACT.save(path, self.state_dict(), {"sizes": self.sizes, **report})
+        return ARTIFACT.save(path, self.state_dict(), {"sizes": self.sizes, "perception": self.perception, **report})
 
     @classmethod
     def load(cls, path: str | Path) -> TrajectoryClassifier:
@@ -115,7 +117,9 @@ class TrajectoryClassifier(nn.Module):
                 raise ValueError("the sizes that it tells are not those of its weights")
             classifier = cls(**about["sizes"])
             classifier.load_state_dict(weights)
-            classifier.perception = dict(about.get("perception", {}))
+            classifier.perception = about.get("perception", {})
+            if not isinstance(classifier.perception, dict):
+                raise ValueError("its perception is no mapping")
         except Exception as error:
             reason = str(error).splitlines()[0]
             raise UavrlError(f"The artifact {path} is damaged ({reason}): {ARTIFACT.remedy}.") from error
@@ -126,10 +130,10 @@ def form_of_states(perception: Mapping[str, Any]) -> dict[str, Any]:
     """What of a perception decides what each number of a state means.
 
     Examples:
-        >>> form_of_states({"angles": "raw", "frames": 3, "blind": False})
+        >>> form_of_states({"angles": "raw", "frames": 3, "flight_level": 3.5})
         {'angles': 'raw', 'frames': 3}
     """
-    return {key: value for key, value in perception.items() if key not in _SENSED}
+    return {key: value for key, value in perception.items() if key not in _NOT_COMPARED}
 
 
 def packaged_artifact(name: str = "abr_plus_static") -> Path:

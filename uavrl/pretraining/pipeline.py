@@ -124,6 +124,7 @@ def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Pat
         found[other] = cluster(scaled, other, **options)
 
     classifier = _assemble(psae, mean, scale, found[k], recipe)
+    classifier.perception = flown.perception
     labels, learned_from = found[k].labels, ~sample.held_out
     train_classifier(scaled[learned_from], labels[learned_from], classifier.classifier, recipe, **training)
     sizes = {f"PSAE and k-means, k = {k}": class_sizes(found[k].labels, k)}
@@ -138,7 +139,6 @@ def _pretrain(flown: States, sample: Sample, config: PretrainConfig, output: Pat
     report = {
         "k": k,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "perception": flown.perception,
         "source": _source(flown, sample),
         "config": _settings(config),
         "config_sha256": hashlib.sha256(json.dumps(_settings(config), sort_keys=True).encode()).hexdigest(),

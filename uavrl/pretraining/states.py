@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,7 +38,7 @@ class States:
     episode: np.ndarray
     outcomes: list[str]
     name: str
-    perception: Mapping[str, Any] = field(default_factory=dict)
+    perception: dict[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -104,8 +103,10 @@ def read_states(run_dir: Path) -> States:
         "arrived" if arrived else "collided" if terminated else "timed_out"
         for arrived, terminated in zip(ends["arrived"].tolist(), ends["terminated"].tolist(), strict=True)
     ]
-    seen = form_of_states(plain_data(config.get("perception")) or {})
-    return States(states.numpy(), episode.numpy(), outcomes, f"{run_dir.name}/{path.name}", seen)
+    seen = plain_data(config.get("perception")) or {}
+    if not isinstance(seen, dict):
+        raise UavrlError(f"Expected perception in the configuration of {run_dir} to be a mapping, got {seen!r:.80}.")
+    return States(states.numpy(), episode.numpy(), outcomes, f"{run_dir.name}/{path.name}", form_of_states(seen))
 
 
 def _in_order(storage: FrameStorage, oldest: int) -> TensorDict:
