@@ -14,7 +14,8 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
-TINY_RUN = ["trainer.episodes=1", "env.num_uavs=1", "env.max_steps=3", "trainer.progress=false"]
+TINY_RUN = ["trainer.episodes=1", "env.num_uavs=1", "env.max_steps=3", "trainer.progress=false", "trainer.products=mkl"]
+TINY_RUN += ["trainer.execution=captured"]  # compiling takes longer than the run
 
 
 def test_its_python_runs() -> None:
