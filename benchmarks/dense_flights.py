@@ -57,7 +57,7 @@ def main() -> None:
     args = parser.parse_args()
     rows = read(args.file)
     for pair in args.add:
-        name, _, folder = pair.partition("=")
+        name, _, folder = pair.rpartition("=")
         rows = add(rows, name, Path(folder))
     if args.add:
         with args.file.open("w", newline="", encoding="utf-8") as file:

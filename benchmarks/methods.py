@@ -204,7 +204,7 @@ def main() -> None:
     args = parser.parse_args()
     kept: dict[str, list[dict[str, Any]]] = json.loads(args.file.read_text()) if args.file.is_file() else {}
     for pair in args.add:
-        method, _, folder = pair.partition("=")
+        method, _, folder = pair.rpartition("=")
         run = read(Path(folder))
         others = [other for other in kept.get(method, []) if other["seed"] != run["seed"]]
         kept[method] = sorted([*others, run], key=lambda one: one["seed"])

@@ -29,7 +29,7 @@ def interrupts_are_heard() -> None:
 @pytest.fixture(autouse=True)
 def log_is_heard() -> None:
     """Hydra silences what logged before it, and a test may have called it in this process."""
-    logging.getLogger().setLevel(logging.WARNING)  # a command that Hydra refuses leaves ERROR behind
+    logging.getLogger().setLevel(logging.WARNING)  # a sweep leaves ERROR behind
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("uavrl")]:
         logging.getLogger(name).disabled = False
 

@@ -127,11 +127,11 @@ def test_dense_flights_are_told_of_the_odd_valleys_alone(
         flown = episodes("ac" * 20 + "ca" * 20)
         write_episodes(run / "episodes.csv", [replace(each, world_seed=1 - i % 2) for i, each in enumerate(flown)])
     kept, picture = tmp_path / "kept.csv", tmp_path / "picture.png"
-    added = [f"mine s{seed}={tmp_path / str(seed)}" for seed in (0, 1)]
+    added = [f"mine, weight=1 s{seed}={tmp_path / str(seed)}" for seed in (0, 1)]
     arguments = ["dense_flights.py", str(kept), "--ranges", "0-400", "400-800", "790-800", "--window", "3"]
     monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, *added, f"cells2={tmp_path / '0'}"])
     dense_flights.main()
-    assert "| mine | 2 | 100 % (91–100) of 40 | 0 % (0–9) of 40 | – |" in (told := capsys.readouterr().out)
+    assert "| mine, weight=1 | 2 | 100 % (91–100) of 40 | 0 % (0–9) of 40 | – |" in (told := capsys.readouterr().out)
     assert "| cells2 | 1 | 100 % (84–100) of 20 |" in told
     monkeypatch.setattr(sys, "argv", [*arguments, "--plot", str(picture)])  # from the file alone
     dense_flights.main()

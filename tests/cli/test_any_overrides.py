@@ -181,7 +181,7 @@ TOLD = settings(
 )
 
 
-@settings(TOLD, max_examples=15)
+@settings(TOLD, max_examples=30)
 @given(ANY)
 def test_any_overrides_end_in_a_start_or_in_one_sentence(overrides: list[str]) -> None:
     ends_well(overrides)

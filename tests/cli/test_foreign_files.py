@@ -392,6 +392,14 @@ def test_sizes_that_no_memory_holds_are_refused_before_they_are_made(
     assert "the sizes that it tells are not those of its weights" in sentence
 
 
+def test_a_perception_that_is_no_mapping_is_damage(tmp_path: Path, refused: Callable[..., str]) -> None:
+    artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
+    about = json.loads((artifact / "artifact.json").read_text())
+    (artifact / "artifact.json").write_text(json.dumps({**about, "perception": []}))
+    sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
+    assert f"The artifact {artifact} is damaged (its perception is no mapping)" in sentence
+
+
 def test_a_run_takes_nothing_from_an_artifacts_folder_but_the_artifact(tmp_path: Path) -> None:
     artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
     (tmp_path / "private").write_text("the secret")

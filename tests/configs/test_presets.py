@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -10,6 +13,7 @@ from omegaconf import OmegaConf
 from uavrl.buffers import ABRPlus
 from uavrl.configs import compose
 from uavrl.errors import UavrlError
+from uavrl.models.trajectory_classifier import packaged_artifact
 
 
 @pytest.mark.parametrize(
@@ -56,3 +60,16 @@ def test_abr_plus_asks_for_an_artifact_of_the_states_that_it_reads(other: str, t
     perception = OmegaConf.to_container(compose(other).perception, resolve=True)
     with pytest.raises(UavrlError, match=told):
         ABRPlus(perception=cast(dict[str, Any], perception))
+
+
+def test_of_an_artifact_that_does_not_tell_its_perception_the_width_alone_is_compared(tmp_path: Path) -> None:
+    artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
+    about = json.loads((artifact / "artifact.json").read_text())
+    del about["perception"]
+    (artifact / "artifact.json").write_text(json.dumps(about))
+    kept = tmp_path / "kept"
+    with pytest.raises(UavrlError, match="classifies states of 105 numbers, these have 70"):
+        ABRPlus(artifact=str(artifact), observations=70, stacked=2, perception={"angles": "raw"}, kept=kept)
+    assert not kept.exists(), "what is refused is not kept"
+    ABRPlus(artifact=str(artifact), perception={"angles": "raw"}, kept=kept)
+    assert sorted(path.name for path in kept.iterdir()) == ["artifact.json", "artifact.safetensors"]

@@ -49,7 +49,12 @@ def transitions(states: np.ndarray, outcome: str) -> TensorDict:
 
 
 def checkpoint_run(
-    run_dir: Path, episodes: list[np.ndarray], capacity: int = 10_000, frames: int = 1, n_steps: int = 1
+    run_dir: Path,
+    episodes: list[np.ndarray],
+    capacity: int = 10_000,
+    frames: int = 1,
+    n_steps: int = 1,
+    perception: str = "{angles: folded, lidar: {radius: 4}}",
 ) -> Path:
     """A run folder with a checkpoint whose replay buffer saw these episodes."""
     transform = MultiStep(n_steps, 0.9) if n_steps > 1 else None
@@ -57,9 +62,7 @@ def checkpoint_run(
     for i, states in enumerate(episodes):
         buffer.extend(transitions(states, OUTCOMES[i % 3]))
     run_dir.mkdir(parents=True)
-    config = (
-        f"algo: {{name: td3}}\nbuffer: {{capacity: {capacity}}}\nperception: {{angles: folded, lidar: {{radius: 4}}}}\n"
-    )
+    config = f"algo: {{name: td3}}\nbuffer: {{capacity: {capacity}}}\nperception: {perception}\n"
     (run_dir / "config.yaml").write_text(config)
     checkpoint = Checkpoint(replay_data=BufferState(buffer), format="archive", archive_compression="stored")
     about = {

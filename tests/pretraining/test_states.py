@@ -94,3 +94,9 @@ def test_states_that_are_not_finite_are_refused(tmp_path: Path, value: float) ->
     checkpoint_run(tmp_path / "run", written)
     with pytest.raises(UavrlError, match=r"Expected finite states in .*run"):
         read_states(tmp_path / "run")
+
+
+def test_a_perception_that_is_no_mapping_is_refused(tmp_path: Path) -> None:
+    checkpoint_run(tmp_path / "run", episodes(), perception="folded")
+    with pytest.raises(UavrlError, match=r"Expected perception in .* to be a mapping, got 'folded'"):
+        read_states(tmp_path / "run")

@@ -94,13 +94,13 @@ class ABRPlus(BackwardReward):
         kept: Path | None = None,
     ) -> None:
         source = packaged_artifact() if artifact == "packaged" else Path(artifact)
-        if kept is not None and not kept.exists():
-            TrajectoryClassifier.load(source)
+        keeps = kept is not None and kept.exists()
+        classifier = TrajectoryClassifier.load(kept if kept is not None and keeps else source)
+        _require_its_states(classifier, str(artifact), observations, perception or {})
+        if kept is not None and not keeps:
             kept.mkdir()
             for name in (ARTIFACT.safetensors, ARTIFACT.json):  # and nothing that lies beside them
                 shutil.copyfile(source / name, kept / name)
-        classifier = TrajectoryClassifier.load(source if kept is None else kept)
-        _require_its_states(classifier, str(artifact), observations, perception or {})
         super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
 
 
