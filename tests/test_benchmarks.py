@@ -279,6 +279,40 @@ def test_reactions_are_told_of_a_policy_that_always_flies_on(monkeypatch: pytest
 
 
 @pytest.mark.parametrize(
+    ("known", "ahead", "beside", "dodges"),
+    [
+        ("all, straight on", 6.0, 0.0, True),
+        ("all, straight on", 6.0, 6.0, False),
+        ("those in view, straight on", 6.0, 0.0, True),
+        ("those in view, straight on", 10.5, 0.0, False),
+        ("all, straight on", 10.5, 0.0, True),
+        ("all, as they will fly", 6.0, 0.0, False),  # it will turn back
+    ],
+)
+def test_a_rule_that_is_told_of_a_plane_gets_out_of_its_way(
+    known: str, ahead: float, beside: float, dodges: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plane comes on at 4 m/s, ``ahead`` and ``beside`` of a UAV whose nose points to the side of the world."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import told_of_planes as told
+    from tensordict import TensorDict
+
+    start = np.array([-beside, ahead, 3.5, 0.0])
+    seconds = np.arange(1, 21)[:, None, None] / 10
+    way = np.array([0.0, -4.0, 0.0, 0.0]) * seconds
+    later = start + (np.where(seconds < 0.15, way, 10.0 - way) if known == "all, as they will fly" else way)
+    env = SimpleNamespace(
+        plane_poses=lambda: start[None],
+        plane_paths=lambda steps: later[:steps],
+        simulation=SimpleNamespace(yaw=np.array([np.pi / 2])),
+    )
+    state = {"faces": torch.zeros(1, 72), "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}
+    state |= {"position": torch.tensor([[0.0, 0.0, 3.5]]), "velocity": torch.tensor([[0.0, 2.0, 0.0]])}
+    action = told.ToldOfPlanes(env, known, 4.0)(TensorDict(state, [1]))["action"][0]  # type: ignore[arg-type]
+    assert (action[0].item() < 1.99) == dodges
+
+
+@pytest.mark.parametrize(
     ("position", "way"),
     [((1.5, 0.0, 3.6), 1), ((1.5, 0.0, 3.3), -1), ((1.5, 3.0, 3.5), 0), ((-2.0, 0.0, 3.5), 0), ((1.5, 0.0, 4.5), -1)],
 )

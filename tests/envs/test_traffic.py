@@ -182,3 +182,17 @@ def test_an_environment_shows_the_shape_of_its_planes():
     env = NavigationEnv(1, world=WorldConfig(planes=3))  # of 3 m
     np.testing.assert_array_equal(env.plane_mesh.vertices, plane_mesh(3.0).vertices)
     env.close()
+
+
+def test_an_environment_tells_the_ways_that_its_planes_will_fly():
+    env = NavigationEnv(1, world=WorldConfig(planes=2, obstacles=5))
+    env.reset()
+    told = env.plane_paths(30)
+    again = env.plane_paths(30)
+    flown = []
+    for _ in range(30):
+        env.step(env.rand_action(env.reset()))  # a collision ends no plane's flight
+        flown.append(env.plane_poses())
+    env.close()
+    np.testing.assert_array_equal(told, again)
+    np.testing.assert_allclose(told, flown, atol=1e-9)

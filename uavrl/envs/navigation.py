@@ -1,5 +1,6 @@
 """The navigation task as a natively batched TorchRL environment."""
 
+from copy import deepcopy
 from functools import cached_property
 from typing import Literal
 
@@ -288,6 +289,11 @@ class NavigationEnv(EnvBase):
     def plane_poses(self) -> np.ndarray:
         """Returns x, y, z in m and yaw in rad of all planes, ``[K, 4]``."""
         return np.column_stack([self._traffic.positions, self._traffic.yaws])
+
+    def plane_paths(self, steps: int) -> np.ndarray:
+        """Returns where all planes will be after each of the next steps: x, y, z in m and yaw in rad, ``[T, K, 4]``."""
+        ticks = PHYSICS_RATE // CONTROL_RATE
+        return deepcopy(self._traffic).advance(steps * ticks, 1 / PHYSICS_RATE)[ticks - 1 :: ticks]
 
     @property
     def plane_mesh(self) -> Mesh:

@@ -2,6 +2,7 @@
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.errors import UavrlError
@@ -111,9 +112,15 @@ class VectorFieldHistogram:
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``."""
+        cost, speed = self.rated(tensordict)
+        best = cost.argmin(-1, keepdim=True)
+        return tensordict.set("action", self.flown(best, speed.gather(-1, best)))
+
+    def rated(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """What each direction costs, and how fast it would be flown in m/s: ``[N, D]`` each."""
         costs, heading = self.costs, torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
         x, y, z = self.directions.T
-        in_the_way = (tensordict["faces"] / self.radius) ** costs.nearness @ self._seen_in.T  # [N, D]
+        in_the_way = (tensordict["faces"] / self.radius) ** costs.nearness @ self._seen_in.T
         off_level = (tensordict["altitude"] + ACTION_LIMIT * z - self.flight_level).abs()
         cost = (
             costs.obstacle * in_the_way
@@ -121,11 +128,13 @@ class VectorFieldHistogram:
             + costs.level * off_level
             + costs.turn * (1 - x)
         )
-        best = cost.argmin(-1)
-        way = self.directions[best]
-        speed = ACTION_LIMIT * (1 - costs.caution * in_the_way.gather(-1, best[:, None]).clamp(0, 1))
+        return cost, ACTION_LIMIT * (1 - costs.caution * in_the_way.clamp(0, 1))
+
+    def flown(self, best: Tensor, speed: Tensor) -> Tensor:
+        """The action ``[N, 4]`` that flies in the directions ``best [N, 1]`` at ``speed [N, 1]``, turning to them."""
+        way = self.directions[best[:, 0]]
         turn = (3 * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-ACTION_LIMIT, ACTION_LIMIT)
-        return tensordict.set("action", torch.cat([speed * way, turn], -1))
+        return torch.cat([speed * way, turn], -1)
 
 
 BASELINES = {"straight": StraightPolicy, "vfh": VectorFieldHistogram}
