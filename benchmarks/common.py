@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.configs import TrainConfig, compose, to_dataclass
+from uavrl.errors import UavrlError
 
 
 def experiment(*overrides: str) -> TrainConfig:
@@ -61,3 +62,11 @@ def sb3_td3(env: Any, *, random_steps: int, seed: int) -> Any:
             device="cpu",
             seed=seed,
         )
+
+
+def named_folder(pair: str) -> tuple[str, Path]:
+    """Name and folder of ``NAME=FOLDER``, where both may hold an equals sign."""
+    for place, sign in enumerate(pair):
+        if sign == "=" and (folder := Path(pair[place + 1 :])).is_dir():
+            return pair[:place], folder
+    raise UavrlError(f"Expected NAME=FOLDER with a folder that exists, got {pair!r}: write the folder's path.")

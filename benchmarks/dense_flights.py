@@ -16,6 +16,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+from common import named_folder
 from matplotlib.figure import Figure
 
 from uavrl.reporting.learning_curves import moving_mean
@@ -57,8 +58,7 @@ def main() -> None:
     args = parser.parse_args()
     rows = read(args.file)
     for pair in args.add:
-        name, _, folder = pair.rpartition("=")
-        rows = add(rows, name, Path(folder))
+        rows = add(rows, *named_folder(pair))
     if args.add:
         with args.file.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")

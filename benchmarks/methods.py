@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from common import named_folder
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 from scipy.stats import trim_mean
@@ -204,8 +205,8 @@ def main() -> None:
     args = parser.parse_args()
     kept: dict[str, list[dict[str, Any]]] = json.loads(args.file.read_text()) if args.file.is_file() else {}
     for pair in args.add:
-        method, _, folder = pair.rpartition("=")
-        run = read(Path(folder))
+        method, folder = named_folder(pair)
+        run = read(folder)
         others = [other for other in kept.get(method, []) if other["seed"] != run["seed"]]
         kept[method] = sorted([*others, run], key=lambda one: one["seed"])
     if args.add:

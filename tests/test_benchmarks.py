@@ -122,19 +122,22 @@ def test_dense_flights_are_told_of_the_odd_valleys_alone(
     import dense_flights
 
     for seed in (0, 1):
-        run = tmp_path / str(seed)
+        run = tmp_path / f"seed={seed}"
         run.mkdir()
         flown = episodes("ac" * 20 + "ca" * 20)
         write_episodes(run / "episodes.csv", [replace(each, world_seed=1 - i % 2) for i, each in enumerate(flown)])
     kept, picture = tmp_path / "kept.csv", tmp_path / "picture.png"
-    added = [f"mine, weight=1 s{seed}={tmp_path / str(seed)}" for seed in (0, 1)]
+    added = [f"mine, weight=1 s{seed}={tmp_path / f'seed={seed}'}" for seed in (0, 1)]
     arguments = ["dense_flights.py", str(kept), "--ranges", "0-400", "400-800", "790-800", "--window", "3"]
-    monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, *added, f"cells2={tmp_path / '0'}"])
+    monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, *added, f"cells2={tmp_path / 'seed=0'}"])
     dense_flights.main()
     assert "| mine, weight=1 | 2 | 100 % (91–100) of 40 | 0 % (0–9) of 40 | – |" in (told := capsys.readouterr().out)
     assert "| cells2 | 1 | 100 % (84–100) of 20 |" in told
     monkeypatch.setattr(sys, "argv", [*arguments, "--plot", str(picture)])  # from the file alone
     dense_flights.main()
+    monkeypatch.setattr(sys, "argv", [*arguments, "--add", f"mine={tmp_path / 'none'}"])
+    with pytest.raises(UavrlError, match="Expected NAME=FOLDER with a folder that exists, got 'mine="):
+        dense_flights.main()
     assert "of 40 | 0 %" in capsys.readouterr().out and picture.stat().st_size > 5_000
 
 
@@ -283,8 +286,8 @@ def test_reactions_are_told_of_a_policy_that_always_flies_on(monkeypatch: pytest
     [
         ("all, straight on", 6.0, 0.0, True),
         ("all, straight on", 6.0, 6.0, False),
-        ("those in view, straight on", 6.0, 0.0, True),
-        ("those in view, straight on", 10.5, 0.0, False),
+        ("in view, straight on", 6.0, 0.0, True),
+        ("in view, straight on", 10.5, 0.0, False),
         ("all, straight on", 10.5, 0.0, True),
         ("all, as they will fly", 6.0, 0.0, False),  # it will turn back
     ],
@@ -308,7 +311,7 @@ def test_a_rule_that_is_told_of_a_plane_gets_out_of_its_way(
     )
     state = {"faces": torch.zeros(1, 72), "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}
     state |= {"position": torch.tensor([[0.0, 0.0, 3.5]]), "velocity": torch.tensor([[0.0, 2.0, 0.0]])}
-    action = told.ToldOfPlanes(env, known, 4.0)(TensorDict(state, [1]))["action"][0]  # type: ignore[arg-type]
+    action = told.ToldOfPlanes(env, known)(TensorDict(state, [1]))["action"][0]  # type: ignore[arg-type]
     assert (action[0].item() < 1.99) == dodges
 
 

@@ -291,7 +291,10 @@ class NavigationEnv(EnvBase):
         return np.column_stack([self._traffic.positions, self._traffic.yaws])
 
     def plane_paths(self, steps: int) -> np.ndarray:
-        """Returns where all planes will be after each of the next steps: x, y, z in m and yaw in rad, ``[T, K, 4]``."""
+        """Returns where all planes will be after each of the next steps: x, y, z in m and yaw in rad, ``[T, K, 4]``.
+
+        It copies the traffic, which takes some milliseconds.
+        """
         ticks = PHYSICS_RATE // CONTROL_RATE
         return deepcopy(self._traffic).advance(steps * ticks, 1 / PHYSICS_RATE)[ticks - 1 :: ticks]
 
