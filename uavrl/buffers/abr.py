@@ -94,10 +94,11 @@ class ABRPlus(BackwardReward):
         kept: Path | None = None,
     ) -> None:
         source = packaged_artifact() if artifact == "packaged" else Path(artifact)
-        keeps = kept is not None and kept.exists()
-        classifier = TrajectoryClassifier.load(kept if kept is not None and keeps else source)
+        if kept is not None and kept.exists():
+            source = kept
+        classifier = TrajectoryClassifier.load(source)
         _require_its_states(classifier, str(artifact), observations, perception or {})
-        if kept is not None and not keeps:
+        if kept is not None and kept != source:
             kept.mkdir()
             for name in (ARTIFACT.safetensors, ARTIFACT.json):  # and nothing that lies beside them
                 shutil.copyfile(source / name, kept / name)
