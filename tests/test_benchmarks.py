@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from tests.helpers.configs import with_run_dir
 from tests.helpers.folders import episodes, write_episodes
 from uavrl.errors import UavrlError
+from uavrl.runs.episodes import wilson
 from uavrl.training.run import create_run
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -112,6 +113,36 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     assert (tmp_path / "curves.png").stat().st_size > 5_000
     told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
     assert told["arrived, last"]["iqm"] == 0.0 and told["k steps to 80%"]["iqm"] == float("inf")
+
+
+def test_differences_are_told_of_what_evaluations_wrote(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Newcombe's own example (1998), method 10, flown as two halves; five equal trainings."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import differences
+
+    rates = {"one": (28, 35), "other": (24, 40), "one, hidden": (35, 35)}
+    kept = {name: {"episodes": total, "success": wilson(count, total)} for name, (count, total) in rates.items()}
+    file = tmp_path / "policy: best.json"
+    file.write_text(json.dumps(kept))
+
+    def run(these: list[str], less: list[str]) -> str:
+        arguments = [*(f"{file}:{world}" for world in these), "--less", *(f"{file}:{world}" for world in less)]
+        monkeypatch.setattr(sys, "argv", ["differences.py", *arguments])
+        differences.main()
+        return capsys.readouterr().out
+
+    told = run(["one", "one"], ["other", "other"])
+    assert "80.0% (69.2% to 87.7%) of 70 tasks, trainings: 2" in told and "over trainings" not in told
+    assert "difference +20.0 points (+5.2 to +33.4)" in told
+    assert "over trainings +40.0 points (+40.0 to +40.0)" in run(["one, hidden"] * 5, ["other"] * 6)
+    assert "over trainings" not in run(["one"] * 5, ["other"] * 4)
+    with pytest.raises(UavrlError, match="got 'two': it tells of one; other; one, hidden"):
+        run(["two"], ["other"])
+    file.write_text("{")
+    with pytest.raises(UavrlError, match=r"Expected FILE\.json:WORLD"):
+        run(["one"], ["other"])
 
 
 def test_dense_flights_are_told_of_the_odd_valleys_alone(

@@ -126,7 +126,7 @@ def test_hidden_planes_are_not_seen_and_the_rest_of_the_scan_is(make: Callable[.
 def test_hidden_planes_collide(make: Callable[..., NavigationEnv]) -> None:
     env = make(world=WorldConfig(planes=1, size=SMALL["size"], obstacles=0), blind_to="planes")
     state = env.reset()
-    nose, hull = env._traffic.mesh.vertices[:, 0].max(), env.airframe.collision_radius
+    nose, hull = env.traffic.mesh.vertices[:, 0].max(), env.airframe.collision_radius
     place(env, *ahead_of_a_plane(env, nose + hull + 0.1))
     assert 0.0 < env.simulation.closest_distance()[0] < 0.2, "the plane comes, and touches nothing yet"
     for _ in range(3):

@@ -66,8 +66,7 @@ def differing(one: TensorDictBase, other: TensorDictBase) -> list[Any]:
 
 
 def place(env: NavigationEnv, uav: int, position: list[float] | np.ndarray, yaw: float = 0.0) -> None:
-    assert env._simulation is not None
-    env._simulation.reset(np.array([uav]), np.asarray(position, dtype=float)[None], np.array([yaw]))
+    env.simulation.reset(np.array([uav]), np.asarray(position, dtype=float)[None], np.array([yaw]))
 
 
 # ---------------------------------------------------------------------- TorchRL's contract
@@ -351,12 +350,12 @@ def test_planes_are_seen_by_the_lidar(make: Callable[..., NavigationEnv]) -> Non
         clouds.append(env._scan(np.array([0]))[0])
     changed = ~np.isclose(clouds[0], clouds[1], equal_nan=True).all(1)
     assert changed.sum() > 10
-    seen = clouds[1][changed] + busy._simulation.lidar_position[0]  # level and with yaw 0: sensor axes are the world's
-    nearest = np.linalg.norm(seen[:, None] - busy._traffic.positions, axis=-1).min(1)
+    seen = clouds[1][changed] + busy.simulation.lidar_position[0]  # level and with yaw 0: sensor axes are the world's
+    nearest = np.linalg.norm(seen[:, None] - busy.traffic.positions, axis=-1).min(1)
     assert (nearest < 2.0).all()
-    before = busy._traffic.positions.copy()
+    before = busy.traffic.positions.copy()
     busy.step(act(state))
-    moved = np.linalg.norm(busy._traffic.positions - before, axis=1)
+    moved = np.linalg.norm(busy.traffic.positions - before, axis=1)
     assert ((moved > 0.25) & (moved < 0.41)).any()  # 3 to 4 m/s for 0.1 s; one may come in again elsewhere
 
 
@@ -404,9 +403,20 @@ def test_actions_out_of_range_fly_like_the_nearest_in_range(make: Callable[..., 
     assert not differing(*after)
 
 
-def test_a_step_before_the_first_reset_says_what_to_do(make: Callable[..., NavigationEnv]) -> None:
-    with pytest.raises(RuntimeError, match="Reset the environment before the first step"):
-        make(1).step(TensorDict({"action": torch.zeros(1, 4)}, [1]))
+@pytest.mark.parametrize(
+    "asked",
+    [
+        lambda env: env.step(TensorDict({"action": torch.zeros(1, 4)}, [1])),
+        lambda env: env.simulation,
+        lambda env: env.plane_poses(),
+        lambda env: env.plane_paths(1),
+    ],
+)
+def test_what_needs_a_reset_says_so(
+    make: Callable[..., NavigationEnv], asked: Callable[[NavigationEnv], object]
+) -> None:
+    with pytest.raises(RuntimeError, match="Reset the environment first"):
+        asked(make(1))
 
 
 @pytest.mark.parametrize(
@@ -456,6 +466,6 @@ def test_goals_and_yaws_of_the_tasks_do_not_depend_on_the_planes_or_the_policy()
 def test_planes_stand_where_the_traffic_is_right_after_a_reset() -> None:
     env = NavigationEnv(1, world=WorldConfig(planes=3), measure_clearance=True, seed=2)
     env.reset()
-    position = env._traffic.positions[0]
-    env._simulation.reset(np.array([0]), position[None] + [0.0, 0.0, 0.6], np.zeros(1))
-    assert env._simulation.closest_distance()[0] < 0.6
+    position = env.traffic.positions[0]
+    env.simulation.reset(np.array([0]), position[None] + [0.0, 0.0, 0.6], np.zeros(1))
+    assert env.simulation.closest_distance()[0] < 0.6

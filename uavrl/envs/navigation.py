@@ -112,6 +112,7 @@ class NavigationEnv(EnvBase):
         self._lidar_config = lidar or LidarConfig()
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None
+        self._traffic: Traffic | None = None
         self._goal = np.zeros((num_uavs, 3))
         self._valley = np.zeros(num_uavs, dtype=np.int64)
         self._world_seed = np.zeros(num_uavs, dtype=np.int64)
@@ -163,8 +164,8 @@ class NavigationEnv(EnvBase):
             np.random.default_rng(s) for s in np.random.SeedSequence(self._seed).spawn(3)
         )
         self._traffic = Traffic(self.world, traffic_rng)
-        planes = len(self._traffic.positions)
-        mesh = self._traffic.mesh if planes else None
+        planes = len(self.traffic.positions)
+        mesh = self.traffic.mesh if planes else None
         self._lidar_rng = lidar_rng
         self._simulation = Simulation(
             self.world.meshes,
@@ -214,7 +215,7 @@ class NavigationEnv(EnvBase):
         starts, yaws = np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
             rng = np.random.default_rng((self._seed, self._next_task))
-            task = self.world.sample_task(rng, avoid=self._traffic.positions)
+            task = self.world.sample_task(rng, avoid=self.traffic.positions)
             starts[row], yaws[row] = task.start, task.yaw
             self._goal[uav], self._valley[uav] = task.goal, task.valley
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
@@ -223,16 +224,14 @@ class NavigationEnv(EnvBase):
         self.simulation.reset(index, starts, yaws)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        if self._simulation is None:
-            raise RuntimeError("Reset the environment before the first step.")
         action = self._checked_action(tensordict.get("action", None))
         distance_tm1 = self._distance()
         path = None
-        if len(self._traffic.positions):
-            path = self._traffic.advance(PHYSICS_RATE // CONTROL_RATE, 1 / PHYSICS_RATE)
-        collided = self._simulation.step(action, path)
-        collided |= self.world.out_of_bounds(self._simulation.position, self._valley)
-        arrived = self.world.arrived(self._simulation.position, self._goal) & ~collided
+        if len(self.traffic.positions):
+            path = self.traffic.advance(PHYSICS_RATE // CONTROL_RATE, 1 / PHYSICS_RATE)
+        collided = self.simulation.step(action, path)
+        collided |= self.world.out_of_bounds(self.simulation.position, self._valley)
+        arrived = self.world.arrived(self.simulation.position, self._goal) & ~collided
         self._steps += 1
         terminated = arrived | collided
         truncated = (self._steps >= self.max_steps) & ~terminated
@@ -283,12 +282,20 @@ class NavigationEnv(EnvBase):
     @property
     def simulation(self) -> Simulation:
         """The physics, with attitudes, sensor positions and more; there is none before the first reset."""
-        assert self._simulation is not None
+        if self._simulation is None:
+            raise RuntimeError("Reset the environment first: before that it has no simulation.")
         return self._simulation
+
+    @property
+    def traffic(self) -> Traffic:
+        """The planes on their ways; there are none before the first reset."""
+        if self._traffic is None:
+            raise RuntimeError("Reset the environment first: before that it has no planes.")
+        return self._traffic
 
     def plane_poses(self) -> np.ndarray:
         """Returns x, y, z in m and yaw in rad of all planes, ``[K, 4]``."""
-        return np.column_stack([self._traffic.positions, self._traffic.yaws])
+        return np.column_stack([self.traffic.positions, self.traffic.yaws])
 
     def plane_paths(self, steps: int) -> np.ndarray:
         """Returns where all planes will be after each of the next steps: x, y, z in m and yaw in rad, ``[T, K, 4]``.
@@ -296,7 +303,7 @@ class NavigationEnv(EnvBase):
         It copies the traffic, which takes some milliseconds.
         """
         ticks = PHYSICS_RATE // CONTROL_RATE
-        return deepcopy(self._traffic).advance(steps * ticks, 1 / PHYSICS_RATE)[ticks - 1 :: ticks]
+        return deepcopy(self.traffic).advance(steps * ticks, 1 / PHYSICS_RATE)[ticks - 1 :: ticks]
 
     @property
     def plane_mesh(self) -> Mesh:
