@@ -19,7 +19,6 @@ from uavrl.training.progress import Progress
 from uavrl.training.resuming import how_to_go_on
 from uavrl.training.run import create_run, train
 from uavrl.training.stopping import PATIENCE, Stop, stoppable
-from uavrl.training.sync_collector import SyncCollector
 
 EPISODES = ["trainer.episodes=12"]
 
@@ -121,12 +120,12 @@ def test_an_ending_that_hangs_is_broken_off_by_the_second_signal(
 ) -> None:
     passed: list[int] = []
 
-    def hang(_: SyncCollector) -> None:
+    def hang(_: Progress) -> None:
         for _ in range(9):
             os.kill(os.getpid(), number)
             passed.append(number)
 
-    monkeypatch.setattr(SyncCollector, "shutdown", hang)
+    monkeypatch.setattr(Progress, "close", hang)  # which, unlike a collector's shutdown, no garbage collection calls
     overrides = [*SMALL, "trainer.episodes=2", f"run_dir={tmp_path / 'run'}"]
     assert in_process(train_command.main, *overrides) == 128 + number
     assert passed == [number], "the first one may be that of who asked twice"
