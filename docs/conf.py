@@ -77,7 +77,7 @@ nitpick_ignore_regex = [
         r".*\._(AcceptedKeys|ClassHistory)|uavrl\.configs\.checked\.T|uavrl\.configs\.(train\.TrainerConfig|evaluate\.FlyingConfig)",
     ),
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
-    (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task)"),
+    (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task|traffic\.Traffic)"),
     (r"py:.*", r"(typing\.|collections\.abc\.)?(Annotated|Literal|Mapping|tuple|dict)\[[^\]]*"),
 ]
 
