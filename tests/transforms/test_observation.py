@@ -42,6 +42,10 @@ class TestNavigationObservation(TransformContract):
         o = navigation_observation(torch.zeros(32), tensor([3.5]), tensor([359.0]), tensor([10.0]), angles="raw")
         assert o[32:].tolist() == [0.0, 359.0, 10.0]
 
+    def test_turns_are_the_raw_angles_made_small(self) -> None:
+        o = navigation_observation(torch.zeros(32), tensor([3.5]), tensor([270.0]), tensor([36.0]), angles="turns")
+        torch.testing.assert_close(o[32:], tensor([0.0, 0.75, 0.1]))
+
     def test_unknown_angles_are_refused(self) -> None:
         with pytest.raises(ValueError, match="folded"):
             NavigationObservation(angles="degrees")

@@ -1,7 +1,7 @@
 """From the reduction's cells, the altitude and the two goal angles to the policy's observation."""
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import ObservationTransform
 
-Angles = Literal["folded", "raw"]
+Angles = Literal["folded", "turns", "raw"]
 
 
 def navigation_observation(
@@ -26,7 +26,8 @@ def navigation_observation(
 
     The faces are divided by the ball's radius and the altitude becomes z / p_approAlt - 1. The angles
     are folded to [-1, 1] with 0 = facing the goal, because the thesis's 0 to 360 degrees jump exactly
-    there; ``angles="raw"`` keeps 0 to 360 degrees for comparison.
+    there. For comparison ``angles="raw"`` keeps 0 to 360 degrees, and ``"turns"`` divides them by 360:
+    they still jump, but are as small as the other numbers.
 
     Args:
         faces: ``[*B, 32]``, m; or another reduction's ``[*B, cells]``.
@@ -35,7 +36,7 @@ def navigation_observation(
         elevation_deg: ``[*B, 1]``, degrees in [0, 360).
         radius: the ball's radius, m.
         flight_level: p_approAlt, m.
-        angles: ``"folded"`` or ``"raw"``.
+        angles: ``"folded"``, ``"turns"`` or ``"raw"``.
 
     Returns:
         ``[*B, 35]``, or as many numbers as cells and three.
@@ -48,6 +49,8 @@ def navigation_observation(
     """
     if angles == "folded":
         heading_deg, elevation_deg = ((a + 180).remainder(360) / 180 - 1 for a in (heading_deg, elevation_deg))
+    elif angles == "turns":
+        heading_deg, elevation_deg = heading_deg / 360, elevation_deg / 360
     return torch.cat([faces / radius, altitude / flight_level - 1, heading_deg, elevation_deg], -1)
 
 
@@ -57,7 +60,7 @@ class NavigationObservation(ObservationTransform):
     Args:
         radius: the ball's radius, m.
         flight_level: p_approAlt, m.
-        angles: ``"folded"`` to [-1, 1], or the thesis's ``"raw"`` degrees.
+        angles: ``"folded"`` to [-1, 1], the thesis's ``"raw"`` degrees, or these as ``"turns"`` of 360.
         in_keys: keys of the faces, the altitude, the heading and the elevation.
         out_keys: where the observation goes.
 
@@ -81,8 +84,8 @@ class NavigationObservation(ObservationTransform):
         in_keys: Sequence[NestedKey] = ("faces", "altitude", "heading_deg", "elevation_deg"),
         out_keys: Sequence[NestedKey] = ("observation",),
     ) -> None:
-        if angles not in ("folded", "raw"):
-            raise ValueError(f"angles must be 'folded' or 'raw', got {angles!r}.")
+        if angles not in get_args(Angles):
+            raise ValueError(f"angles must be one of {', '.join(get_args(Angles))}, got {angles!r}.")
         if len(in_keys) != 4 or len(out_keys) != 1:
             raise ValueError(
                 f"NavigationObservation takes four in_keys (faces, altitude, heading, elevation) and one out_key, "
