@@ -191,6 +191,23 @@ def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
     assert sum(line.rstrip().endswith("–") for line in table(result).splitlines()) == 4
 
 
+def test_flights_in_several_valleys_are_also_counted_valley_by_valley() -> None:
+    ends = {7: "aaac", 9: "accc", 10: "aacc"}
+    flights = [
+        Flight(0, {"a": "arrived", "c": "collided"}[end], 10, v, 5.0, 10.0, 0.5) for v in ends for end in ends[v]
+    ]
+    result = summarize(flights)
+    assert {valley: found["rate"] for valley, found in result["success_by_valley"].items()} == {
+        "7": 0.75,
+        "9": 0.25,
+        "10": 0.5,
+    }
+    hardest, easiest = (line for line in table(result).splitlines() if "valley, " in line)
+    assert hardest.startswith("success in the hardest valley, 9") and "25.0%" in hardest
+    assert easiest.startswith("success in the easiest valley, 7") and easiest.endswith(", 4 episodes")
+    assert "success_by_valley" not in summarize(flights[:4])
+
+
 def test_no_flights_are_refused() -> None:
     with pytest.raises(ValueError, match="at least one flight"):
         summarize([])
@@ -224,6 +241,7 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
     assert results[0] == results[1]
     assert results[0]["valleys"] == [7, 9]
     assert {f["world_seed"] for f in results[0]["flights"]} == {7, 9}
+    assert list(results[0]["success_by_valley"]) == ["7", "9"]
     assert [f["task"] for f in results[0]["flights"]] == list(range(6))
     assert all(1 <= f["steps"] <= 4 for f in results[0]["flights"])
     went = results[0]["whereabouts"]

@@ -26,6 +26,7 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
 
     Path efficiency is the mean over arrivals; the minimum clearance (hull to nearest thing) is given
     as the median over arrivals and as the least of them. What has no value without arrivals is ``None``.
+    Flights in several valleys are also counted valley by valley, by its seed.
 
     Examples:
         >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
@@ -42,6 +43,9 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
     result: dict[str, Any] = {"episodes": len(flights)}
     result |= {name: wilson(outcomes.count(ending), len(flights)) for name, ending in RATES.items()}
     arrived = [flight for flight in flights if flight.outcome == "arrived"]
+    valleys = sorted({flight.world_seed for flight in flights if flight.world_seed is not None})
+    if len(valleys) > 1:
+        result["success_by_valley"] = {str(valley): _success_in(valley, flights) for valley in valleys}
     returns = [flight.episode_return for flight in flights if flight.episode_return is not None]
     if returns:
         result["mean_return"] = float(np.mean(returns))
@@ -55,6 +59,21 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
     result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
     return result
+
+
+def _success_in(valley: int, flights: Sequence[Flight]) -> dict[str, float]:
+    there = [flight.outcome for flight in flights if flight.world_seed == valley]
+    return {"episodes": len(there), **wilson(there.count("arrived"), len(there))}
+
+
+def _valley_lines(valleys: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """The hardest and the easiest valley, in a line each."""
+    ranked = sorted(valleys, key=lambda valley: valleys[valley]["rate"])
+    return [
+        f"{f'success in the {end} valley, {valley}':<46}{valleys[valley]['rate']:>8.1%}   "
+        f"{valleys[valley]['low']:.1%} – {valleys[valley]['high']:.1%}, {valleys[valley]['episodes']} episodes"
+        for end, valley in (("hardest", ranked[0]), ("easiest", ranked[-1]))
+    ]
 
 
 def number(value: float | None, form: str) -> str:
@@ -81,4 +100,6 @@ def table(result: Mapping[str, Any]) -> str:
         rate = result[name]
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
     lines += [f"{label:<46}{number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
+    if "success_by_valley" in result:
+        lines += _valley_lines(result["success_by_valley"])
     return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])
