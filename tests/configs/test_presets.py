@@ -23,6 +23,7 @@ from uavrl.models.trajectory_classifier import packaged_artifact
         (["preset=thesis", "scheme=abr"], "raw", "literal", "navigation"),
         (["preset=thesis", "scheme=abr", "reward.altitude_term=absolute"], "raw", "absolute", "navigation"),
         (["preset=thesis", "scheme=abr", "perception.angles=folded"], "folded", "literal", "navigation"),
+        (["preset=thesis", "scheme=abr", "perception.angles=turns"], "turns", "literal", "navigation"),
         (["scheme=abr"], "folded", "absolute", "navigation"),
     ],
 )
@@ -48,6 +49,7 @@ def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
     ("other", "told"),
     [
         ("perception.angles=raw", "of perception.angles=folded, and this is raw: make one by uavrl-pretrain"),
+        ("perception.angles=turns", "of perception.angles=folded, and this is turns"),
         ("perception.statistic=range", "of perception.statistic=face, and this is range"),
         ("perception.blind=true", "of perception.blind=False, and this is True"),
         ("perception.frames=4", "of perception.frames=3, and this is 4"),

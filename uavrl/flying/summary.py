@@ -67,12 +67,11 @@ def _success_in(valley: int, flights: Sequence[Flight]) -> dict[str, float]:
 
 
 def _valley_lines(valleys: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """The hardest and the easiest valley, in a line each."""
-    ranked = sorted(valleys, key=lambda valley: valleys[valley]["rate"])
+    """A line for each valley."""
     return [
-        f"{f'success in the {end} valley, {valley}':<46}{valleys[valley]['rate']:>8.1%}   "
-        f"{valleys[valley]['low']:.1%} – {valleys[valley]['high']:.1%}, {valleys[valley]['episodes']} episodes"
-        for end, valley in (("hardest", ranked[0]), ("easiest", ranked[-1]))
+        f"{f'success in valley {valley}':<46}{told['rate']:>8.1%}   {told['low']:.1%} – {told['high']:.1%}, "
+        f"{told['episodes']} flown"
+        for valley, told in valleys.items()
     ]
 
 
@@ -100,6 +99,5 @@ def table(result: Mapping[str, Any]) -> str:
         rate = result[name]
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
     lines += [f"{label:<46}{number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
-    if "success_by_valley" in result:
-        lines += _valley_lines(result["success_by_valley"])
+    lines += _valley_lines(result.get("success_by_valley", {}))
     return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])
