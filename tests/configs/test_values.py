@@ -171,6 +171,11 @@ def test_the_lidars_range_and_the_observations_altitude_follow() -> None:
     assert settings("env.world.flight_level=3").perception.flight_level == 3.0
 
 
+def test_short_runs_begin_with_fewer_random_steps() -> None:
+    begins = [settings(*short).algo.random_steps for short in ([], ["trainer.steps=30000"], ["trainer.episodes=1000"])]
+    assert begins == [10_000, 3_000, 5_000]
+
+
 def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn() -> None:
     plain_run, fast = settings(), settings("preset=fast", "algo.n_steps=5", "collector=sync")
     assert (plain_run.algo.n_steps, plain_run.algo.layer_norm, plain_run.algo.exploration_spread) == (1, False, 1.0)
@@ -233,7 +238,7 @@ OUT_OF_RANGE = """
     algo.hidden=[400,0]
     buffer.capacity=0
     collector.steps_per_batch=0
-    trainer.episodes=0 trainer.updates_per_step=0 trainer.window=0 trainer.checkpoint_interval=0
+    trainer.episodes=0 trainer.steps=0 trainer.updates_per_step=0 trainer.window=0 trainer.checkpoint_interval=0
     trainer.keep_checkpoints=0 trainer.threads=0 trainer.execution=fast trainer.products=blas
     logger.interval=0
 """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from uavrl.training import progress
-from uavrl.training.progress import Progress, seconds_left
+from uavrl.training.progress import Progress, steps_left
 
 RATES = {"arrived": 0.25, "collided": 0.5, "timed_out": 0.25}
 
@@ -28,9 +28,9 @@ def shown(line: Progress, episodes: int, steps: int) -> str:
     return str(line._bar)
 
 
-@pytest.mark.parametrize(("a_flight", "expected"), [(40.0, 100.0), (150.0, 100.0), (210.0, 140.0)])
+@pytest.mark.parametrize(("a_flight", "expected"), [(40.0, 15_000), (150.0, 15_000), (210.0, 21_000)])
 def test_flights_are_expected_to_lengthen_to_half_of_the_longest(a_flight: float, expected: float) -> None:
-    assert seconds_left(100, a_flight, 300, 150.0) == expected
+    assert steps_left(100, a_flight, 300) == expected
 
 
 def test_random_flights_and_the_compilation_say_nothing_of_the_time_left(clock: Clock) -> None:
@@ -51,6 +51,15 @@ def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
         clock.now = float(second)
         text = shown(line, second + 1, 1 + (100 * second if second < 100 else 10_000 + 50 * (second - 100)))
     assert ", 50/s |" in text
+
+
+def test_steps_that_end_a_run_before_its_episodes_tell_the_time_left(clock: Clock) -> None:
+    line = Progress(1000, 200, last_step=2500)
+    for second, steps in ((0, 1), (5, 500), (15, 1500)):
+        clock.now = float(second)
+        text = shown(line, second + 1, steps)
+    assert ", 00:10 left | 1,500 steps, 100/s" in text.replace("| ", ", ", 1)
+    assert "00:00 left" in shown(line, 20, 2600)
 
 
 def test_a_run_that_may_end_before_says_so(clock: Clock) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDict, TensorDictBase
 
 from tests.helpers.runs import small_config
@@ -17,7 +18,8 @@ from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.build import build_trainer
-from uavrl.training.run import create_run, seed_everything, train
+from uavrl.training.run import create_run, resume_config, seed_everything, train
+from uavrl.training.sweep import is_finished
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 
 # The policy hardly moves, and no checkpoint comes between the first and the last.
@@ -121,6 +123,18 @@ def test_a_run_ends_by_itself_once_enough_of_the_last_flights_arrive(tmp_path: P
     assert enough == [False] * (len(enough) - 1) + [True]
     again = train(config, tmp_path / "run", resume=True)
     assert again["episodes"] == len(arrived), "a run that has ended is not flown on"
+
+
+def test_a_run_ends_with_the_flight_that_makes_its_last_step_and_goes_on_when_given_more(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", *EASY, "trainer.steps=90", "trainer.episodes=300")
+    summary = train(config, create_run(config))
+    flown = [episode.total_steps for episode in read_episodes(tmp_path / "run" / "episodes.csv")]
+    assert [steps >= 90 for steps in flown] == [False] * (len(flown) - 1) + [True]
+    assert summary["steps"] == flown[-1]
+    assert is_finished(tmp_path / "run", 300, 90) and not is_finished(tmp_path / "run", 300, 200)
+    more = resume_config(tmp_path / "run", OmegaConf.merge(config, {"trainer": {"steps": 200}}), ["trainer.steps"])
+    assert train(more, tmp_path / "run", resume=True)["steps"] >= 200
+    assert [e.total_steps for e in read_episodes(tmp_path / "run" / "episodes.csv")][: len(flown)] == flown
 
 
 def test_minutes_are_logged_and_go_on_after_a_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

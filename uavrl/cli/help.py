@@ -29,6 +29,7 @@ MOST_USED = {
         "seed",
         "device",
         "trainer.episodes",
+        "trainer.steps",
         "trainer.until_success",
         "trainer.progress",
         "env.num_uavs",

@@ -133,7 +133,7 @@ def _train_in_sweep(config: DictConfig) -> None:
 
     run_dir = run_folder(config)
     config = complete(config)
-    if is_finished(run_dir, config.trainer.episodes):
+    if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):
         print(f"Finished: {run_dir}")
         _swept.ended.append(run_dir)
         return
@@ -141,7 +141,7 @@ def _train_in_sweep(config: DictConfig) -> None:
         with full_disk_told(run_dir), removed_on_failure(run_dir, ANY_CHECKPOINT):
             run_dir.mkdir(parents=True, exist_ok=True)
             with locked(run_dir):
-                if is_finished(run_dir, config.trainer.episodes):  # meanwhile, by another process
+                if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):  # meanwhile, by another process
                     print(f"Finished: {run_dir}")
                 elif is_begun(run_dir):
                     _fly(resume_config(run_dir, config, free_keys(config)), run_dir, resume=True)

@@ -96,14 +96,16 @@ def _where(key: str, value: str, then: Any, otherwise: Any, *, _root_: DictConfi
     return then if found == value else otherwise
 
 
-def expected_steps(episodes: int, max_steps: int) -> int:
+def expected_steps(episodes: int, max_steps: int, most: int | None = None) -> int:
     """About how many steps random flights make: they end after 50, or after a sixth of many that they may take."""
-    return max(episodes * min(max_steps, 50), episodes * max_steps // 6)
+    flown = max(episodes * min(max_steps, 50), episodes * max_steps // 6)
+    return flown if most is None else min(flown, most)
 
 
 def _random_steps(most: int, *, _root_: DictConfig) -> int:
     """``${random_steps:N}`` is N, or a tenth of the steps that can be expected where that is less."""
-    episodes, max_steps = (OmegaConf.select(_root_, key) for key in ("trainer.episodes", "env.max_steps"))
+    keys = ("trainer.episodes", "env.max_steps", "trainer.steps")
+    episodes, max_steps, steps = (OmegaConf.select(_root_, key) for key in keys)
     if not isinstance(episodes, int) or not isinstance(max_steps, int):
         return most
-    return min(most, max(0, expected_steps(episodes, max_steps) // 10))
+    return min(most, max(0, expected_steps(episodes, max_steps, steps if isinstance(steps, int) else None) // 10))

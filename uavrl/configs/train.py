@@ -17,6 +17,7 @@ class TrainerConfig:
     """conf/trainer."""
 
     episodes: Count = 5000
+    steps: Count | None = None
     until_success: Share | None = None
     updates_per_step: Positive = 1.0
     window: Count = 500

@@ -21,6 +21,7 @@ FREE_KEYS = (
     "collector.address",
     "collector.workers",
     "trainer.episodes",
+    "trainer.steps",
     "trainer.until_success",
     "trainer.progress",
     "trainer.keep_checkpoints",

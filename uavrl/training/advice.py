@@ -1,6 +1,7 @@
 """What a run tells the user about settings under which it learns little."""
 
 import logging
+import math
 
 from uavrl.configs.registry import expected_steps
 from uavrl.configs.train import TrainConfig
@@ -10,22 +11,23 @@ log = logging.getLogger(__name__)
 
 def warn_of_random_steps(settings: TrainConfig) -> None:
     """Before the run: its random steps may not end before it does."""
-    random_steps, episodes = settings.algo.random_steps, settings.trainer.episodes
+    random_steps, episodes, steps = settings.algo.random_steps, settings.trainer.episodes, settings.trainer.steps
+    length = f"trainer.episodes={episodes}" + ("" if steps is None else f" and trainer.steps={steps}")
     if settings.guided:  # whose flights are learned from at once
-        if random_steps >= episodes * settings.env.get("max_steps", 300) // 3:
+        if random_steps >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf):
             log.warning(
-                "algo.random_steps=%d: the guide may fly all of trainer.episodes=%d flights, and the policy none. "
-                "Choose fewer random steps or more episodes.",
+                "algo.random_steps=%d: the guide may fly all of %s, and the policy nothing. Choose fewer random steps "
+                "or a longer run.",
                 random_steps,
-                episodes,
+                length,
             )
         return
-    if random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6))):
+    if random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6), steps)):
         log.warning(
-            "algo.random_steps=%d: nothing is learned before, and the first trainer.episodes=%d flights may be over by "
-            "then, since random ones last about %d steps together. Choose fewer random steps or more episodes.",
+            "algo.random_steps=%d: nothing is learned before, and %s may be over by then, since random flights last "
+            "about %d steps together. Choose fewer random steps or a longer run.",
             random_steps,
-            episodes,
+            length,
             expected,
         )
 
@@ -35,7 +37,7 @@ def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> 
     if updates == 0:
         log.warning(
             "Nothing was learned: the run ended after %d steps, inside its algo.random_steps=%d. Choose fewer random "
-            "steps, or more with trainer.episodes.",
+            "steps, or a longer run.",
             steps,
             settings.algo.random_steps,
         )

@@ -60,6 +60,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
         policy=actor,
         episodes=settings.trainer.episodes,
+        steps=settings.trainer.steps,
         until_success=settings.trainer.until_success,
         learns_after=0 if settings.guided else settings.algo.random_steps,
         judged_after=settings.algo.random_steps if settings.guided else 0,

@@ -1,5 +1,6 @@
 """The line that a person watches while a run goes on."""
 
+import math
 import sys
 import time
 from collections import deque
@@ -11,13 +12,13 @@ SPAN = 60.0  # s that the speed is measured over
 SHORTEST = 3.0  # s from which on a speed says something
 
 
-def seconds_left(flights: int, steps_a_flight: float, max_steps: int, steps_a_second: float) -> float:
-    """How long ``flights`` more will take.
+def steps_left(flights: int, steps_a_flight: float, max_steps: int) -> float:
+    """About how many steps ``flights`` more will take.
 
     Flights that collide soon are short, and lengthen as a policy learns: the rest is taken to last half of
     ``max_steps`` on average, or as long as the last ones where that is longer.
     """
-    return flights * max(steps_a_flight, max_steps / 2) / steps_a_second
+    return flights * max(steps_a_flight, max_steps / 2)
 
 
 class Progress:
@@ -34,12 +35,14 @@ class Progress:
         random_steps: int = 0,
         guided: bool = False,
         max_steps: int = 300,
+        last_step: int | None = None,
         until_success: float | None = None,
     ) -> None:
         self._window = window
         self._random_steps = random_steps
         self._first = "the guide flies" if guided else "flying at random"
         self._max_steps = max_steps
+        self._last_step = math.inf if last_step is None else last_step
         self._goal = "" if until_success is None else f" of {until_success:.0%}"
         self._at_most = "" if until_success is None else "at most "
         self._times: deque[tuple[float, int]] = deque()
@@ -76,8 +79,8 @@ class Progress:
             return "time left not known yet"
         done, before = self._before
         a_flight = (steps - before) / max(episodes - done, 1)
-        left = seconds_left(self._bar.total - episodes, a_flight, self._max_steps, speed)
-        return f"{self._at_most}{tqdm.format_interval(left)} left"
+        left = min(steps_left(self._bar.total - episodes, a_flight, self._max_steps), max(self._last_step - steps, 0))
+        return f"{self._at_most}{tqdm.format_interval(left / speed)} left"
 
     def _take(self, steps: int) -> None:
         now = time.monotonic()

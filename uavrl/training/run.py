@@ -131,6 +131,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
             enabled=settings.trainer.progress,
             done=trainer.episode_log.count,
             steps=trainer.collected_frames,
+            last_step=settings.trainer.steps,
             random_steps=settings.algo.random_steps,
             guided=settings.guided,
             max_steps=settings.env.get("max_steps", 0),

@@ -31,9 +31,9 @@ def run_folder(config: DictConfig) -> Path:
     return run_dir
 
 
-def is_finished(run_dir: Path, episodes: int) -> bool:
-    """Whether a run has flown its episodes."""
-    return _episodes(run_dir) >= episodes
+def is_finished(run_dir: Path, episodes: int, steps: int | None = None) -> bool:
+    """Whether a run has flown its episodes, or its steps."""
+    return _flown(run_dir, "episodes") >= episodes or (steps is not None and _flown(run_dir, "steps") >= steps)
 
 
 def is_begun(run_dir: Path) -> bool:
@@ -51,7 +51,7 @@ def is_begun(run_dir: Path) -> bool:
 
 def summary_lines(run_dirs: list[Path]) -> str:
     """What stands of a sweep, a line for each run."""
-    lines = [f"  {run_dir}: {_episodes(run_dir):,} episodes" for run_dir in run_dirs]
+    lines = [f"  {run_dir}: {_flown(run_dir, 'episodes'):,} episodes" for run_dir in run_dirs]
     return "\n".join([f"The sweep's {len(run_dirs)} runs:", *lines])
 
 
@@ -72,9 +72,9 @@ def _named(config: DictConfig, products: str) -> Path:
     return Path(f"{config.run_dir}_{fingerprint(named)[:NAME_DIGITS]}")
 
 
-def _episodes(run_dir: Path) -> int:
-    """The episodes of a summary; 0 where there is none, or a damaged one, which the end of the run writes anew."""
+def _flown(run_dir: Path, what: str) -> int:
+    """A number of a summary; 0 where there is none, or a damaged one, which the end of the run writes anew."""
     try:
-        return int(json.loads((run_dir / SUMMARY).read_text())["episodes"])
+        return int(json.loads((run_dir / SUMMARY).read_text())[what])
     except (OSError, ValueError, KeyError, TypeError):
         return 0

@@ -39,7 +39,7 @@ def barrier_seed(seed: int, episodes: int) -> int:
 
 @dataclass(kw_only=True, eq=False)
 class EpisodeTrainer:
-    """Trains until ``episodes`` are flown, or enough of the last ones arrive; every checkpoint is a barrier.
+    """Trains until enough episodes or steps are flown, or enough flights arrive; every checkpoint is a barrier.
 
     When a checkpoint is due, the open flights end and are learned from; what begins meanwhile is dropped whatever its
     end. Then no flight is open that counts, and the environment is built anew from a seed that depends on the run's
@@ -58,6 +58,7 @@ class EpisodeTrainer:
     rotation: CheckpointRotation  # where checkpoints go
     metadata: dict[str, Any]  # goes into each checkpoint's manifest
     episodes: int
+    steps: int | None  # of whole episodes, which end the training before
     until_success: float | None  # the share of the last ``episode_log.window`` flights that ends the training before
     learns_after: int  # steps
     judged_after: int  # steps; flights that ended before are a guide's, and say nothing of the policy
@@ -166,11 +167,12 @@ class EpisodeTrainer:
 
     @property
     def finished(self) -> bool:
-        """Whether enough episodes are flown, or enough of the last ones arrived."""
+        """Whether enough episodes or steps are flown, or enough of the last flights arrived."""
         log = self.episode_log
+        flown = log.count >= self.episodes or (self.steps is not None and self.collected_frames >= self.steps)
         trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
         own = log.count >= log.window and log.window_began >= self.judged_after
-        return log.count >= self.episodes or (trained and own)
+        return flown or (trained and own)
 
     def save_if_due(self) -> None:
         """Saves once the flights have ended that were open when a checkpoint became due.
