@@ -31,7 +31,6 @@ MOST_USED = {
         "trainer.episodes",
         "trainer.steps",
         "trainer.until_success",
-        "trainer.progress",
         "env.num_uavs",
         "env.world.obstacles",
         "algo.random_steps",
