@@ -1,21 +1,32 @@
-"""A package that uavrl knows nothing of brings a reward, an enhancer and an environment, and its user says so."""
+"""A package that uavrl knows nothing of brings a reward, an enhancer, a perception and an environment."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from torchrl.checkpoint import Checkpoint
+from torchrl.envs import TransformedEnv
 
 from tests.helpers.commands import in_process
+from tests.helpers.flights import small_env, unpack
 from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
+from uavrl.envs import NavigationEnv
+from uavrl.errors import UavrlError
+from uavrl.flying.record import reduction_of
+from uavrl.flying.recording import RecordedFlight, load_recording
+from uavrl.reporting.flight_page import page_data
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.training.stepper import ActorCriticStepper
+from uavrl.transforms import NavigationReward
 
 OWN = Path(__file__).resolve().parents[1] / "examples/own_parts"
 CONFIG_DIR, TRUSTED = ["--config-dir", str(OWN / "conf")], "packages=[own_parts]"
@@ -57,6 +68,43 @@ def test_they_are_trained_from_the_command_line(run_dir: Path, monkeypatch: pyte
     assert resumed == 0 and {kind.__name__ for kind in seen} == {"Calm"}
     assert in_process(evaluate_command.main, f"run={run_dir}", TRUSTED, "episodes=2", "progress=false") == 0
     assert json.loads((run_dir / "evaluation_episodes=2.json").read_text())["env"] == "corridor"
+
+
+def test_a_reduction_that_uavrl_knows_nothing_of_is_flown_with_and_replayed(tmp_path: Path) -> None:
+    run = f"run_dir={tmp_path / 'run'}"
+    little = [*SMALL[1:], "trainer.episodes=2", "env.num_uavs=2", "env.max_steps=20", "env.world.obstacles=5"]
+    chosen = ["perception=sectors", "perception.frames=2", "backward_reward=abr", run]
+    assert in_process(train_command.main, *CONFIG_DIR, TRUSTED, *little, *chosen) == 0
+    watched = [
+        "task=1",
+        f"output={tmp_path / 'page.html'}",
+        f"data={tmp_path / 'flights.npz'}",
+        "points=100000",
+        "progress=false",
+    ]
+    assert in_process(replay_command.main, f"run={tmp_path / 'run'}", TRUSTED, *watched) == 0
+    recording = load_recording(tmp_path / "flights.npz")
+    (flight,), (place,) = recording.flights, recording.sceneries.values()
+    assert flight.faces.shape[1:] == (8,) and flight.observations.shape[1:] == (2 * (8 + 3),)
+    assert place.directions.shape == (8, 3) and place.statistic == "proximity"
+    assert set(unpack(page_data(recording)["ball"]["faces"]).tolist()) == set(range(8))
+    np.testing.assert_allclose(flight.faces, sectors_of(flight), atol=1e-5)
+
+
+def sectors_of(flight: RecordedFlight) -> np.ndarray:
+    """The same from the points."""
+    told = np.zeros((len(flight.times), 8))
+    for moment, row in enumerate(told):
+        for x, y, z in flight.cloud(moment):
+            sector = round(math.atan2(y, x) / (math.pi / 4)) % 8
+            row[sector] = max(row[sector], 4.0 - math.sqrt(x * x + y * y + z * z))
+    return told
+
+
+def test_a_replay_asks_for_cells_that_can_be_drawn() -> None:
+    env = TransformedEnv(NavigationEnv(1, world=small_env().world), NavigationReward())
+    with pytest.raises(UavrlError, match=r"draws the cells of a uavrl\.transforms\.PointCloudReduction, and this"):
+        reduction_of(env)
 
 
 class Optimisers:

@@ -22,6 +22,7 @@ from uavrl.errors import UavrlError
 from uavrl.flying.recording import Recording
 from uavrl.reporting.flight_page import above_ground, make_page, pack, page_data, write_page
 from uavrl.reporting.flight_shapes import belt, football, shell
+from uavrl.transforms import RangeImage, TruncatedIcosahedron
 from uavrl.transforms.functional import truncated_icosahedron_faces
 from uavrl.transforms.range_image import range_image
 
@@ -105,9 +106,24 @@ def test_the_belt_is_that_of_the_range_image() -> None:
     assert range_image(middles[:, None]).argmax(-1).tolist() == shape.faces.tolist()
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((outward * corners.mean(1)).sum(1) > 0).all()
-    assert len(shell(32, 4.0).vertices) == 60 and len(shell(72, 4.0).vertices) == 96
-    with pytest.raises(UavrlError, match="draws reductions of 32 or 72 cells, got one of 50"):
-        shell(50, 4.0)
+    assert len(shell(RangeImage.directions().numpy(), 4.0).vertices) == 96
+
+
+def test_cells_of_another_reduction_are_what_is_nearest_to_their_directions() -> None:
+    around = np.arange(8) * np.pi / 4
+    sectors = np.stack([np.cos(around), np.sin(around), np.zeros(8)], -1)
+    shape = shell(sectors, 4.0)
+    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
+    corners = shape.vertices[shape.triangles]
+    x, y, _ = corners.mean(1).T
+    assert (np.round(np.arctan2(y, x) / (np.pi / 4)).astype(int) % 8 == shape.faces).all()
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * corners.mean(1)).sum(1) > 0).all()
+    sides = np.arctan2(*shape.vertices[shape.edges].mean(1)[:, 1::-1].T) / (np.pi / 4) - 0.5
+    lie = np.abs(sides - np.round(sides)) < 0.2  # borders run half-way between two sectors, but near the poles
+    assert lie.mean() > 0.8
+    assert len(shell(TruncatedIcosahedron.directions().numpy(), 4.0).vertices) == 60
+    assert len(shell(TruncatedIcosahedron.directions().numpy()[::-1], 4.0).vertices) > 60, "32 others are not ours"
 
 
 def test_foundations_are_left_out_and_nothing_else() -> None:

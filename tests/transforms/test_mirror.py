@@ -13,7 +13,7 @@ from torchrl.envs import TransformedEnv
 from tests.helpers.flights import small_env
 from uavrl.envs import NavigationEnv
 from uavrl.envs.simulation import Simulation
-from uavrl.transforms import Mirror, NavigationState, mirror_action, mirror_observation
+from uavrl.transforms import Mirror, NavigationState, TruncatedIcosahedron, mirror_action, mirror_observation
 from uavrl.transforms.functional import truncated_icosahedron
 from uavrl.transforms.observation import navigation_observation
 
@@ -24,7 +24,10 @@ LEFT_RIGHT = torch.tensor([1.0, -1.0, 1.0])
 def flown() -> TensorDict:
     """Steps ``[3, 8]`` of vehicles among obstacles, with their scans."""
     config = small_env()
-    env = TransformedEnv(NavigationEnv(3, world=config.world, max_steps=8, seed=1), NavigationState(keep_cloud=True))
+    state = NavigationState()
+    assert isinstance(state[0], TruncatedIcosahedron)
+    state[0].del_keys = False
+    env = TransformedEnv(NavigationEnv(3, world=config.world, max_steps=8, seed=1), state)
     torch.manual_seed(0)
     return env.rollout(8, break_when_any_done=False)
 

@@ -15,13 +15,14 @@ from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World
+from uavrl.errors import UavrlError
 from uavrl.flying.flight import FlightMeter, Policy, rollout
 from uavrl.flying.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.flying.whereabouts import Whereabouts
 from uavrl.transforms import PointCloudReduction
 
 Risk = Callable[[Tensor, Tensor], Tensor]
-_KEPT = ("position", "velocity", "distance", "clearance", "observation", "faces")
+_KEPT = ("position", "velocity", "distance", "clearance", "observation")
 
 
 def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sensor: Sequence[float]) -> Scenery:
@@ -42,6 +43,7 @@ def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sens
         plane_triangles=plane.faces,
         goal=np.array([config.goal_radius, config.ceiling]),
         ball=reduction.radius,
+        directions=reduction.directions().numpy(),
         statistic=reduction.statistic,
         sensor=np.array(sensor),
     )
@@ -69,11 +71,11 @@ def record_flight(
     goal = state["goal"][0].numpy()
     origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.valleys])
     valley = int(np.linalg.norm(origins - goal, axis=1).argmin())
-    meter, terms_of = FlightMeter(1), _terms_of(env)
-    moments, actions, paid = [_moment(base, state, valley, max_points)], [], []
+    meter, terms_of, reduction = FlightMeter(1), _terms_of(env), reduction_of(env)
+    moments, actions, paid = [_moment(base, state, valley, reduction, max_points)], [], []
     for stepped in rollout(env, policy, state):
         ended = meter.step(stepped)
-        moments.append(_moment(base, stepped["next"], valley, max_points))
+        moments.append(_moment(base, stepped["next"], valley, reduction, max_points))
         actions.append(stepped["action"][0])
         paid.append({name: term.item() for name, term in terms_of(stepped, stepped["next"]).items()})
         if ended:
@@ -97,7 +99,7 @@ def record_flight(
         clearances=states["clearance"][:, 0].numpy(),
         risks=np.zeros(0) if risk is None else risk(states["observation"][:-1], taken).numpy(),
         planes=np.stack([moment["planes"] for moment in moments]) - np.append(origin, 0.0),
-        faces=states["faces"].numpy(),
+        faces=np.stack([moment["cells"] for moment in moments]),
         points=np.concatenate([moment["points"] for moment in moments]).astype(np.float32),
         point_ends=np.cumsum([len(moment["points"]) for moment in moments]),
     )
@@ -109,12 +111,30 @@ def _terms_of(env: TransformedEnv) -> Callable[[TensorDictBase, TensorDictBase],
     return getattr(next(having, None), "terms", lambda before, after: {"reward": after["reward"]})
 
 
-def _moment(base: NavigationEnv, state: TensorDictBase, valley: int, max_points: int) -> dict[str, Any]:
+def reduction_of(env: TransformedEnv) -> PointCloudReduction:
+    """What reduces the scan.
+
+    Raises:
+        UavrlError: when nothing does whose cells could be drawn.
+    """
+    found = next((part for part in env.transform.modules() if isinstance(part, PointCloudReduction)), None)
+    if found is None:
+        raise UavrlError(
+            "A replay draws the cells of a uavrl.transforms.PointCloudReduction, and this perception has none: derive "
+            "its reduction from that class, or see how it does with uavrl-evaluate."
+        )
+    return found
+
+
+def _moment(
+    base: NavigationEnv, state: TensorDictBase, valley: int, reduction: PointCloudReduction, max_points: int
+) -> dict[str, Any]:
     """What is to be seen in one valley at one moment, in the world's frame."""
-    cloud = state["point_cloud"][0].numpy()
+    cloud = state[reduction.in_keys[0]][0].numpy()
     planes = base.world.config.planes
     return {
         "state": state.select(*_KEPT)[0].clone(),
+        "cells": state[reduction.out_keys[0]][0].numpy().copy(),
         "attitude": Rotation.from_matrix(base.simulation.rotation[0]).as_quat(),
         "planes": base.plane_poses()[valley * planes : (valley + 1) * planes],
         "points": thinned(cloud[np.isfinite(cloud).all(-1)], max_points),
@@ -140,10 +160,9 @@ def record_flights(
         for task in tqdm(tasks, disable=not progress, unit="flight")
     )
     world, sensor = env.base_env.world, env.base_env.airframe.lidar_position
-    reduction = next(part for part in env.transform.modules() if isinstance(part, PointCloudReduction))
     seen = {flight.summary.world_seed for flight in flights}
     sceneries = {
-        valley.seed: make_scenery(world, i, reduction, sensor)
+        valley.seed: make_scenery(world, i, reduction_of(env), sensor)
         for i, valley in enumerate(world.valleys)
         if valley.seed in seen
     }

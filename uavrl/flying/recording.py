@@ -13,7 +13,7 @@ from uavrl.flying.flight import Flight
 from uavrl.runs.episodes import OUTCOMES
 from uavrl.runs.files import replacing
 
-FORMAT = "uavrl flights 2"
+FORMAT = "uavrl flights 3"
 MOST_BYTES = 2**32  # of a file, unpacked; some flights take a few million
 
 
@@ -82,6 +82,7 @@ class Scenery:
         plane_triangles: ``[B, 3]``.
         goal: ``[2]``, radius and height of the goal cylinder in m.
         ball: Circumradius of the reduction in m.
+        directions: ``[cells, 3]``, unit vectors through its cells in body axes.
         statistic: What a face reports: ``"face"``, ``"range"`` or ``"proximity"``.
         sensor: ``[3]``, the LiDAR's centre in body axes in m.
     """
@@ -96,6 +97,7 @@ class Scenery:
     plane_triangles: np.ndarray
     goal: np.ndarray
     ball: float
+    directions: np.ndarray
     statistic: str
     sensor: np.ndarray
 

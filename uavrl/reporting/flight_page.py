@@ -12,9 +12,8 @@ import numpy as np
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.flying.recording import RecordedFlight, Recording, Scenery, thinned
-from uavrl.reporting.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, shell, vehicle
+from uavrl.reporting.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, shell, vehicle
 from uavrl.runs.files import replacing
-from uavrl.transforms.functional import NUM_FACES
 
 POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four characters of three bytes
 
@@ -43,9 +42,8 @@ def page_data(recording: Recording) -> dict[str, Any]:
     """All that the page shows, as JSON."""
     scans = sum(len(flight.times) for flight in recording.flights)
     most = max(POINT_BYTES // (6 * max(scans, 1)), 20)
-    balls = {scenery.ball for scenery in recording.sceneries.values()} or {4.0}
-    cells = {flight.faces.shape[1] for flight in recording.flights} or {NUM_FACES}
-    shape = shell(min(cells), min(balls))
+    place = next(iter(recording.sceneries.values()), None)
+    shape = football(4.0) if place is None else shell(place.directions, place.ball)
     parts = vehicle()
     return {
         "source": recording.source,

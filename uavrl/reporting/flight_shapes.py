@@ -4,16 +4,17 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import HalfspaceIntersection
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
 from uavrl.envs.shapes import loft
-from uavrl.errors import UavrlError
-from uavrl.transforms.functional import NUM_FACES, truncated_icosahedron_faces
-from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT
+from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT, RangeImage
+from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 
 ROTOR_RADIUS = 0.14  # m
+SPHERE = 3000  # points of a sphere whose cells have no shape of their own
 OUTCOMES = {"arrived": "#009E73", "collided": "#D55E00", "timed_out": "#56B4E9"}  # colours of Okabe and Ito
 KINDS = {"tree": "#6b8f5e", "rock": "#8f8b84", "pole": "#a08a6a", "arch": "#9a7f72", "overhang": "#7f8794"}
 OTHER_KIND = "#8a8a8a"
@@ -73,16 +74,31 @@ def _bar(start: np.ndarray, end: np.ndarray, width: float) -> Mesh:
     return loft(np.stack([ring + start, ring + end]))
 
 
-def shell(cells: int, radius: float) -> Shell:
-    """Returns the reduction's shell: of 32 cells the truncated icosahedron, of 72 the range image; ``radius`` in m.
+def shell(directions: np.ndarray, radius: float) -> Shell:
+    """Returns the shell of a reduction whose cells lie in ``directions [cells, 3]``; ``radius`` in m.
 
-    Raises:
-        UavrlError: for another number of cells.
+    Of ours it is drawn as they are, of another one each point of the sphere belongs to the nearest direction.
     """
-    shells = {NUM_FACES: football, AZIMUTHS * ELEVATIONS: belt}
-    if cells not in shells:
-        raise UavrlError(f"The page draws reductions of {' or '.join(map(str, shells))} cells, got one of {cells}.")
-    return shells[cells](radius)
+    for reduction, drawn in ((TruncatedIcosahedron, football), (RangeImage, belt)):
+        ours = reduction.directions().numpy()
+        if directions.shape == ours.shape and np.allclose(directions, ours, atol=1e-5):
+            return drawn(radius)
+    return patches(directions, radius)
+
+
+def patches(directions: np.ndarray, radius: float) -> Shell:
+    """Returns a sphere of a radius in m, each triangle of which belongs to the nearest direction."""
+    height, turn = np.linspace(1 - 1 / SPHERE, 1 / SPHERE - 1, SPHERE), np.arange(SPHERE) * np.pi * (3 - 5**0.5)
+    across = np.sqrt(1 - height**2)
+    hull = ConvexHull(np.stack([across * np.cos(turn), across * np.sin(turn), height], -1))  # a Fibonacci lattice
+    corners = hull.points[hull.simplices]
+    inward = np.einsum(
+        "ti,ti->t", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 0]
+    )
+    triangles = np.where((inward < 0)[:, None], hull.simplices[:, ::-1], hull.simplices)
+    cells = (corners.mean(1) @ directions.T).argmax(1)
+    borders = [np.delete(hull.simplices, side, 1)[cells != cells[hull.neighbors[:, side]]] for side in range(3)]
+    return Shell(radius * hull.points, triangles, cells, np.unique(np.sort(np.concatenate(borders), 1), axis=0))
 
 
 def belt(radius: float) -> Shell:

@@ -18,7 +18,7 @@ from uavrl.errors import UavrlError
 from uavrl.training.collecting import OURS, FlightCollector
 from uavrl.training.guided import GUIDE_ACTION, Guidance, GuidedEnv
 from uavrl.training.network_sizes import NetworkSizes, inner_transforms, network_sizes
-from uavrl.transforms import Mirror
+from uavrl.transforms import Mirror, PointCloudReduction
 
 
 def make_device(name: str) -> torch.device:
@@ -57,7 +57,10 @@ def make_env(
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
-    state = build(perception, Transform, packages=packages, keep_cloud=keep_cloud)
+    state = build(perception, Transform, packages=packages)
+    for part in inner_transforms(state) if keep_cloud else ():
+        if isinstance(part, PointCloudReduction):
+            part.del_keys = False
     paid = None if reward is None else build(reward, Transform, packages=packages)
     for transform, part in ((state, "perception"), (paid, "reward")):
         if transform is not None:

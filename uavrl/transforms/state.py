@@ -33,7 +33,6 @@ class NavigationState(Compose):
         reduction: of the scan: ``"truncated_icosahedron"``, or the 72 cells of a ``"range_image"``.
         last_action: whether an observation also holds the action that led to it.
         frames: observations in a state.
-        keep_cloud: whether ``point_cloud`` stays beside the state.
 
     Examples:
         >>> from torchrl.envs import TransformedEnv
@@ -55,12 +54,11 @@ class NavigationState(Compose):
         *,
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
-        keep_cloud: bool = False,
     ) -> None:
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(
-            REDUCTIONS[reduction](radius=radius, statistic=statistic, del_keys=not keep_cloud),
+            REDUCTIONS[reduction](radius=radius, statistic=statistic),
             NavigationObservation(radius, flight_level, angles),
             *(_with_last_action() if last_action else ()),
             CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
