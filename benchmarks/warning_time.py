@@ -30,21 +30,11 @@ from uavrl.training.factory import make_collector, make_env
 from uavrl.training.network_sizes import network_sizes
 from uavrl.training.policies import load_actor
 
-_AHEAD: dict[str, Any] = {"calibrated": True, "risk_discount": 0.8}
-FORMS: dict[str, dict[str, Any]] = {
-    "linear (the thesis)": {"model": "linear"},
-    "mlp": {"model": "mlp"},
-    "mlp, calibrated": {"model": "mlp", "calibrated": True},
-    "mlp, γ 0.8": {"model": "mlp", **_AHEAD},
-    "mlp, γ 0.9": {"model": "mlp", **_AHEAD, "risk_discount": 0.9},
-    "mlp, 3 frames": {"model": "mlp", "frames": 3},
-    "mlp, γ 0.8, 3 frames": {"model": "mlp", **_AHEAD, "frames": 3},
-    "linear, γ 0.8": {"model": "linear", **_AHEAD},
-}
+FORMS: dict[str, dict[str, Any]] = {"linear (the thesis)": {"model": "linear"}, "mlp": {"model": "mlp"}}
 BEFORE = range(16)  # steps
 FALSE_ALARMS = 0.01
 KEEP = ("observation", "action")
-FLAGS = ("observation", "done", "terminated", "arrived", "collided")
+FLAGS = ("done", "arrived", "collided")
 
 
 def fly(count: int, seed: int) -> tuple[list[TensorDictBase], TensorDictModule, Any]:

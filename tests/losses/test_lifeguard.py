@@ -221,11 +221,11 @@ class TestFit:
         loss.observe(data)
         seen: list[torch.Tensor] = []
 
-        def partial_fit(x: torch.Tensor, y: torch.Tensor, sample_weight: torch.Tensor | None) -> None:
+        def partial_fit(x: torch.Tensor, y: torch.Tensor) -> None:
             assert (x.amin() >= 0) & (x.amax() <= 1)
             scaled = loss.classifier.scaler(loss.collisions[:])
             is_stored = (x[:, None] == scaled).all(-1).any(-1)
-            assert torch.equal(is_stored, y.bool()) and sample_weight is None
+            assert torch.equal(is_stored, y)
             seen.append(y)
 
         loss.classifier.model.partial_fit = partial_fit
@@ -332,69 +332,6 @@ class TestFit:
         assert torch.equal(one.actor_loss(data)[0], other.actor_loss(data)[0])
 
 
-def chain(count: int) -> TensorDict:
-    """Whole episodes through three places, one-hot in the last observation, that collide at the third."""
-    place = torch.eye(3).repeat(count, 1)
-    last = torch.arange(3 * count) % 3 == 2
-    state = torch.cat([torch.zeros_like(place), place], -1)
-    action = 4 * torch.rand(3 * count, 2) - 2
-    flags = dict.fromkeys(("done", "collided", "terminated"), last[:, None])
-    after = {"observation": state.roll(-1, 0), "arrived": torch.zeros(3 * count, 1, dtype=torch.bool), **flags}
-    return TensorDict({"observation": state, "action": action, "next": after}, [3 * count])
-
-
-class TestAhead:
-    def test_calibrated_says_how_often_and_not_what_half_a_batch_says(self) -> None:
-        torch.manual_seed(0)
-        data = episodes(1000, steps=20)
-        data["observation"] = torch.rand(20_000, 6)  # tells nothing: a collision is as probable everywhere, 1 in 20
-        said = []
-        for calibrated in (False, True):
-            loss = lifeguard(model="mlp", model_lr=3e-3, calibrated=calibrated)
-            optimizer = loss.make_optimizer()
-            loss.observe(data)
-            loss.fit(sampler(data), 300, optimizer)
-            said.append(float(loss.classifier(loss._known(data)).detach().sigmoid().mean()))
-        assert said == pytest.approx([0.5, 0.05], rel=0.25)
-
-    def test_the_discounted_probability_of_a_collision_ahead(self) -> None:
-        torch.manual_seed(0)
-        data = chain(20)
-        loss = lifeguard(model="mlp", model_lr=1e-2, calibrated=True, risk_discount=0.5)
-        optimizer = loss.make_optimizer()
-        loss.observe(data)
-        for _ in range(12):
-            loss.fit(sampler(data), 50, optimizer)
-        said = loss.classifier(loss._known(data)).sigmoid().reshape(20, 3).mean(0)
-        assert said.tolist() == pytest.approx([0.25, 0.5, 1.0], abs=0.06)
-        training_error, _ = loss.lifeguard_loss(data)
-        assert training_error.requires_grad and not loss._labels(data).requires_grad
-        assert loss._labels(data).reshape(20, 3).mean(0).tolist() == pytest.approx([0.25, 0.5, 1.0], abs=0.06)
-
-    def test_an_arrival_ends_the_risk(self) -> None:
-        data = chain(1)
-        data["next", "collided"] = torch.zeros(3, 1, dtype=torch.bool)
-        loss = lifeguard(calibrated=True, risk_discount=0.5)
-        loss.classifier.scaler.update(loss._features(data))
-        assert loss._labels(data).tolist() == [0.25, 0.25, 0.0]  # an untrained classifier says a half
-        loss.set_keys(terminated="over")
-        data["next", "over"] = data["next"].pop("terminated")
-        assert loss._labels(data).tolist() == [0.25, 0.25, 0.0]
-
-    def test_reads_as_many_frames_as_it_is_told(self) -> None:
-        loss = LifeGuard(td3(), observations=6, actions=2, stacked=2, frames=2)
-        data = episodes(2)
-        assert torch.equal(loss._features(data)[:, :6], data["observation"])
-        with pytest.raises(ValueError, match="frames must be at most the 2 observations of a state, got 3"):
-            LifeGuard(td3(), observations=6, actions=2, stacked=2, frames=3)
-
-    def test_goes_on_with_the_share_of_collisions(self) -> None:
-        loss, other = lifeguard(calibrated=True), lifeguard(calibrated=True)
-        loss.observe(torch.cat([episodes(1), episodes(3, collided=False)]))
-        other.load_state_dict(loss.state_dict())
-        assert other._sample_weight(torch.tensor([True, False])).tolist() == pytest.approx([0.1, 1.9])
-
-
 class TestDiagnostics:
     def test_gradient_norm_against_autograd_through_the_actor_term(self) -> None:
         loss = trained(lifeguard(model="mlp", model_lr=1e-2))
@@ -431,7 +368,6 @@ def test_one_lifeguard_on_another() -> None:
         ({"model": "tree"}, "model must be"),
         ({"penalty": "hinge"}, "penalty must be"),
         ({"batch_size": 5}, "even"),
-        ({"risk_discount": 0.8}, "risk_discount=0.8 needs calibrated=true"),
     ],
 )
 def test_unknown_settings_are_refused(settings: dict[str, object], message: str) -> None:

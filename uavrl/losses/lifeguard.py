@@ -12,13 +12,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer, Model, Sample
-from uavrl.losses.lifeguard_functional import (
-    annealed_weight,
-    calibration,
-    is_trusted,
-    lifeguard_penalty,
-    risk_labels,
-)
+from uavrl.losses.lifeguard_functional import annealed_weight, is_trusted, lifeguard_penalty
 from uavrl.models.collision_classifier import CollisionClassifier, confusion_rates
 from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
@@ -28,8 +22,8 @@ _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes 
 class LifeGuard(Enhancer):
     """Adds ``p_cp c(o, μ(s))`` to the actor's objective: c predicts that the action collides (Eq. 3.7-3.11).
 
-    Call :meth:`observe` and then :meth:`fit` once for each episode flown. The classifier reads the last ``frames``
-    observations in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last
+    Call :meth:`observe` and then :meth:`fit` once for each episode flown. The classifier reads the last
+    observation in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last
     transition before each collision and from as many other transitions. The actor hears of it after
     ``min_evaluations`` evaluations, each before it is trained on the episode, while its true-negative rate is high
     enough.
@@ -53,16 +47,10 @@ class LifeGuard(Enhancer):
         min_true_negative_rate: the actor listens while the rate exceeds this.
         model_lr: Adam's step for a model with parameters.
         alpha: α of Eq. 3.8.
-        risk_discount: γ_r. Above 0 the classifier learns how probable a collision is ahead, a step later discounted
-            by γ_r; 0 is Eq. 3.8, one step ahead.
-        calibrated: weigh the halves of a batch as often as they happen, so that c is a probability; needed with
-            ``risk_discount``.
-        frames: how many of the stacked observations the classifier reads, the last ones.
         stacked: observations that are stacked in the state.
 
     Raises:
-        ValueError: for an unknown model or penalty, an odd batch size, more frames than are stacked, or a
-            ``risk_discount`` that is not calibrated.
+        ValueError: for an unknown model or penalty, or an odd batch size.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -85,7 +73,7 @@ class LifeGuard(Enhancer):
     class _AcceptedKeys(Enhancer._AcceptedKeys):
         """The keys that :meth:`set_keys` renames, besides those of the base.
 
-        ``collided``, ``arrived`` and ``done`` are read under ``"next"``; with ``risk_discount`` ``terminated``, too.
+        ``collided``, ``arrived`` and ``done`` are read under ``"next"``.
         """
 
         observation: NestedKey = "observation"
@@ -93,7 +81,6 @@ class LifeGuard(Enhancer):
         collided: NestedKey = "collided"
         arrived: NestedKey = "arrived"
         done: NestedKey = "done"
-        terminated: NestedKey = "terminated"
 
     default_keys = _AcceptedKeys
     weight: Tensor
@@ -116,31 +103,20 @@ class LifeGuard(Enhancer):
         min_true_negative_rate: Discount = 0.96,
         model_lr: Positive = 1e-3,
         alpha: Positive = 1e-4,
-        risk_discount: Discount = 0.0,
-        calibrated: bool = False,
-        frames: Count = 1,
         stacked: Count = 1,
     ) -> None:
         if penalty not in ("probability", "label"):
             raise ValueError(f'penalty must be "probability" or "label", got {penalty!r}.')
         if batch_size < 2 or batch_size % 2:
             raise ValueError(f"batch_size must be even, half of it collisions, got {batch_size}.")
-        if risk_discount and not calibrated:
-            raise ValueError(
-                f"risk_discount={risk_discount} needs calibrated=true: what is no probability cannot be discounted."
-            )
-        if frames > stacked:
-            raise ValueError(f"frames must be at most the {stacked} observations of a state, got {frames}.")
         super().__init__(base)
-        self.observations, self.actions = observations // stacked * frames, actions
+        self.observations, self.actions = observations // stacked, actions
         self.penalty: str = penalty
         self.penalty_weight = penalty_weight
         self.batch_size = batch_size
         self.min_collisions, self.min_evaluations = min_collisions, min_evaluations
         self.min_true_negative_rate = min_true_negative_rate
         self.model_lr = model_lr
-        self.risk_discount, self.calibrated = risk_discount, calibrated
-        self.steps_seen = self.collisions_seen = 0
         self.classifier = CollisionClassifier(self.observations + actions, model, alpha)
         self.collisions = ReplayBuffer(storage=LazyTensorStorage(capacity, device="cpu"))
         self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # what is not filled is saved, too
@@ -187,7 +163,7 @@ class LifeGuard(Enhancer):
         return lifeguard_penalty(c, self.weight)
 
     def _features(self, tensordict: TensorDictBase) -> Tensor:
-        """``[*B, observations + actions]``: the last observations of the state, and the action."""
+        """``[*B, observations + actions]``: the last observation in the state, and the action."""
         keys = self.tensor_keys
         state, action = (tensordict.get(key, None) for key in (keys.observation, keys.action))
         if state is None or action is None:
@@ -248,8 +224,6 @@ class LifeGuard(Enhancer):
         collided = self._next(last, "collided")
         arrived = self._next(last, "arrived") if self.successes is not None else None
         self.classifier.scaler.update(features)
-        self.steps_seen += len(features)
-        self.collisions_seen += int(collided.sum())
         if collided.any():
             self.collisions.extend(features[ends[collided]])
         self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
@@ -267,31 +241,20 @@ class LifeGuard(Enhancer):
             raise ValueError("Expected stored collisions, found none: call observe() with episodes that collided.")
         return self.collisions.sample(count).to(self.classifier.scaler.low)
 
-    def _draw_others(self, sample: Sample, count: int) -> tuple[Tensor, Tensor]:
-        """``[count, F]`` features of random transitions that did not collide, and their labels ``[count]``."""
+    def _draw_others(self, sample: Sample, count: int) -> Tensor:
+        """``[count, F]`` features of random transitions that did not collide."""
         drawn: list[Tensor] = []
-        labels: list[Tensor] = []
         missing = count
         for _ in range(10 + 10 * count // _CHUNK):
             batch = sample(min(missing + missing // 8 + 8, _CHUNK))
             others = ~self._next(batch, "collided")
             drawn.append(self._known(batch)[others][:missing])
-            labels.append(self._labels(batch)[others][:missing])
             missing -= len(drawn[-1])
             if not missing:
-                return torch.cat(drawn), torch.cat(labels)
+                return torch.cat(drawn)
         raise ValueError(
             f"Expected {count} transitions that did not collide, found {count - missing} after many draws."
         )
-
-    @torch.no_grad()
-    def _labels(self, transitions: TensorDictBase) -> Tensor:
-        """What c should say of transitions, ``[*B]``."""
-        collided = self._next(transitions, "collided")
-        if not self.risk_discount:
-            return collided.to(self.classifier.scaler.low)
-        risk = self.classifier(self._known(self.act(transitions["next"]))).sigmoid()
-        return risk_labels(collided, self._next(transitions, "terminated"), risk, self.risk_discount)
 
     @property
     def model_params(self) -> list[Tensor]:
@@ -325,25 +288,12 @@ class LifeGuard(Enhancer):
         if len(self.collisions) <= self.min_collisions or steps < 1:
             return
         half = self.batch_size // 2
-        others, labels = self._draw_others(sample, (steps + 1) * half)
+        others = self._draw_others(sample, (steps + 1) * half)
         self._evaluate(others[:half])
         collisions = self._draw_collisions(steps * half).unflatten(0, (steps, half))
         rows = torch.cat([collisions, others[half:].unflatten(0, (steps, half))], 1)
         order = torch.rand(steps, 2 * half).argsort(-1).to(rows.device)
-        risks = torch.cat([torch.ones_like(rows[:, :half, 0]), labels[half:].unflatten(0, (steps, half))], 1)
-        self.classifier.fit(
-            rows.gather(1, order[..., None].expand_as(rows)),
-            risks.gather(1, order),
-            optimizer,
-            self._sample_weight(order < half),
-        )
-
-    def _sample_weight(self, collided: Tensor) -> Tensor | None:
-        """What each sample counts; None: all the same."""
-        if not self.calibrated:
-            return None
-        collision, other = calibration(self.collisions_seen, self.steps_seen)
-        return torch.where(collided, collision, other)
+        self.classifier.fit(rows.gather(1, order[..., None].expand_as(rows)), order < half, optimizer)
 
     def evaluate(self, others: TensorDictBase) -> None:
         """Counts what the classifier says of stored collisions, drawn at random, and of as many other transitions.
@@ -379,7 +329,7 @@ class LifeGuard(Enhancer):
             KeyError: when ``("next", "collided")`` is missing.
         """
         collided = self._next(tensordict, "collided")
-        error = self.classifier.error(self._features(tensordict).detach(), self._labels(tensordict))
+        error = self.classifier.error(self._features(tensordict).detach(), collided)
         weights = self._maybe_get_priority_weight(tensordict)
         loss = self._reduce_loss(error, tensordict=tensordict, weights=weights)
         return loss, {"lifeguard_collided": collided.float().mean()}
@@ -430,7 +380,6 @@ class LifeGuard(Enhancer):
             "collisions": self.collisions.state_dict(),
             "evaluations": self._counts(),
             "evaluated": self.evaluated,
-            "seen": (self.collisions_seen, self.steps_seen),
             "successes": torch.tensor(self.successes or [], dtype=torch.float64),
         }
 
@@ -439,7 +388,6 @@ class LifeGuard(Enhancer):
         self.collisions.load_state_dict(state["collisions"])
         self.evaluations = deque(state["evaluations"].tolist(), self.evaluations.maxlen)
         self.evaluated = int(state["evaluated"])
-        self.collisions_seen, self.steps_seen = map(int, state.get("seen", (0, 0)))
         if self.successes is not None:
             self.successes = deque(state["successes"].tolist(), self.successes.maxlen)
         self._last_episode = None

@@ -1,6 +1,5 @@
 """LifeGuard's arithmetic as pure tensor functions (Chansuparp (2022), §3.5)."""
 
-import torch
 from torch import Tensor
 
 from uavrl.models.collision_classifier import confusion_rates
@@ -43,45 +42,6 @@ def annealed_weight(penalty_weight: float, successes: Tensor) -> float:
     """
     rate = float(successes.double().mean()) if len(successes) else 0.0
     return penalty_weight * (1.0 - min(max(rate, 0.0), 1.0))
-
-
-def risk_labels(collided: Tensor, terminated: Tensor, risk_tp1: Tensor, risk_discount: float) -> Tensor:
-    """What c should say of a transition: 1 where it collides, else ``(1 - terminated) γ_r c(o', μ(s'))``.
-
-    Its fixed point is the discounted probability of a collision ahead (Srinivasan et al. (2020), arXiv:2010.14603;
-    Thananjeyan et al. (2021), arXiv:2010.15920, Eq. 2). With γ_r = 0 these are the labels of Chansuparp (2022),
-    Eq. 3.8.
-
-    Args:
-        collided: bool ``[*B]``.
-        terminated: bool ``[*B]``, whether no step follows.
-        risk_tp1: c(o', μ(s')), ``[*B]``.
-        risk_discount: γ_r.
-
-    Examples:
-        >>> import torch
-        >>> collided, terminated = torch.tensor([True, False, False]), torch.tensor([True, True, False])
-        >>> risk_labels(collided, terminated, torch.tensor([0.2, 0.2, 0.5]), 0.5).tolist()
-        [1.0, 0.0, 0.25]
-    """
-    return torch.where(collided, 1.0, torch.where(terminated, 0.0, risk_discount * risk_tp1))
-
-
-def calibration(collisions: int, steps: int) -> tuple[float, float]:
-    """What samples of collisions and of other steps must weigh in batches of as many of each: 2π and 2 (1 - π).
-
-    So weighed, c is the probability that was asked for, and not that of a world in which every other step collides.
-
-    Args:
-        collisions: that were seen.
-        steps: that were seen, among which they were; their share is π.
-
-    Examples:
-        >>> calibration(1, 200)
-        (0.01, 1.99)
-    """
-    share = collisions / steps
-    return 2 * share, 2 * (1 - share)
 
 
 def is_trusted(counts: Tensor, evaluations: int, min_evaluations: int, min_true_negative_rate: float) -> bool:

@@ -46,18 +46,17 @@ class LinearClassifier(nn.Module):
         """Features ``[*B, F]`` to logits ``[*B]`` of the same type, differentiable in the features."""
         return decision_function(x, self.weight.to(x.dtype), self.intercept.to(x.dtype))
 
-    def partial_fit(self, x: Tensor, y: Tensor, sample_weight: Tensor | None = None) -> None:
+    def partial_fit(self, x: Tensor, y: Tensor) -> None:
         """Takes one step of Eq. 3.10 for each sample, in the order given.
 
         Args:
             x: features ``[N, F]``.
-            y: labels in [0, 1], ``[N]``.
-            sample_weight: what each sample's loss counts, ``[N]``; None: 1.
+            y: labels in {0, 1}, ``[N]``.
 
         Raises:
             ValueError: for other shapes, or features that are not finite.
         """
-        weight, intercept, t = sgd_epoch(self.weight, self.intercept, x, y, int(self.t), self.alpha, sample_weight)
+        weight, intercept, t = sgd_epoch(self.weight, self.intercept, x, y, int(self.t), self.alpha)
         self.weight.copy_(weight)
         self.intercept.copy_(intercept)
         self.t.fill_(t)

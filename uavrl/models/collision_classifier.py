@@ -54,34 +54,25 @@ class CollisionClassifier(nn.Module):
             weights = [self.model.weight]
         return regularized_error(logistic_loss(self(features), collided), weights, self.alpha)
 
-    def fit(
-        self,
-        features: Tensor,
-        collided: Tensor,
-        optimizer: torch.optim.Optimizer | None = None,
-        sample_weight: Tensor | None = None,
-    ) -> None:
+    def fit(self, features: Tensor, collided: Tensor, optimizer: torch.optim.Optimizer | None = None) -> None:
         """One step for each batch; the linear model makes one for each sample, by Eq. 3.10.
 
         Args:
             features: ``[S, B, F]``, S batches.
-            collided: labels, bool or in [0, 1], ``[S, B]``.
+            collided: labels, bool ``[S, B]``.
             optimizer: of the parameters, for a model that has any.
-            sample_weight: what each sample's loss counts, ``[S, B]``; None: 1.
 
         Raises:
             ValueError: when a model with parameters gets no optimiser.
         """
         if isinstance(self.model, LinearClassifier):
-            each = None if sample_weight is None else sample_weight.flatten()
-            self.model.partial_fit(self.scaler(features).flatten(0, 1), collided.flatten(), each)
+            self.model.partial_fit(self.scaler(features).flatten(0, 1), collided.flatten())
             return
         if optimizer is None:
             raise ValueError("Expected an optimiser for the classifier's parameters, got None.")
-        counts = torch.ones(len(features)) if sample_weight is None else sample_weight
-        for x, y, count in zip(features, collided, counts, strict=True):
+        for x, y in zip(features, collided, strict=True):
             optimizer.zero_grad(set_to_none=True)
-            (self.error(x, y) * count).mean().backward()
+            self.error(x, y).mean().backward()
             optimizer.step()
 
     @torch.no_grad()

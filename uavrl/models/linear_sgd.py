@@ -30,21 +30,19 @@ def decision_function(x: Tensor, weight: Tensor, intercept: Tensor) -> Tensor:
 def logistic_loss(logit: Tensor, y: Tensor) -> Tensor:
     """Chansuparp (2022), Eq. 3.9: ``log(1 + exp(-y c))`` with y in {-1, 1}, here from labels in {0, 1}; ``[*B]``.
 
-    The text names labels in {0, 1} and prints the loss for {-1, 1}: with 0 it would be a constant. A label between is
-    a probability: it mixes both losses.
+    The text names labels in {0, 1} and prints the loss for {-1, 1}: with 0 it would be a constant.
 
     Args:
         logit: c(x), ``[*B]``.
-        y: labels in [0, 1], bool or float ``[*B]``, else ValueError.
+        y: labels in {0, 1}, bool or float ``[*B]``, else ValueError.
 
     Examples:
-        >>> logistic_loss(torch.tensor([0.0, 2.0, 0.0]), torch.tensor([0.0, 1.0, 0.5]))
-        tensor([0.6931, 0.1269, 0.6931])
+        >>> logistic_loss(torch.tensor([0.0, 2.0]), torch.tensor([0.0, 1.0]))
+        tensor([0.6931, 0.1269])
     """
     if logit.shape != y.shape:
         raise ValueError(f"Expected one label for each logit, got {tuple(y.shape)} and {tuple(logit.shape)}.")
-    label = y.to(logit.dtype)
-    return label * softplus(-logit) + (1.0 - label) * softplus(logit)
+    return softplus((1.0 - 2.0 * y.to(logit.dtype)) * logit)
 
 
 def regularized_error(loss: Tensor, weights: list[Tensor], alpha: float) -> Tensor:
@@ -94,13 +92,7 @@ def learning_rate(t: float, alpha: float) -> float:
 
 
 def sgd_epoch(
-    weight: Tensor,
-    intercept: Tensor,
-    x: Tensor,
-    y: Tensor,
-    t: int,
-    alpha: float,
-    sample_weight: Tensor | None = None,
+    weight: Tensor, intercept: Tensor, x: Tensor, y: Tensor, t: int, alpha: float
 ) -> tuple[Tensor, Tensor, int]:
     """Chansuparp (2022), Eq. 3.10: one step for each sample, in the order given, in double precision.
 
@@ -111,10 +103,9 @@ def sgd_epoch(
         weight: w, ``[F]``; it is not modified.
         intercept: j, a scalar; it is not regularised.
         x: features ``[N, F]``, finite, else ValueError.
-        y: labels in [0, 1], ``[N]``.
+        y: labels in {0, 1}, ``[N]``.
         t: number of samples seen before.
         alpha: α.
-        sample_weight: what each sample's loss counts, ``[N]``; None: 1.
 
     Returns:
         The new w ``[F]`` and j (float64, on the CPU), and t + N.
@@ -135,12 +126,11 @@ def sgd_epoch(
     if not np.isfinite(rows).all():
         raise ValueError("Expected finite features, got a NaN or an infinity: clean the data first.")
     scale = 1.0  # the weights are scale * w: their decay costs one product
-    counts = [1.0] * len(rows) if sample_weight is None else sample_weight.tolist()
-    for row, label, count in zip(rows, y.tolist(), counts, strict=True):
+    for row, label in zip(rows, y.tolist(), strict=True):
         step = learning_rate(t, alpha)
         # Summed in order: early steps amplify a rounding error thirtyfold a sample, so another order is another model.
         logit = scale * float(np.add.accumulate(w * row)[-1]) + j
-        update = -step * _slope(logit, label) * count
+        update = -step * _slope(logit, label)
         scale *= max(0.0, 1.0 - step * alpha)
         if scale < _SMALLEST_SCALE:
             w *= scale
