@@ -6,14 +6,10 @@ Algorithm 3.1 counts steps from 1: a_t is taken in s_t, earns r_t and leads to s
 Z - p_frames + 1 to Z with Z = k p_frames; the thesis prints k + p_frames, by which all windows would overlap.
 """
 
-from typing import Literal
-
 import torch
 from torch import Tensor
 
-from uavrl.buffers.history import RecentSums, TrajectoryHistory
-
-Scale = Literal["rank", "percentile", "centred"]
+from uavrl.buffers.history import TrajectoryHistory
 
 
 def window_ends(steps: int, frames: int = 3) -> Tensor:
@@ -72,16 +68,14 @@ def window_sums(reward: Tensor, frames: int = 3) -> Tensor:
 def backward_reward(
     reward: Tensor,
     labels: Tensor,
-    history: TrajectoryHistory | RecentSums,
+    history: TrajectoryHistory,
     *,
     frames: int = 3,
     multiplier: float = 0.2,
-    centred: bool = False,
 ) -> Tensor:
     """Relabels one episode that arrived: r += m p_addReward in each window (Eq. 3.5, Algorithm 3.1).
 
-    m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included. With
-    :class:`RecentSums` it is the mid-rank F̂ of the sum, not floored, among the last ones, and with ``centred`` 2 F̂ - 1.
+    m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included.
     The windows enter the history one after the other, so that earlier ones of the same episode count.
 
     Args:
@@ -90,7 +84,6 @@ def backward_reward(
         history: H, which takes the windows in.
         frames: p_frames.
         multiplier: p_addReward.
-        centred: pay 2 m - 1 in place of m: on average nothing, where m is a mid-rank.
 
     Returns:
         The new rewards ``[T]``, in the type of ``reward``, which stays as it is.
@@ -105,15 +98,12 @@ def backward_reward(
         >>> new.tolist(), history.values(0)
         ([1.0, 1.0, 1.0, 2.5, 2.5, 2.5, 5.0], [3, 6])
     """
-    sums = window_sums(reward, frames)
-    if isinstance(history, TrajectoryHistory):
-        sums = sums.floor().long()
+    sums = window_sums(reward, frames).floor().long()
     check_labels(labels, len(sums))
     ranks = [history.insert_and_rank(label, r) for label, r in zip(labels.tolist(), sums.tolist(), strict=True)]
     places = torch.tensor(ranks, dtype=torch.float64)
-    extra = (2 * places - 1 if centred else places) * multiplier
     new = reward.clone()
-    new[: len(ranks) * frames] += extra.repeat_interleave(frames).to(reward)
+    new[: len(ranks) * frames] += (places * multiplier).repeat_interleave(frames).to(reward)
     return new
 
 
