@@ -16,7 +16,7 @@ from uavrl.runs.episodes import wilson
 from uavrl.training.factory import make_env
 from uavrl.training.policies import load_policy
 
-TASKS = 50
+TASKS = 20
 
 
 def evaluation(name: str, file: str = "evaluation.json") -> dict[str, Any]:

@@ -105,6 +105,7 @@ class Seeded(Counter):
         return torch.tensor([float(self.given)])
 
 
+@pytest.mark.slow
 def test_two_processes_fly_tasks_of_their_own() -> None:
     flown = AsyncCollector(
         Seeded,
@@ -178,9 +179,8 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize(
-    "when", ["flying", pytest.param("starting", marks=pytest.mark.slow), pytest.param("built", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("when", ["flying", "starting", "built"])
 def test_python_ends_after_a_training_that_was_stopped(when: str, tmp_path: Path) -> None:
     (tmp_path / "stopped.py").write_text(STOPPED)
     command = [sys.executable, tmp_path / "stopped.py", tmp_path / "run", when]
