@@ -24,6 +24,7 @@ from common import named_folder
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 from scipy.stats import trim_mean
+from torchrl.checkpoint import Checkpoint
 
 from uavrl.configs import compose
 from uavrl.errors import UavrlError
@@ -32,6 +33,7 @@ from uavrl.reporting.learning_curves import moving_mean
 from uavrl.reporting.runs import flatten
 from uavrl.runs.config import HOW_IT_RUNS
 from uavrl.runs.episodes import OUTCOMES, read_episodes
+from uavrl.runs.names import ANY_CHECKPOINT
 
 LETTERS = {outcome: outcome[0] for outcome in OUTCOMES}
 RESAMPLES = 10_000
@@ -80,16 +82,20 @@ def iqm(values: np.ndarray) -> np.ndarray:
 def read(run: Path) -> dict[str, Any]:
     """What is kept of a run."""
     here, there = (_flat(config) for config in (OmegaConf.load(run / "config.yaml"), compose()))
-    summary = run / "summary.json"
-    versions = json.loads(summary.read_text())["versions"] if summary.is_file() else {}
     episodes = read_episodes(run / "episodes.csv")
     return {
         "seed": int(here.pop("seed")),
-        "commit": versions.get("commit"),
+        "commit": _commit(run),
         "settings": {key: value for key, value in here.items() if value != there.get(key)},
         "ends": "".join(LETTERS[episode.outcome] for episode in episodes),
         "steps": [episode.steps for episode in episodes],
     }
+
+
+def _commit(run: Path) -> str | None:
+    """What a run was flown with: its last checkpoint knows, also where the run was stopped."""
+    checkpoints = sorted(run.glob(ANY_CHECKPOINT))
+    return Checkpoint.manifest(checkpoints[-1])["metadata"]["commit"] if checkpoints else None
 
 
 def _flat(config: Any) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from tests.helpers.configs import with_run_dir
 from tests.helpers.folders import episodes, write_episodes
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import wilson
+from uavrl.runs.provenance import commit
 from uavrl.training.run import create_run
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -113,6 +114,16 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     assert (tmp_path / "curves.png").stat().st_size > 5_000
     told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
     assert told["arrived, last"]["iqm"] == 0.0 and told["k steps to 80%"]["iqm"] == float("inf")
+
+
+def test_a_run_that_was_stopped_is_kept_with_the_commit_that_flew_it(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import methods
+
+    (run_dir / "summary.json").unlink()
+    assert methods.read(run_dir)["commit"] == commit()
 
 
 def test_differences_are_told_of_what_evaluations_wrote(
