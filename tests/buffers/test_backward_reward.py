@@ -110,6 +110,18 @@ def test_the_algorithm_through_a_buffer() -> None:
     assert rewards(buffer[:], "reward_raw") == first + second
 
 
+@pytest.mark.parametrize(
+    ("scale", "expected"),
+    [("rank", [0.0, 1.0, 0.0, 1.0]), ("centred", [0.0, 0.5, -2 / 3, 0.0])],
+)
+def test_what_is_paid_by_each_scale(scale: str, expected: list[float]) -> None:
+    """Sums 3, 6, 0 and 3 of one class, paid once: places 0, 1, 0, 1, and among the last 0, 1/2, -2/3, 0."""
+    raw = [1.0] * 3 + [2.0] * 3 + [0.0] * 3 + [1.0] * 3
+    transform = BackwardReward(by_first, multiplier=1.0, scale=scale)
+    new = torch.tensor(rewards(transform.inv(make_episode(raw, [0.0] * 12)))) - torch.tensor(raw)
+    torch.testing.assert_close(new, torch.tensor(expected).repeat_interleave(3))
+
+
 def test_ircr_pays_every_step_of_a_flight_that_arrived_and_goes_on_from_a_checkpoint() -> None:
     transform = IRCR(multiplier=2.0)
     transform.inv(make_episode([1.0, 2.0, 1.0], arrived=False))  # 4: paid nothing, and the highest return
@@ -315,6 +327,8 @@ def test_a_missing_key_is_named(key) -> None:
         ({"frames": 0}, "frames=0"),
         ({"multiplier": -0.1}, "multiplier"),
         ({"multiplier": float("nan")}, "multiplier"),
+        ({"scale": "root"}, "scale must be one of rank, centred"),
+        ({"scale": "centred", "history": TrajectoryHistory()}, "scale='centred' does not go with a TrajectoryHistory"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, object], message: str) -> None:

@@ -7,7 +7,7 @@ from uavrl.buffers.abr import ABR, ABRPlus
 from uavrl.buffers.admission import FailureBias
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
 from uavrl.buffers.functional import backward_reward, is_admitted, multi_step_returns
-from uavrl.buffers.history import TrajectoryHistory
+from uavrl.buffers.history import RecentSums, TrajectoryHistory
 from uavrl.buffers.ircr import IRCR
 from uavrl.buffers.multi_step import MultiStep
 from uavrl.buffers.replay import EpisodeBuffer, FailureBiasedBuffer, PrioritizedBuffer
@@ -25,6 +25,7 @@ __all__ = [
     "GatheringStorage",
     "MultiStep",
     "PrioritizedBuffer",
+    "RecentSums",
     "StateClassifier",
     "TrajectoryHistory",
     "backward_reward",

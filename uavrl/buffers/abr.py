@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from uavrl.buffers.backward_reward import BackwardReward
+from uavrl.buffers.functional import Scale
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.trajectory_classifier import TrajectoryClassifier, packaged_artifact
@@ -21,6 +22,7 @@ class ABR(BackwardReward):
         threshold: cosine similarity from which a state joins a class (Table 4.1).
         max_classes: classes that are founded at most.
         seed: of the convolution that gives the features.
+        scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
 
@@ -38,6 +40,8 @@ class ABR(BackwardReward):
         threshold: Share = 0.98,
         max_classes: Count = 20_000,
         seed: Whole = 0,
+        scale: Scale = "rank",
+        window: Count = 1000,
         *,
         stacked: int = 3,
         observations: int = 105,
@@ -54,7 +58,7 @@ class ABR(BackwardReward):
             max_classes=max_classes,
             seed=seed,
         )
-        super().__init__(classifier, stacked, multiplier)
+        super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
 
 
 class ABRPlus(BackwardReward):
@@ -63,6 +67,7 @@ class ABRPlus(BackwardReward):
     Args:
         multiplier: p_addReward.
         artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states as the default has them.
+        scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
         perception: the run's; an artifact of another one is refused. What one of the two does not tell is not compared.
@@ -80,6 +85,8 @@ class ABRPlus(BackwardReward):
         self,
         multiplier: NonNegative = 0.2,
         artifact: str = "packaged",
+        scale: Scale = "rank",
+        window: Count = 1000,
         *,
         stacked: int = 3,
         observations: int = 105,
@@ -95,7 +102,7 @@ class ABRPlus(BackwardReward):
             kept.mkdir()
             for name in (ARTIFACT.safetensors, ARTIFACT.json):  # and nothing that lies beside them
                 shutil.copyfile(source / name, kept / name)
-        super().__init__(classifier, stacked, multiplier)
+        super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
 
 
 def _require_its_states(

@@ -1,15 +1,47 @@
-"""What the backward reward remembers: the distinct sums seen in each class of trajectories, sorted."""
+"""What the backward reward remembers of each class of trajectories: all distinct sums seen, or the last ones."""
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from math import isfinite
 from operator import index
+from typing import Any, ClassVar
 
 import torch
 from sortedcontainers import SortedList
 from torch import Tensor
 
 
-class TrajectoryHistory:
+class _ClassHistory:
+    """What is remembered of each class of trajectories, and how a checkpoint keeps it."""
+
+    _values: dict[int, Any]
+    dtype: ClassVar[torch.dtype]  # of the values in a checkpoint
+
+    def __len__(self) -> int:
+        """How many values are stored, in all classes together."""
+        return sum(map(len, self._values.values()))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(classes={len(self._values)}, values={len(self)})"
+
+    @property
+    def classes(self) -> list[int]:
+        """The classes seen, in ascending order."""
+        return sorted(self._values)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything as three flat tensors.
+
+        Returns:
+            ``labels [C]`` int64 in ascending order, ``values [M]`` class after class, in the order of
+            ``values(label)``, and ``offsets [C + 1]`` int64: the values of class ``labels[c]`` are
+            ``values[offsets[c] : offsets[c + 1]]``.
+        """
+        return _flat({label: self._values[label] for label in self.classes}, self.dtype)
+
+
+class TrajectoryHistory(_ClassHistory):
     """The trajectories' history H of Chansuparp (2022), §3.4: class → its distinct integers, sorted.
 
     An insertion takes about the logarithm of the number of values in the class. There is no bound: a class holds
@@ -23,20 +55,10 @@ class TrajectoryHistory:
         ([4, 9, 12], [7], 3)
     """
 
+    dtype = torch.int64
+
     def __init__(self) -> None:
-        self._values: dict[int, SortedList] = {}
-
-    def __len__(self) -> int:
-        """How many values are stored, in all classes together."""
-        return sum(map(len, self._values.values()))
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(classes={len(self._values)}, values={len(self)})"
-
-    @property
-    def classes(self) -> list[int]:
-        """The classes seen, in ascending order."""
-        return sorted(self._values)
+        self._values = {}
 
     def values(self, label: int) -> list[int]:
         """The distinct values of a class in ascending order; none for a class not seen."""
@@ -62,37 +84,105 @@ class TrajectoryHistory:
             known.add(value)
         return rank
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """Everything as three flat int64 tensors.
-
-        Returns:
-            ``labels [C]`` in ascending order, ``values [M]`` class after class, and ``offsets [C + 1]``: the
-            values of class ``labels[c]`` are ``values[offsets[c] : offsets[c + 1]]``.
-        """
-        lists = [self._values[label] for label in self.classes]
-        sizes = torch.tensor([0, *map(len, lists)], dtype=torch.int64)
-        return {
-            "labels": torch.tensor(self.classes, dtype=torch.int64),
-            "offsets": sizes.cumsum(0),
-            "values": torch.tensor([value for known in lists for value in known], dtype=torch.int64),
-        }
-
     def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
         """Replaces everything by what :meth:`state_dict` gave.
 
         Raises:
             ValueError: when the tensors do not fit together.
         """
-        labels, offsets, values = (state_dict[name].tolist() for name in ("labels", "offsets", "values"))
-        parts = [values[start:end] for start, end in pairwise(offsets)]
-        whole = offsets[:1] == [0] and offsets[-1:] == [len(values)] and offsets == sorted(offsets)
-        if not (whole and len(parts) == len(labels) == len(set(labels)) and all(map(_ascends, parts))):
+        parts = _parts(state_dict)
+        if not all(a < b for values in parts.values() for a, b in pairwise(values)):
             raise ValueError(
-                f"Expected {len(labels)} classes whose values ascend, got offsets that cut {len(values)} values "
-                f"otherwise: the state is damaged, take an older one."
+                f"Expected {len(parts)} classes whose values ascend: the state is damaged, take an older one."
             )
-        self._values = {label: SortedList(part) for label, part in zip(labels, parts, strict=True)}
+        self._values = {label: SortedList(values) for label, values in parts.items()}
 
 
-def _ascends(values: list[int]) -> bool:
-    return all(a < b for a, b in pairwise(values))
+class RecentSums(_ClassHistory):
+    """The last sums of each class, as often as they came: what a new one is compared with does not grow for ever.
+
+    The sums are not floored: of a reward that is the progress in metres nothing would be left.
+
+    Args:
+        window: sums that are kept of each class.
+
+    Examples:
+        >>> recent = RecentSums(window=3)
+        >>> [round(recent.insert_and_rank(7, value), 2) for value in (0.5, 0.1, 0.3, 0.3)]
+        [0.0, -0.5, 0.0, 0.33]
+        >>> recent.values(7), recent.classes, len(recent)
+        ([0.1, 0.3, 0.3], [7], 3)
+    """
+
+    dtype = torch.float64
+
+    def __init__(self, window: int = 1000) -> None:
+        if window < 1:
+            raise ValueError(f"Expected a window of at least 1, got {window}.")
+        self.window = window
+        self._values = {}
+        self._sorted: dict[int, SortedList] = {}
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(window={self.window}, classes={len(self._values)}, values={len(self)})"
+
+    def values(self, label: int) -> list[float]:
+        """The kept sums of a class in the order in which they came; none for a class not seen."""
+        return list(self._values.get(label, ()))
+
+    def insert_and_rank(self, label: int, value: float) -> float:
+        """Inserts a sum into its class and tells its place among those kept, itself included.
+
+        Args:
+            label: the class l.
+            value: the sum of a window's rewards.
+
+        Returns:
+            2 F̂ - 1, with F̂ the share of smaller sums and half the share of equal ones; in (-1, 1), on average 0.
+
+        Raises:
+            TypeError: when the label is no integer.
+            ValueError: for a sum that is not finite, which nothing can be compared with.
+        """
+        label = index(label)
+        if not isfinite(value):
+            raise ValueError(f"Expected a finite sum, got {value}: check the reward.")
+        came = self._values.setdefault(label, deque())
+        known = self._sorted.setdefault(label, SortedList())
+        came.append(value)
+        known.add(value)
+        if len(came) > self.window:
+            known.remove(came.popleft())
+        return (known.bisect_left(value) + known.bisect_right(value)) / len(known) - 1
+
+    def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
+        """Replaces everything by what :meth:`state_dict` gave; of more than the window the last ones are kept.
+
+        Raises:
+            ValueError: when the tensors do not fit together.
+        """
+        parts = _parts(state_dict)
+        self._values = {label: deque(values[-self.window :]) for label, values in parts.items()}
+        self._sorted = {label: SortedList(values) for label, values in self._values.items()}
+
+
+def _flat(values: Mapping[int, Sequence[float]], dtype: torch.dtype) -> dict[str, Tensor]:
+    sizes = torch.tensor([0, *map(len, values.values())], dtype=torch.int64)
+    return {
+        "labels": torch.tensor([*values], dtype=torch.int64),
+        "offsets": sizes.cumsum(0),
+        "values": torch.tensor([value for known in values.values() for value in known], dtype=dtype),
+    }
+
+
+def _parts(state_dict: Mapping[str, Tensor]) -> dict[int, list[int]]:
+    """The values of each class, from :func:`_flat`."""
+    labels, offsets, values = (state_dict[name].tolist() for name in ("labels", "offsets", "values"))
+    parts = [values[start:end] for start, end in pairwise(offsets)]
+    whole = offsets[:1] == [0] and offsets[-1:] == [len(values)] and offsets == sorted(offsets)
+    if not (whole and len(parts) == len(labels) == len(set(labels))):
+        raise ValueError(
+            f"Expected the values of {len(labels)} classes, got offsets that cut {len(values)} values otherwise: the "
+            f"state is damaged, take an older one."
+        )
+    return dict(zip(labels, parts, strict=True))
