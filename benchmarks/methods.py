@@ -93,9 +93,11 @@ def read(run: Path) -> dict[str, Any]:
 
 
 def _commit(run: Path) -> str | None:
-    """What a run was flown with: its last checkpoint knows, also where the run was stopped."""
+    """What a run was flown with: its summary tells, or the last checkpoint of one that was stopped."""
+    if (summary := run / "summary.json").is_file():
+        return json.loads(summary.read_text())["versions"].get("commit")
     checkpoints = sorted(run.glob(ANY_CHECKPOINT))
-    return Checkpoint.manifest(checkpoints[-1])["metadata"]["commit"] if checkpoints else None
+    return Checkpoint.manifest(checkpoints[-1])["metadata"].get("commit") if checkpoints else None
 
 
 def _flat(config: Any) -> dict[str, Any]:

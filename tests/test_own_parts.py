@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from torchrl.checkpoint import Checkpoint
-from torchrl.envs import TransformedEnv
+from torchrl.envs import CatTensors, Compose, TransformedEnv
 
 from tests.helpers.commands import in_process
 from tests.helpers.flights import small_env, unpack
@@ -26,7 +26,7 @@ from uavrl.flying.recording import RecordedFlight, load_recording
 from uavrl.reporting.flight_page import page_data
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.training.stepper import ActorCriticStepper
-from uavrl.transforms import NavigationReward
+from uavrl.transforms import NavigationReward, TruncatedIcosahedron
 
 OWN = Path(__file__).resolve().parents[1] / "examples/own_parts"
 CONFIG_DIR, TRUSTED = ["--config-dir", str(OWN / "conf")], "packages=[own_parts]"
@@ -104,6 +104,10 @@ def sectors_of(flight: RecordedFlight) -> np.ndarray:
 def test_a_replay_asks_for_cells_that_can_be_drawn() -> None:
     env = TransformedEnv(NavigationEnv(1, world=small_env().world), NavigationReward())
     with pytest.raises(UavrlError, match=r"draws the cells of a uavrl\.transforms\.PointCloudReduction, and this"):
+        reduction_of(env)
+    dropped = CatTensors(["faces", "altitude"], "observation")
+    env = TransformedEnv(NavigationEnv(1, world=small_env().world), Compose(TruncatedIcosahedron(), dropped))
+    with pytest.raises(UavrlError, match=r"TruncatedIcosahedron, and this perception drops \['point_cloud', 'faces'\]"):
         reduction_of(env)
 
 

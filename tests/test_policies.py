@@ -58,3 +58,4 @@ def test_it_succeeds_as_often_as_its_evaluation_states(name: str) -> None:
     arrived = then.count("arrived")
     low, high = wilson(arrived, TASKS)["low"], wilson(min(arrived + 1, TASKS), TASKS)["high"]
     assert low <= now.count("arrived") / TASKS <= high
+    assert sum(one == other for one, other in zip(now, then, strict=True)) >= 0.75 * TASKS

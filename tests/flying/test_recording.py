@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +198,15 @@ def archive(**arrays: np.ndarray) -> bytes:
 )
 def test_another_file_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "f.npz").write_bytes(content)
+    with pytest.raises(UavrlError, match="holds no flights, or is damaged"):
+        load_recording(tmp_path / "f.npz")
+
+
+@pytest.mark.parametrize("directions", [np.zeros((0, 3)), np.zeros((32, 2)), np.ones((8, 3)), np.full((32, 3), np.nan)])
+def test_cells_without_directions_are_refused(directions: np.ndarray, tmp_path: Path) -> None:
+    replay = small_recording()
+    sceneries = {seed: replace(scenery, directions=directions) for seed, scenery in replay.sceneries.items()}
+    save_recording(replace(replay, sceneries=sceneries), tmp_path / "f.npz")
     with pytest.raises(UavrlError, match="holds no flights, or is damaged"):
         load_recording(tmp_path / "f.npz")
 

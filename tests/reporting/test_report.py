@@ -57,6 +57,12 @@ def test_what_to_know_stands_at_the_group_and_at_the_run(tmp_path: Path) -> None
         "TD3, prize": ["Its seeds have flown 3 to 4 episodes.", "Its runs were made by different states of the code."],
     }
     assert report.warnings() == ["one: Unfinished: 2 of 7 episodes."]
+    limits = {"steps": {"trainer__steps": 11}, "good": {"trainer__until_success": 0.5, "trainer__window": 2}}
+    for name, limit in limits.items():  # flights take ten steps
+        run_folder(tmp_path / name / "ended", "ca", trainer__episodes=7, **limit)
+    run_folder(tmp_path / "steps" / "begun", "ca", seed=1, trainer__episodes=7, trainer__steps=21)
+    assert make_report([tmp_path / "good"], window=2).warnings() == []
+    assert make_report([tmp_path / "steps"], window=2).warnings() == ["begun: Unfinished: 2 of 7 episodes."]
     assert {run["name"]: run["versions"] for run in report.runs}["two0"] == {"uavrl": "0.1.0", "commit": "a" * 40}
 
 

@@ -89,11 +89,20 @@ def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) ->
 
 
 def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    for flights, told in ((20, True), (200, False)):
+    for limit, told in (("episodes=20", True), ("episodes=200", False), ("steps=300", True), ("steps=301", False)):
         caplog.clear()
-        few = ["guide=vfh", "algo.random_steps=300", "env.max_steps=30", f"trainer.episodes={flights}"]
+        length = [f"trainer.{limit}"] if limit.startswith("episodes") else ["trainer.episodes=200", f"trainer.{limit}"]
+        few = ["guide=vfh", "algo.random_steps=300", "env.max_steps=30", *length]
         warn_of_random_steps(to_dataclass(small_config(tmp_path / "run", *few)))
-        assert ("the guide may fly all" in caplog.text) == told
+        assert (f"the guide may fly the whole run, trainer.{limit}," in caplog.text) == told
+
+
+def test_random_steps_that_last_as_long_as_the_run_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for steps, told in ((300, True), (301, False)):
+        caplog.clear()
+        few = ["algo.random_steps=300", "trainer.episodes=200", f"trainer.steps={steps}"]
+        warn_of_random_steps(to_dataclass(small_config(tmp_path / "run", *few)))
+        assert ("the run ends by then, by trainer.steps=300" in caplog.text) == told
 
 
 def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> None:

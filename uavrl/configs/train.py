@@ -8,6 +8,7 @@ from omegaconf import DictConfig, OmegaConf
 from uavrl.configs.checks import require
 from uavrl.ranges import Count, Positive, Seed, Share
 
+NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
 Execution = Literal["eager", "captured", "compiled", "auto"]
 Products = Literal["mkl", "onednn", "bf16", "auto"]
 
@@ -70,5 +71,6 @@ class TrainConfig:
         single = all(part.get("_target_") is None for part in (self.fork, self.lifeguard))
         steps = self.algo.get("n_steps", 1)
         require(steps == 1 or single, "algo.n_steps", "1 with FORK or LifeGuard: they learn from single steps", steps)
-        mirrors = not self.buffer.get("mirror") or self.perception.get("angles") == "folded"
-        require(mirrors, "buffer.mirror", "false, but in the valley with perception.angles=folded", True)
+        known = self.perception.get("angles") == "folded" and self.perception.get("_target_") == NAVIGATION_STATE
+        mirrors = known or not self.buffer.get("mirror")
+        require(mirrors, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)

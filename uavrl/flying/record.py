@@ -115,13 +115,19 @@ def reduction_of(env: TransformedEnv) -> PointCloudReduction:
     """What reduces the scan.
 
     Raises:
-        UavrlError: when nothing does whose cells could be drawn.
+        UavrlError: when nothing does whose scan and cells could be drawn.
     """
     found = next((part for part in env.transform.modules() if isinstance(part, PointCloudReduction)), None)
     if found is None:
         raise UavrlError(
             "A replay draws the cells of a uavrl.transforms.PointCloudReduction, and this perception has none: derive "
             "its reduction from that class, or see how it does with uavrl-evaluate."
+        )
+    kept = env.observation_spec.keys(True, True)
+    if dropped := [key for key in (found.in_keys[0], found.out_keys[0]) if key not in kept]:
+        raise UavrlError(
+            f"A replay draws the scan and the cells of {type(found).__name__}, and this perception drops {dropped}: "
+            f"let it keep them, by del_keys=False of what reads them, or see how it does with uavrl-evaluate."
         )
     return found
 

@@ -177,11 +177,13 @@ def load_recording(path: Path) -> Recording:
         about = json.loads(str(arrays.pop("about")))
         if about["format"] != FORMAT:
             raise ValueError(f"its format is {about['format']!r}")
-        return Recording(
-            about["source"],
-            tuple(_flight(arrays, about, f"flight{i}") for i in range(about["flights"])),
-            {seed: _scenery(arrays, about, f"scenery{seed}") for seed in about["sceneries"]},
-        )
+        flights = tuple(_flight(arrays, about, f"flight{i}") for i in range(about["flights"]))
+        sceneries = {seed: _scenery(arrays, about, f"scenery{seed}") for seed in about["sceneries"]}
+        recording = Recording(about["source"], flights, sceneries)
+        for flight in flights:
+            if flight.faces.shape[1:] != recording.scenery(flight).directions.shape[:1]:
+                raise ValueError("its cells lie in other directions")
+        return recording
     except (OSError, UavrlError):
         raise
     except Exception as error:
@@ -215,4 +217,7 @@ def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> 
 
 def _scenery(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> Scenery:
     plain = about["items"][name]
-    return Scenery(**{**plain, "kind_names": tuple(plain["kind_names"])}, **_of(arrays, name))
+    scenery = Scenery(**{**plain, "kind_names": tuple(plain["kind_names"])}, **_of(arrays, name))
+    if scenery.directions.ndim != 2 or scenery.directions.shape[1] != 3 or not np.isfinite(scenery.directions).all():
+        raise ValueError(f"its cells lie in {scenery.directions.shape} directions")
+    return scenery

@@ -136,7 +136,7 @@ def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any
 
 def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str, Any]:
     notes = list(run.notes)
-    if len(run.episodes) < run.planned:
+    if not run.finished:
         notes.append(f"Unfinished: {len(run.episodes):,} of {run.planned:,} episodes.")
     if len(run.episodes) < window:
         notes.append(f"It has flown fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")

@@ -1,6 +1,7 @@
 """Run folders, read: what is whole becomes a :class:`Run`; a broken file is named."""
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -55,6 +56,16 @@ class Run:
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     class_sizes: dict[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has flown what it is to fly, by episodes or by steps, or arrives as often as it is to."""
+        trainer = self.config["trainer"]
+        last = self.episodes[-trainer.get("window", 0) :] or self.episodes
+        arrived = sum(episode.outcome == "arrived" for episode in last) / len(last)
+        limits = ((len(self.episodes), self.planned), (self.steps, trainer.get("steps")))
+        flown = any(limit is not None and reached >= limit for reached, limit in limits)
+        return flown or arrived >= (trainer.get("until_success") or math.inf)
 
     @property
     def learner(self) -> str:
@@ -161,8 +172,10 @@ def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | No
 
 def _config(path: Path) -> dict[str, Any]:
     config: Any = OmegaConf.to_container(load_config(path))
-    seed, planned, _ = int(config["seed"]), int(config["trainer"]["episodes"]), learner_name(config["choices"])
-    return {**config, "seed": seed, "trainer": {**config["trainer"], "episodes": planned}}
+    seed, trainer, _ = int(config["seed"]), config["trainer"], learner_name(config["choices"])
+    kinds = {"episodes": int, "steps": int, "window": int, "until_success": float}
+    limits = {key: kind(trainer[key]) for key, kind in kinds.items() if key == "episodes" or trainer.get(key)}
+    return {**config, "seed": seed, "trainer": {**trainer, **limits}}
 
 
 def _settings(config: dict[str, Any], choices: dict[str, str]) -> dict[str, Any]:

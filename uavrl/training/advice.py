@@ -12,22 +12,29 @@ log = logging.getLogger(__name__)
 def warn_of_random_steps(settings: TrainConfig) -> None:
     """Before the run: its random steps may not end before it does."""
     random_steps, episodes, steps = settings.algo.random_steps, settings.trainer.episodes, settings.trainer.steps
-    length = f"trainer.episodes={episodes}" + ("" if steps is None else f" and trainer.steps={steps}")
+    length = f"trainer.episodes={episodes}" if steps is None else f"trainer.steps={steps}"
     if settings.guided:  # whose flights are learned from at once
         if random_steps >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf):
             log.warning(
-                "algo.random_steps=%d: the guide may fly all of %s, and the policy nothing. Choose fewer random steps "
-                "or a longer run.",
+                "algo.random_steps=%d: the guide may fly the whole run, %s, and the policy nothing. Choose fewer "
+                "random steps or a longer run.",
                 random_steps,
                 length,
             )
         return
-    if random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6), steps)):
+    if steps is not None and random_steps >= steps:
         log.warning(
-            "algo.random_steps=%d: nothing is learned before, and %s may be over by then, since random flights last "
-            "about %d steps together. Choose fewer random steps or a longer run.",
+            "algo.random_steps=%d: nothing is learned before, and the run ends by then, by trainer.steps=%d. Choose "
+            "fewer random steps or a longer run.",
             random_steps,
-            length,
+            steps,
+        )
+    elif random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6))):
+        log.warning(
+            "algo.random_steps=%d: nothing is learned before, and trainer.episodes=%d flights may be over by then, "
+            "since random ones last about %d steps together. Choose fewer random steps or a longer run.",
+            random_steps,
+            episodes,
             expected,
         )
 

@@ -58,7 +58,7 @@ def make_env(
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
     state = build(perception, Transform, packages=packages)
-    for part in inner_transforms(state) if keep_cloud else ():
+    for part in state.modules() if keep_cloud and state is not None else ():
         if isinstance(part, PointCloudReduction):
             part.del_keys = False
     paid = None if reward is None else build(reward, Transform, packages=packages)

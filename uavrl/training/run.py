@@ -80,7 +80,7 @@ def _write(config: DictConfig, run_dir: Path) -> None:
 
 
 def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
-    """Trains until the configured number of episodes is flown, or until the policy is good enough."""
+    """Trains until the configured number of episodes or steps is flown, or until the policy is good enough."""
     if resume:
         check_links(run_dir)
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
@@ -137,7 +137,11 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
             max_steps=settings.env.get("max_steps", 0),
             until_success=settings.trainer.until_success,
         )
-        if not trainer.finished:
+        if trainer.finished:
+            log.info(
+                "%s has ended: trainer.episodes, trainer.steps or trainer.until_success must ask for more.", run_dir
+            )
+        else:
             with logging_redirect_tqdm():  # what is logged meanwhile stands above the line, not in it
                 trainer.train()
         return _summarize(trainer, settings, run_dir)

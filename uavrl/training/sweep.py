@@ -15,14 +15,14 @@ from uavrl.training.compiled_updates import chosen_execution
 from uavrl.training.run import free
 
 NAME_DIGITS = 6
-FOLLOWING = -1  # stands in a name for the random steps that follow from the episodes
+FOLLOWING = -1  # stands in a name for the random steps that follow from the run's length
 
 
 def run_folder(config: DictConfig) -> Path:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and returns it.
 
     What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint, nor are random steps
-    that follow from the episodes: a sweep that is started again for more episodes goes on with its runs, whose random
+    that follow from a run's length: a sweep that is started again for longer runs goes on with its runs, whose random
     steps stay what they were.
     """
     config.trainer.execution = chosen_execution(config.trainer.execution)
