@@ -1,4 +1,4 @@
-"""Somebody's own parts for uavrl: a reward, two enhancers, a perception and an environment, each chosen by a yaml file in ``conf``.
+"""Somebody's own parts for uavrl: reward, enhancers, perception, environment, each chosen by a yaml file in ``conf``.
 
 PYTHONPATH=examples/own_parts uavrl-train --config-dir examples/own_parts/conf packages=[own_parts] \
         env=corridor reward=hurry enhancer=calm trainer.episodes=200 algo.random_steps=500
