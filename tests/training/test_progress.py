@@ -53,19 +53,26 @@ def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
     assert ", 50/s |" in text
 
 
-def test_steps_that_end_a_run_before_its_episodes_tell_the_time_left(clock: Clock) -> None:
+@pytest.mark.parametrize(
+    ("limit", "left", "goal"),
+    [
+        ({"until_success": 0.85}, ", at most 24:36 left | 1,500 steps, 100/s", "success 25.0% of 85%"),
+        ({"last_step": 2500}, " gone, 00:10 left | 1,500 steps, 100/s", "success 25.0%, "),
+    ],
+)
+def test_a_run_that_ends_before_its_episodes_says_so(
+    limit: dict[str, float], left: str, goal: str, clock: Clock
+) -> None:
+    line = Progress(1000, 200, **limit)
+    for second, steps in ((0, 1), (5, 500), (15, 1500)):
+        clock.now = float(second)
+        text = shown(line, second + 1, steps)
+    assert left in text and goal in text
+
+
+def test_the_flight_that_makes_the_last_step_leaves_no_time(clock: Clock) -> None:
     line = Progress(1000, 200, last_step=2500)
-    for second, steps in ((0, 1), (5, 500), (15, 1500)):
+    for second, steps in ((0, 1), (5, 500), (25, 2600)):
         clock.now = float(second)
         text = shown(line, second + 1, steps)
-    assert " 00:10 left | 1,500 steps, 100/s" in text
-    assert "00:00 left" in shown(line, 20, 2600)
-
-
-def test_a_run_that_may_end_before_says_so(clock: Clock) -> None:
-    line = Progress(1000, 200, until_success=0.85)
-    for second, steps in ((0, 1), (5, 500), (15, 1500)):
-        clock.now = float(second)
-        text = shown(line, second + 1, steps)
-    assert ", at most 24:36 left | 1,500 steps, 100/s" in text
-    assert "success 25.0% of 85%" in text
+    assert " 00:00 left" in text
