@@ -101,6 +101,15 @@ def test_a_sweep_that_is_asked_for_more_episodes_keeps_the_random_steps_that_it_
     assert len(list(tmp_path.glob("run_*"))) == 2, "other random steps that are asked for are another run"
 
 
+def test_a_run_that_its_steps_have_ended_is_left_alone_and_goes_on_for_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    longer = ["trainer.episodes=50", "seed=0"]
+    assert [sweep(tmp_path, *longer, f"trainer.steps={steps}") for steps in (30, 30, 60)] == [0, 0, 0]
+    printed = capsys.readouterr().out
+    assert [printed.count(said) for said in ("Run folder: ", "Finished: ", "Resuming ")] == [1, 1, 1]
+
+
 def test_a_run_whose_checkpoints_were_removed_keeps_what_it_has(
     swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
