@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 export OMP_NUM_THREADS ?= 1
+export PYTHONDONTWRITEBYTECODE :=   # else each process would compile torch anew, for ten seconds
 ifndef RUN
 RUN := runs/fast_$(shell date +%Y-%m-%d_%H-%M-%S)
 endif

@@ -42,7 +42,7 @@ def test_random_flights_and_the_compilation_say_nothing_of_the_time_left(clock: 
     clock.now = 61.0
     assert "time left not known yet" in shown(line, 22, 800)
     clock.now = 71.0  # 1,000 steps in 10 s, of 150 a flight: 900 flights take 1,350 s
-    assert "22:30 left | 1,800 steps, 100/s" in shown(line, 100, 1800)
+    assert "22:30 left | 1,800 steps, 100 steps/s" in shown(line, 100, 1800)
 
 
 def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
@@ -50,14 +50,14 @@ def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
     for second in range(0, 200):
         clock.now = float(second)
         text = shown(line, second + 1, 1 + (100 * second if second < 100 else 10_000 + 50 * (second - 100)))
-    assert ", 50/s |" in text
+    assert ", 50 steps/s |" in text
 
 
 @pytest.mark.parametrize(
     ("limit", "left", "goal"),
     [
-        ({"until_success": 0.85}, ", at most 24:36 left | 1,500 steps, 100/s", "success 25.0% of 85%"),
-        ({"last_step": 2500}, " gone, 00:10 left | 1,500 steps, 100/s", "success 25.0%, "),
+        ({"until_success": 0.85}, ", at most 24:36 left | 1,500 steps, 100 steps/s", "success 25.0% of 85%"),
+        ({"last_step": 2500}, " gone, 00:10 left | 16 episodes, 100 steps/s", "success 25.0%, "),
     ],
 )
 def test_a_run_that_ends_before_its_episodes_says_so(
@@ -75,4 +75,4 @@ def test_the_flight_that_makes_the_last_step_leaves_no_time(clock: Clock) -> Non
     for second, steps in ((0, 1), (5, 500), (25, 2600)):
         clock.now = float(second)
         text = shown(line, second + 1, steps)
-    assert " 00:00 left" in text
+    assert text.startswith("2,500/2,500 steps |") and " 00:00 left" in text

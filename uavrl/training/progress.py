@@ -1,6 +1,5 @@
 """The line that a person watches while a run goes on."""
 
-import math
 import sys
 import time
 from collections import deque
@@ -22,7 +21,10 @@ def steps_left(flights: int, steps_a_flight: float, max_steps: int) -> float:
 
 
 class Progress:
-    """Episodes, steps, outcome rates over the window, steps per second and time left."""
+    """Episodes, steps, outcome rates over the window, steps per second and time left.
+
+    The bar fills with episodes, or with steps where ``last_step`` ends the run.
+    """
 
     def __init__(
         self,
@@ -42,31 +44,36 @@ class Progress:
         self._random_steps = random_steps
         self._first = "the guide flies" if guided else "flying at random"
         self._max_steps = max_steps
-        self._last_step = math.inf if last_step is None else last_step
+        self._episodes = episodes
+        self._last_step = last_step
         self._goal = "" if until_success is None else f" of {until_success:.0%}"
         self._at_most = "" if until_success is None else "at most "
         self._times: deque[tuple[float, int]] = deque()
         self._compiled = False
         self._before = (done, steps)
+        unit = "episodes" if last_step is None else "steps"
         self._bar = tqdm(
-            total=episodes,
-            initial=done,
+            total=episodes if last_step is None else last_step,
+            initial=done if last_step is None else steps,
             disable=not enabled,
-            unit="ep",
             dynamic_ncols=True,
             mininterval=0.5 if sys.stderr.isatty() else 30.0,
-            bar_format="{n_fmt}/{total_fmt} episodes |{bar:12}| {elapsed} gone{postfix}",
+            bar_format=f"{{n:,}}/{{total:,}} {unit} |{{bar:12}}| {{elapsed}} gone{{postfix}}",
         )
 
     def update(self, episodes: int, steps: int, rates: Mapping[str, float], mean_return: float) -> None:
         """Shows the state after ``episodes`` episodes and ``steps`` steps."""
+        by_steps = self._last_step is not None
+        beside = f"{episodes:,} episodes" if by_steps else f"{steps:,} steps"
         self._bar.set_postfix_str(
-            f"{self._left(episodes, steps)} | {steps:,} steps{self._speed_text()} | "
+            f"{self._left(episodes, steps)} | {beside}{self._speed_text()} | "
             f"last {min(self._window, max(episodes, 1))}: success {rates['arrived']:.1%}{self._goal}, "
             f"collision {rates['collided']:.1%}, time-out {rates['timed_out']:.1%}, return {mean_return:.1f}",
             refresh=False,
         )
-        self._bar.update(episodes - self._bar.n)
+        self._bar.update(
+            min(steps if by_steps else episodes, self._bar.total) - self._bar.n
+        )  # tqdm forgets a total passed
 
     def _left(self, episodes: int, steps: int) -> str:
         if steps <= self._random_steps:
@@ -79,7 +86,9 @@ class Progress:
             return "time left not known yet"
         done, before = self._before
         a_flight = (steps - before) / max(episodes - done, 1)
-        left = min(steps_left(self._bar.total - episodes, a_flight, self._max_steps), max(self._last_step - steps, 0))
+        left = steps_left(self._episodes - episodes, a_flight, self._max_steps)
+        if self._last_step is not None:
+            left = min(left, max(self._last_step - steps, 0))
         return f"{self._at_most}{tqdm.format_interval(left / speed)} left"
 
     def _take(self, steps: int) -> None:
@@ -95,7 +104,7 @@ class Progress:
         return max(self._times[-1][1] - self._times[0][1], 1) / seconds
 
     def _speed_text(self) -> str:
-        return "" if (speed := self._speed()) is None else f", {speed:.0f}/s"
+        return "" if (speed := self._speed()) is None else f", {speed:.0f} steps/s"
 
     def close(self) -> None:
         """Leaves the line as it is."""
