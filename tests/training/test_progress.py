@@ -76,3 +76,11 @@ def test_the_flight_that_makes_the_last_step_leaves_no_time(clock: Clock) -> Non
         clock.now = float(second)
         text = shown(line, second + 1, steps)
     assert text.startswith("2,500/2,500 steps |") and " 00:00 left" in text
+
+
+@pytest.mark.parametrize(
+    ("ended", "beginning"),
+    [({"episodes": 1000, "last_step": 2500}, "2,500/2,500 steps |"), ({"episodes": 10}, "10/10 episodes |")],
+)
+def test_a_run_that_has_gone_further_than_asked_shows_its_end(ended: dict[str, int], beginning: str) -> None:
+    assert str(Progress(window=200, done=16, steps=2600, **ended)._bar).startswith(beginning)

@@ -23,7 +23,7 @@ def steps_left(flights: int, steps_a_flight: float, max_steps: int) -> float:
 class Progress:
     """Episodes, steps, outcome rates over the window, steps per second and time left.
 
-    The bar fills with episodes, or with steps where ``last_step`` ends the run.
+    The bar fills with episodes, or with steps where ``last_step`` is given.
     """
 
     def __init__(
@@ -51,10 +51,10 @@ class Progress:
         self._times: deque[tuple[float, int]] = deque()
         self._compiled = False
         self._before = (done, steps)
-        unit = "episodes" if last_step is None else "steps"
+        unit, total, gone = ("episodes", episodes, done) if last_step is None else ("steps", last_step, steps)
         self._bar = tqdm(
-            total=episodes if last_step is None else last_step,
-            initial=done if last_step is None else steps,
+            total=total,
+            initial=min(gone, total),
             disable=not enabled,
             dynamic_ncols=True,
             mininterval=0.5 if sys.stderr.isatty() else 30.0,
@@ -71,9 +71,8 @@ class Progress:
             f"collision {rates['collided']:.1%}, time-out {rates['timed_out']:.1%}, return {mean_return:.1f}",
             refresh=False,
         )
-        self._bar.update(
-            min(steps if by_steps else episodes, self._bar.total) - self._bar.n
-        )  # tqdm forgets a total passed
+        gone = min(steps if by_steps else episodes, self._bar.total)  # a total that is passed tqdm forgets
+        self._bar.update(gone - self._bar.n)
 
     def _left(self, episodes: int, steps: int) -> str:
         if steps <= self._random_steps:
