@@ -182,10 +182,9 @@ def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn(
     assert (plain_run.buffer.mirror, plain_run.trainer.until_success) == (False, None)
     assert (fast.algo.n_steps, fast.algo.critic.layer_norm, fast.buffer.mirror) == (5, True, True)
     assert fast.algo.actor.hidden == [256, 256]
-    assert (fast.perception.reduction, fast.perception.last_action) == ("range_image", True)
     assert [fast.choices[group] for group in ("collector", "backward_reward", "reward")] == [
         "sync",
-        "none",
+        "abr",
         "navigation_prize",
     ]
     assert settings("preset=fast", "env=dynamic").env.world.planes == 3
