@@ -5,9 +5,9 @@
 `--add` puts runs into FILE.json: each run's settings that differ from the default's, its commit, and how each flight
 ended after how many steps. The tables are made from that file alone, so that whoever has it can make them again.
 
-For each method, over its seeds: the interquartile mean (the mean of the middle half; with fewer than four seeds of all;
-the median where a run never came so far) and the lowest and highest seed. Against the baseline: the difference of the
-interquartile means, with a 95 % interval by resampling seeds (Agarwal et al. 2021, arXiv:2108.13264).
+For each method: of five seeds or more the interquartile mean (the mean of the middle half; the median where a run never
+came so far) and the lowest and highest seed; of fewer each seed's, in the order of the seeds. Against the baseline: the
+difference of the interquartile means, with a 95 % interval by resampling seeds (Agarwal et al. 2021, arXiv:2108.13264).
 With fewer than five seeds of either no interval is given: of so few it would be much too narrow.
 """
 
@@ -137,7 +137,7 @@ def told(runs: dict[str, list[Flights]], args: argparse.Namespace) -> dict[str, 
     for name, found in values.items():
         result[name] = {"seeds": len(runs[name]), "measures": {}}
         for key, each in found.items():
-            row: dict[str, Any] = {"iqm": float(iqm(each)), "low": float(each.min()), "high": float(each.max())}
+            row: dict[str, Any] = {"iqm": float(iqm(each)), "seeds": each.tolist()}
             base = values.get(args.baseline, {}).get(key)
             if base is not None and name != args.baseline and min(len(each), len(base)) >= FEWEST:
                 row["difference"] = difference(each, base) if np.isfinite([*each, *base]).all() else None
@@ -146,11 +146,19 @@ def told(runs: dict[str, list[Flights]], args: argparse.Namespace) -> dict[str, 
 
 
 def shown(row: dict[str, Any]) -> str:
-    """A cell: the mean, and between which seeds it lies."""
+    """A cell: the mean, and between which seeds it lies; of few seeds what each has."""
+    seeds = row["seeds"]
+    if len(seeds) < FEWEST:
+        return ", ".join(map(_number, seeds))
     if np.isnan(row["iqm"]):
         return "–"
-    told = ["never" if value == float("inf") else f"{value:.1f}" for value in (row["iqm"], row["low"], row["high"])]
-    return f"{told[0]} ({told[1]}–{told[2]})"
+    return f"{_number(row['iqm'])} ({_number(min(seeds))}–{_number(max(seeds))})"
+
+
+def _number(value: float) -> str:
+    if np.isnan(value):
+        return "–"
+    return "never" if np.isinf(value) else f"{value:.1f}"
 
 
 def table(result: dict[str, Any], baseline: str | None) -> str:

@@ -108,12 +108,25 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     assert [run["settings"]["algo.gamma"] for run in kept["good"]] == [0.9] * 5
     monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "5", "--plot", str(tmp_path / "curves.png")])
     methods.main()  # from the file alone
+    assert "| good | 5 | 0.0 (0.0–0.0) | 0.0 (0.0–0.0) | never (never–never) | 100.0 (" in capsys.readouterr().out
     monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "3", "--plot", str(tmp_path / "curves.png")])
     with pytest.raises(UavrlError, match="flew 3 flights, fewer than --window 4"):
         methods.main()
     assert (tmp_path / "curves.png").stat().st_size > 5_000
     told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
     assert told["arrived, last"]["iqm"] == 0.0 and told["k steps to 80%"]["iqm"] == float("inf")
+
+
+def test_few_seeds_are_told_one_by_one_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import methods
+
+    seeds = [methods.Flights(np.full(4, 250), np.array(list(ends))) for ends in ("aaaa", "cccc", "ccaa")]
+    asked = SimpleNamespace(window=2, success=0.8, baseline=None)
+    few, many = (methods.table(methods.told({"ours": runs}, asked), None) for runs in (seeds, [*seeds, *seeds[1:]]))
+    assert "| ours | 3 | 100.0, 0.0, 100.0 | 100.0, 0.0, 50.0 | 0.5, never, 1.0 |" in few
+    assert "250.0, –, 250.0 |" in few
+    assert "| ours | 5 | 66.7 (0.0–100.0) | 33.3 (0.0–100.0) | 1.0 (0.5–never) |" in many
 
 
 def test_a_run_that_was_stopped_is_kept_with_the_commit_that_flew_it(

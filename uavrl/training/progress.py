@@ -1,5 +1,6 @@
 """The line that a person watches while a run goes on."""
 
+import math
 import sys
 import time
 from collections import deque
@@ -45,16 +46,18 @@ class Progress:
         self._first = "the guide flies" if guided else "flying at random"
         self._max_steps = max_steps
         self._episodes = episodes
-        self._last_step = last_step
+        self._by_steps = last_step is not None
+        self._last_step = math.inf if last_step is None else last_step
         self._goal = "" if until_success is None else f" of {until_success:.0%}"
         self._at_most = "" if until_success is None else "at most "
         self._times: deque[tuple[float, int]] = deque()
         self._compiled = False
         self._before = (done, steps)
-        unit, total, gone = ("episodes", episodes, done) if last_step is None else ("steps", last_step, steps)
+        self._total = episodes if last_step is None else last_step
+        unit = "steps" if self._by_steps else "episodes"
         self._bar = tqdm(
-            total=total,
-            initial=min(gone, total),
+            total=self._total,
+            initial=self._gone(done, steps),
             disable=not enabled,
             dynamic_ncols=True,
             mininterval=0.5 if sys.stderr.isatty() else 30.0,
@@ -63,16 +66,18 @@ class Progress:
 
     def update(self, episodes: int, steps: int, rates: Mapping[str, float], mean_return: float) -> None:
         """Shows the state after ``episodes`` episodes and ``steps`` steps."""
-        by_steps = self._last_step is not None
-        beside = f"{episodes:,} episodes" if by_steps else f"{steps:,} steps"
+        beside = f"{episodes:,} episodes" if self._by_steps else f"{steps:,} steps"
         self._bar.set_postfix_str(
             f"{self._left(episodes, steps)} | {beside}{self._speed_text()} | "
             f"last {min(self._window, max(episodes, 1))}: success {rates['arrived']:.1%}{self._goal}, "
             f"collision {rates['collided']:.1%}, time-out {rates['timed_out']:.1%}, return {mean_return:.1f}",
             refresh=False,
         )
-        gone = min(steps if by_steps else episodes, self._bar.total)  # a total that is passed tqdm forgets
-        self._bar.update(gone - self._bar.n)
+        self._bar.update(self._gone(episodes, steps) - self._bar.n)
+
+    def _gone(self, episodes: int, steps: int) -> int:
+        """What the bar fills with; tqdm forgets a total that is passed, as the last flight passes the last step."""
+        return min(steps if self._by_steps else episodes, self._total)
 
     def _left(self, episodes: int, steps: int) -> str:
         if steps <= self._random_steps:
@@ -85,9 +90,7 @@ class Progress:
             return "time left not known yet"
         done, before = self._before
         a_flight = (steps - before) / max(episodes - done, 1)
-        left = steps_left(self._episodes - episodes, a_flight, self._max_steps)
-        if self._last_step is not None:
-            left = min(left, max(self._last_step - steps, 0))
+        left = min(steps_left(self._episodes - episodes, a_flight, self._max_steps), max(self._last_step - steps, 0))
         return f"{self._at_most}{tqdm.format_interval(left / speed)} left"
 
     def _take(self, steps: int) -> None:
