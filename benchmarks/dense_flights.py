@@ -49,7 +49,7 @@ def main() -> None:
     """Adds runs, prints the table and draws."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("file", type=Path)
-    parser.add_argument("--add", nargs="+", default=[], metavar="NAME=RUN_FOLDER")
+    parser.add_argument("--add", nargs="+", action="extend", default=[], metavar="NAME=RUN_FOLDER")
     parser.add_argument(
         "--ranges", nargs="+", default=["0-15000", "20000-40000", "40000-60000", "60000-80000"], metavar="FROM-TO"
     )

@@ -43,7 +43,9 @@ def main() -> None:
     """Prints both rates and by how much they differ."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("these", nargs="+", metavar="FILE.json:WORLD")
-    parser.add_argument("--less", nargs="+", required=True, metavar="FILE.json:WORLD", help="what is taken off")
+    parser.add_argument(
+        "--less", nargs="+", action="extend", required=True, metavar="FILE.json:WORLD", help="what is taken off"
+    )
     args = parser.parse_args()
     sides = [[arrivals(place) for place in side] for side in (args.these, args.less)]
     rates = [wilson(*map(sum, zip(*side, strict=True))) for side in sides]

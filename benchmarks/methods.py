@@ -209,9 +209,11 @@ def main() -> None:
     """Adds runs, and prints the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("file", type=Path, help="where the runs are kept")
-    parser.add_argument("--add", nargs="+", default=[], metavar="METHOD=RUN_FOLDER", help="put runs into the file")
+    parser.add_argument(
+        "--add", nargs="+", action="extend", default=[], metavar="METHOD=RUN_FOLDER", help="put runs into the file"
+    )
     parser.add_argument("--baseline", help="the method that others are compared with")
-    parser.add_argument("--methods", nargs="+", help="only these")
+    parser.add_argument("--methods", nargs="+", action="extend", help="only these")
     parser.add_argument("--flights", type=int, help="flights of each run that count (default: all)")
     parser.add_argument("--steps", type=int, help="steps of each run that count (default: all)")
     parser.add_argument("--window", type=int, default=250, help="flights that a rate at the end covers")
