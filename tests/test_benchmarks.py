@@ -152,7 +152,8 @@ def test_differences_are_told_of_what_evaluations_wrote(
     file.write_text(json.dumps(kept))
 
     def run(these: list[str], less: list[str]) -> str:
-        arguments = [*(f"{file}:{world}" for world in these), "--less", *(f"{file}:{world}" for world in less)]
+        repeated = [word for world in less for word in ("--less", f"{file}:{world}")]
+        arguments = [*(f"{file}:{world}" for world in these), *repeated]
         monkeypatch.setattr(sys, "argv", ["differences.py", *arguments])
         differences.main()
         return capsys.readouterr().out
@@ -184,7 +185,7 @@ def test_dense_flights_are_told_of_the_odd_valleys_alone(
     kept, picture = tmp_path / "kept.csv", tmp_path / "picture.png"
     added = [f"mine, weight=1 s{seed}={tmp_path / f'seed={seed}'}" for seed in (0, 1)]
     arguments = ["dense_flights.py", str(kept), "--ranges", "0-400", "400-800", "790-800", "--window", "3"]
-    monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, "--add", *added, f"cells2={tmp_path / 'seed=0'}"])
+    monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, *added, "--add", f"cells2={tmp_path / 'seed=0'}"])
     dense_flights.main()
     assert "| mine, weight=1 | 2 | 100 % (91–100) of 40 | 0 % (0–9) of 40 | – |" in (told := capsys.readouterr().out)
     assert "| cells2 | 1 | 100 % (84–100) of 20 |" in told
