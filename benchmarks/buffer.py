@@ -25,6 +25,8 @@ import torch
 from common import machine
 from tensordict import TensorDict
 
+from uavrl.cli.errors import one_sentence
+
 FRAMES, WIDTH, ACTION, STEPS, BATCH, BATCHES = 3, 35, 4, 100, 100, 32
 ROWS = ("uavrl", "uavrl, whole states", "TorchRL's LazyTensorStorage", "Stable-Baselines3")
 
@@ -144,4 +146,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -19,6 +19,7 @@ import numpy as np
 from common import named_folder
 from matplotlib.figure import Figure
 
+from uavrl.cli.errors import one_sentence
 from uavrl.reporting.learning_curves import moving_mean
 from uavrl.runs.episodes import read_episodes, wilson
 
@@ -108,4 +109,5 @@ def plot(runs: dict[str, dict[str, list[tuple[int, bool]]]], window: int, output
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

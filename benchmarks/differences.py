@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from methods import FEWEST, difference
 
+from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import difference_of_rates, wilson
 
@@ -60,4 +61,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

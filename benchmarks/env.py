@@ -25,6 +25,7 @@ from scaling import print_scaling, scaling
 from torchrl.collectors import BaseCollector
 from torchrl.envs import CatFrames
 
+from uavrl.cli.errors import one_sentence
 from uavrl.envs.bullet import pybullet
 from uavrl.envs.lidar import Lidar
 from uavrl.envs.navigation import NavigationEnv
@@ -133,4 +134,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -24,6 +24,7 @@ from common import experiment, machine
 from passes import TIMES, moments
 from torch import nn
 
+from uavrl.cli.errors import one_sentence
 from uavrl.flying.baselines import VectorFieldHistogram
 
 TAUGHT = 0.75  # share of the steps, from the first on
@@ -94,4 +95,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

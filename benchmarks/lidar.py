@@ -23,6 +23,7 @@ from common import machine
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from uavrl.cli.errors import one_sentence
 from uavrl.envs.bodies import STATIC, add_fixed
 from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.lidar import Lidar, LidarConfig
@@ -150,4 +151,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -23,6 +23,7 @@ from common import experiment, machine
 from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 
+from uavrl.cli.errors import one_sentence
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.envs.world import World
@@ -155,4 +156,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -26,6 +26,7 @@ from omegaconf import OmegaConf
 from scipy.stats import trim_mean
 from torchrl.checkpoint import Checkpoint
 
+from uavrl.cli.errors import one_sentence
 from uavrl.configs import compose
 from uavrl.errors import UavrlError
 from uavrl.reporting.groups import below
@@ -246,4 +247,5 @@ def _rows(seeds: list[dict[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

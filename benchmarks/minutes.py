@@ -28,6 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import machine, sb3_td3
 
+from uavrl.cli.errors import one_sentence
+
 DEFAULT, FAST, SB3 = "default", "preset=fast", "Stable-Baselines3's TD3"
 OURS = {DEFAULT: ["collector=sync", "trainer.products=mkl"], FAST: ["preset=fast"]}
 ROWS = (*OURS, SB3)
@@ -204,4 +206,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

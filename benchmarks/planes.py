@@ -20,6 +20,7 @@ import numpy as np
 from common import experiment, machine
 from tensordict import TensorDictBase
 
+from uavrl.cli.errors import one_sentence
 from uavrl.cli.policies import policy_folder
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
@@ -90,4 +91,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

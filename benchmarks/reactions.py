@@ -22,6 +22,7 @@ from common import experiment
 from passes import TIMES, moments
 from tensordict import TensorDict, TensorDictBase
 
+from uavrl.cli.errors import one_sentence
 from uavrl.cli.policies import policy_folder
 from uavrl.configs import TrainConfig
 from uavrl.training.policies import load_policy
@@ -64,4 +65,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

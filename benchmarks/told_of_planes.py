@@ -21,6 +21,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from uavrl.cli.errors import one_sentence
 from uavrl.configs import compose, to_dataclass
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.flying.baselines import VectorFieldHistogram
@@ -131,4 +132,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

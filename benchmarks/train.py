@@ -32,6 +32,8 @@ from typing import Any
 import numpy as np
 from common import compose, machine, sb3_td3
 
+from uavrl.cli.errors import one_sentence
+
 RANDOM_STEPS = 1024  # of the uavrl rows; flights are learned from when they end, so that 8 UAVs need some to get going
 FEW_RANDOM_STEPS = 200  # of the others: two batches
 
@@ -227,4 +229,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

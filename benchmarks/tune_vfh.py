@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from common import experiment, machine
 
+from uavrl.cli.errors import one_sentence
 from uavrl.flying.baselines import COSTS, VectorFieldHistogram
 from uavrl.flying.costs import Costs
 from uavrl.flying.flight import fly
@@ -92,4 +93,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -31,6 +31,7 @@ from torchrl.data import Bounded
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives import TD3Loss as StockTD3Loss
 
+from uavrl.cli.errors import one_sentence
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.training.arithmetic import Products, multiplied_by, multiply_by
@@ -286,4 +287,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -17,6 +17,8 @@ from typing import Any
 from common import compose, machine
 from profiling import Stopwatch
 
+from uavrl.cli.errors import one_sentence
+
 RANDOM_STEPS, WARM_UP = 300, 100
 
 
@@ -86,4 +88,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -23,6 +23,7 @@ from common import experiment, machine
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
+from uavrl.cli.errors import one_sentence
 from uavrl.cli.policies import policy_folder
 from uavrl.losses import LifeGuard, TD3Loss
 from uavrl.models import Critic
@@ -138,4 +139,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -26,6 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import experiment, machine
 
+from uavrl.cli.errors import one_sentence
+
 UPDATES = (1.0, 0.25)  # a step
 MODELLED = (1, 2, 4, 8, 16)  # workers with a core each
 FLIGHT = 110  # steps, about, of a flight that arrives
@@ -145,4 +147,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -33,6 +33,19 @@ def written_by(benchmark: str, folder: Path, *arguments: str) -> dict[str, Any]:
     return json.loads(output.read_text())
 
 
+def test_a_wrong_use_ends_in_one_sentence(tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "benchmarks" / "differences.py"), "none.json:a", "--less", "none.json:b"]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert result.returncode == 1
+    assert result.stderr.startswith("uavrl: Expected FILE.json:WORLD") and result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
+def test_every_script_does(script: Path) -> None:
+    begun, _, started = script.read_text().partition('if __name__ == "__main__":\n')
+    assert started == ("    with one_sentence():\n        main()\n" if "\ndef main(" in begun else "")
+
+
 @pytest.mark.slow
 def test_the_lidar_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     numbers = written_by("lidar.py", tmp_path, "--num", "1", "--num-pybullet", "1", "--repeats", "1")
