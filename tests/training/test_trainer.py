@@ -5,19 +5,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 
-from tests.helpers.runs import small_config
+from tests.helpers.runs import LIFEGUARD, small_config
 from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
+from uavrl.losses import LifeGuard
 from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.build import build_trainer
+from uavrl.training.policies import load_actor
 from uavrl.training.run import create_run, resume_config, seed_everything, train
 from uavrl.training.sweep import is_finished
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
@@ -326,3 +330,32 @@ def test_half_an_episode_is_refused(done: list[bool]) -> None:
     batch = TensorDict({"next": {"done": torch.tensor(done)[:, None]}}, [len(done)])
     with pytest.raises(ValueError, match="whole episodes"):
         list(split_episodes(batch))
+
+
+def test_a_lifeguard_that_is_not_heard_changes_nothing_but_what_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, fitted = LifeGuard.fit, []
+
+    def with_numbers_of_its_own(self: LifeGuard, *args: Any, **kwargs: Any) -> None:
+        with torch.random.fork_rng(devices=[]):
+            fit(self, *args, **kwargs)
+        fitted.append(self.active)
+
+    monkeypatch.setattr(LifeGuard, "fit", with_numbers_of_its_own)
+    where = ["trainer.episodes=16", "reward.collided_reward=-50", *(o for o in LIFEGUARD if o.startswith("env."))]
+
+    def trained(name: str, *overrides: str) -> tuple[bytes, dict[str, Tensor]]:
+        run = tmp_path / name
+        config = small_config(run, *where, *overrides)
+        train(config, create_run(config))
+        return (run / "episodes.csv").read_bytes(), dict(load_actor(run, None, "cpu")[1].state_dict())
+
+    flights, actor = trained("none")
+    unheard = trained("unheard", "lifeguard=linear", *LIFEGUARD, "lifeguard.min_evaluations=1000")
+    assert fitted and not any(fitted)
+    assert unheard[0] == flights
+    torch.testing.assert_close(unheard[1], actor, rtol=0, atol=0)
+    heard = trained("heard", "lifeguard=linear", *LIFEGUARD)
+    assert any(fitted)
+    assert not all(torch.equal(heard[1][key], value) for key, value in actor.items())
