@@ -215,6 +215,9 @@ def main() -> None:
     )
     parser.add_argument("--baseline", help="the method that others are compared with")
     parser.add_argument("--methods", nargs="+", action="extend", help="only these")
+    parser.add_argument(
+        "--pool", nargs="+", action="extend", default=[], metavar="NAME=METHOD", help="a row of several methods' runs"
+    )
     parser.add_argument("--flights", type=int, help="flights of each run that count (default: all)")
     parser.add_argument("--steps", type=int, help="steps of each run that count (default: all)")
     parser.add_argument("--window", type=int, default=250, help="flights that a rate at the end covers")
@@ -232,14 +235,27 @@ def main() -> None:
         lines = ",\n".join(f"{json.dumps(name)}: [\n{_rows(seeds)}\n]" for name, seeds in kept.items())
         args.file.parent.mkdir(parents=True, exist_ok=True)
         args.file.write_text(f"{{\n{lines}\n}}\n")
-    names = args.methods or list(kept)
-    runs = {name: [cut(run, args.flights, args.steps) for run in kept[name]] for name in names}
+    pools: dict[str, list[dict[str, Any]]] = {}
+    for pair in args.pool:
+        name, _, method = pair.partition("=")
+        pools.setdefault(name, []).extend(_runs(kept, method))
+    names = [*(args.methods or kept), *pools]
+    kept |= pools
+    if args.baseline is not None and args.baseline not in names:
+        raise UavrlError(f"The baseline must be one of {'; '.join(names)}, got {args.baseline!r}.")
+    runs = {name: [cut(run, args.flights, args.steps) for run in _runs(kept, name)] for name in names}
     result = told(runs, args)
     print(table(result, args.baseline))
     if args.json:
         args.json.write_text(json.dumps(result, indent=1) + "\n")
     if args.plot:
         plot(runs, args.window, args.plot)
+
+
+def _runs(kept: dict[str, list[dict[str, Any]]], method: str) -> list[dict[str, Any]]:
+    if method not in kept:
+        raise UavrlError(f"Expected one of the methods {'; '.join(kept)}, got {method!r}.")
+    return kept[method]
 
 
 def _rows(seeds: list[dict[str, Any]]) -> str:

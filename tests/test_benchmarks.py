@@ -128,6 +128,16 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     assert (tmp_path / "curves.png").stat().st_size > 5_000
     told = json.loads((tmp_path / "told.json").read_text())["good"]["measures"]
     assert told["arrived, last"]["iqm"] == 0.0 and told["k steps to 80%"]["iqm"] == float("inf")
+    pool = ["--methods", "good", "--pool", "both=good", "--pool", "both=poor", "--baseline"]
+    monkeypatch.setattr(sys, "argv", [*arguments, *pool, "both"])
+    methods.main()
+    told = json.loads((tmp_path / "told.json").read_text())
+    assert list(told) == ["good", "both"] and told["both"]["seeds"] == 10
+    assert told["good"]["measures"]["arrived, last"]["difference"][0] == pytest.approx(100 - 62.5)
+    for wrong in ([*pool, "neither"], ["--methods", "neither"], ["--pool", "both=neither"]):
+        monkeypatch.setattr(sys, "argv", [*arguments, *wrong])
+        with pytest.raises(UavrlError, match=r"good; .*, got 'neither'"):
+            methods.main()
 
 
 def test_few_seeds_are_told_one_by_one_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
