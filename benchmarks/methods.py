@@ -237,7 +237,9 @@ def main() -> None:
         args.file.write_text(f"{{\n{lines}\n}}\n")
     pools: dict[str, list[dict[str, Any]]] = {}
     for pair in args.pool:
-        name, _, method = pair.partition("=")
+        name, sign, method = pair.partition("=")
+        if not sign or name in kept:
+            raise UavrlError(f"Expected NAME=METHOD with a name that is no method's, got {pair!r}.")
         pools.setdefault(name, []).extend(_runs(kept, method))
     names = [*(args.methods or kept), *pools]
     kept |= pools

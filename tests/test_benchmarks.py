@@ -41,7 +41,7 @@ def test_a_wrong_use_ends_in_one_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
-def test_every_script_does(script: Path) -> None:
+def test_every_script_ends_in_one_sentence(script: Path) -> None:
     begun, _, started = script.read_text().partition('if __name__ == "__main__":\n')
     assert started == ("    with one_sentence():\n        main()\n" if "\ndef main(" in begun else "")
 
@@ -137,6 +137,10 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     for wrong in ([*pool, "neither"], ["--methods", "neither"], ["--pool", "both=neither"]):
         monkeypatch.setattr(sys, "argv", [*arguments, *wrong])
         with pytest.raises(UavrlError, match=r"good; .*, got 'neither'"):
+            methods.main()
+    for wrong in ("good=poor", "good"):
+        monkeypatch.setattr(sys, "argv", [*arguments, "--pool", wrong])
+        with pytest.raises(UavrlError, match=f"Expected NAME=METHOD .*, got '{wrong}'"):
             methods.main()
 
 
