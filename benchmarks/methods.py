@@ -4,6 +4,7 @@
 
 `--add` puts runs into FILE.json: each run's settings that differ from the default's, its commit, and how each flight
 ended after how many steps. The tables are made from that file alone, so that whoever has it can make them again.
+`--pool NAME=METHOD NAME=METHOD` shows the runs of several methods as one more row.
 
 For each method: of five seeds or more the interquartile mean (the mean of the middle half; the median where a run never
 came so far) and the lowest and highest seed; of fewer each seed's, in the order of the seeds. Against the baseline: the
