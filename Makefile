@@ -24,7 +24,7 @@ $(BIN)/python:
 
 # What trains, evaluates and draws.
 $(READY): pyproject.toml constraints.txt | $(BIN)/python
-	@echo "Installing PyTorch and the rest into $(VENV): 6 GB, some minutes. Without CUDA it is 1.3 GB: see README.md."
+	@echo "Installing PyTorch and the rest into $(VENV): 6 GB, some minutes. Without CUDA it is 1.4 GB: see README.md."
 	$(install) '.[report]'
 	touch $@
 
