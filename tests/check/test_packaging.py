@@ -13,7 +13,7 @@ import pytest
 
 from tests.helpers.commands import TINY
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 # -S: no .pth file runs, so that an editable installation of the checkout stays out of sight.
 TRAIN = """
