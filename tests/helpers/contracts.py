@@ -12,7 +12,7 @@ import torch._dynamo
 import torch._inductor.config
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import LazyTensorStorage, ReplayBuffer
-from torchrl.envs import Compose, EnvBase, ParallelEnv, SerialEnv, Transform, TransformedEnv, check_env_specs
+from torchrl.envs import Compose, EnvBase, SerialEnv, Transform, TransformedEnv, check_env_specs
 from torchrl.objectives import SoftUpdate, ValueEstimators
 
 
@@ -44,13 +44,6 @@ class TransformContract:
 
     def test_around_serial_env_matches_its_specs(self) -> None:
         check_env_specs(TransformedEnv(SerialEnv(2, self.make_env), self.make_transform()))
-
-    def test_parallel_env_matches_its_specs(self) -> None:
-        env = ParallelEnv(2, _Make(type(self)), mp_start_method="fork")
-        try:
-            check_env_specs(env)
-        finally:
-            env.close()
 
     def apply(self, transform: Transform, data: TensorDictBase) -> torch.Tensor | None:
         """What the transform makes of data of its own."""
@@ -93,17 +86,6 @@ class TransformContract:
         torch.testing.assert_close(
             self.apply(copy.deepcopy(self.make_transform()), self.make_data(6)), self.expected(6)
         )
-
-
-class _Make:
-    """A picklable constructor of the contract's transformed environment."""
-
-    def __init__(self, contract: type[TransformContract]) -> None:
-        self.contract = contract
-
-    def __call__(self) -> EnvBase:
-        contract = self.contract()
-        return TransformedEnv(contract.make_env(), contract.make_transform())
 
 
 class LossContract:
