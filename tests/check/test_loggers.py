@@ -14,7 +14,6 @@ from omegaconf import DictConfig
 from torchrl.checkpoint import Checkpoint
 
 from tests.helpers.runs import small_config
-from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import rotation
 from uavrl.training.run import create_run, train
 
@@ -52,14 +51,6 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         return folder / "run"
 
     return run_with
-
-
-def test_csv(trained: Callable[[str], Path]) -> None:
-    logs = trained("csv") / "logs"
-    names = {p.stem for p in logs.rglob("*.csv")}
-    assert {"rate_arrived", "rate_collided", "rate_timed_out", "return", "episodes"} <= names
-    (episodes,) = logs.rglob("episodes.csv")
-    assert [float(line.split(",")[-1]) for line in episodes.read_text().splitlines()][-1] == 6.0
 
 
 def test_tensorboard(trained: Callable[[str], Path]) -> None:
@@ -157,14 +148,3 @@ def test_a_run_with_another_logger_learns_the_same(trained: Callable[[str], Path
     runs = [trained("csv"), trained("tensorboard")]
     assert (runs[0] / "episodes.csv").read_bytes() == (runs[1] / "episodes.csv").read_bytes()
     assert all(rotation(run).latest() for run in runs)
-
-
-@pytest.mark.parametrize(("name", "flag"), [("tensorboard", "_has_tb"), ("wandb", "_has_wandb")])
-def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, flag: str) -> None:
-    # TorchRL looks for the package once, when it is imported.
-    monkeypatch.setattr(importlib.import_module(f"torchrl.record.loggers.{name}"), flag, False)
-    config = small_config(tmp_path / "run", f"logger={name}", "trainer.episodes=1")
-    run_dir = create_run(config)
-    with pytest.raises(UavrlError, match=rf"logger={name} needs .* pip install 'uavrl\[{name}\]'"):
-        train(config, run_dir)
-    create_run(config)  # nothing was flown: the folder is free for another try

@@ -35,19 +35,6 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_each_value_of_a_sweep_gets_its_own_run(swept: Path) -> None:
-    runs = runs_in(swept)
-    assert sorted(runs) == [0, 1]
-    assert [OmegaConf.load(runs[seed] / "config.yaml").run_dir for seed in (0, 1)] == [str(runs[0]), str(runs[1])]
-    summaries = [json.loads((runs[seed] / "summary.json").read_text()) for seed in (0, 1)]
-    assert [s["seed"] for s in summaries] == [0, 1]
-    assert [s["episodes"] for s in summaries] == [4, 4]
-    assert summaries[0]["mean_return"] != summaries[1]["mean_return"]
-    for run in runs.values():
-        assert list((run / "checkpoints").glob("checkpoint*"))
-        assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 4
-
-
 def test_a_sweep_started_again_trains_what_is_missing_alone(swept: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {seed: content(run) for seed, run in runs_in(swept).items() if seed in (0, 1)}
     capsys.readouterr()
@@ -214,9 +201,3 @@ def test_four_processes_share_a_sweep_and_two_of_them_are_killed(tmp_path: Path)
         assert "The sweep's 12 runs:" in text and text.count(": 12 episodes") == 12
     begun = [line for text in told for line in text.splitlines() if line.startswith("Run folder: ")]
     assert 12 <= len(set(begun)) == len(runs) <= len(begun) <= 14, "flown anew only where a killed process had it"
-
-
-def test_resume_in_a_sweep_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert sweep(tmp_path, "resume=one,two") == 1
-    assert "leave out -m and experiment" in capsys.readouterr().err
-    assert not list(tmp_path.glob("run*"))
