@@ -14,7 +14,7 @@ ifndef RUN
 RUN := runs/fast_$(shell date +%Y-%m-%d_%H-%M-%S)
 endif
 
-.PHONY: train demo test test-slow check-python lint bench docs docs-links setup clean
+.PHONY: train demo test check test-slow check-python lint bench docs docs-links setup clean
 
 setup: $(READY)
 
@@ -47,9 +47,15 @@ demo: $(READY)
 	$(BIN)/uavrl-replay policy=best valleys=[100] tasks=[0,1,2,3] output=demo.html
 	@echo "Open demo.html in a browser."
 
+# The quick tests and the doctests. ARGS="-k lidar" chooses among them.
 test: $(DEV) lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=tests/check $(ARGS)
 
+# What needs processes, Ray, kills, a browser or more than some seconds.
+check: $(DEV)
+	$(BIN)/python -m pytest -n 2 --dist worksteal tests/check $(ARGS)
+
+# What takes more than a minute by its nature.
 test-slow: $(DEV)
 	$(BIN)/python -m pytest -m slow $(ARGS)
 

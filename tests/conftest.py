@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.commands import TINY, in_process
-from uavrl.cli import train as train_command
+from tests.helpers.finished import finished_run
 from uavrl.envs import world
 
 _VALLEYS: dict[str, world.Valley] = {}
@@ -56,9 +56,7 @@ def valleys_built_once() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished training; tests look at it, or change a copy."""
-    run_dir = tmp_path_factory.mktemp("runs") / "run"
-    assert in_process(train_command.main, *TINY, f"run_dir={run_dir}") == 0
-    return run_dir
+    return finished_run(tmp_path_factory.mktemp("runs") / "run", *TINY)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
-from torchrl.envs import ParallelEnv, SerialEnv, check_env_specs
+from torchrl.envs import SerialEnv, check_env_specs
 
 from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
@@ -85,12 +85,6 @@ def test_specs_hold_in_one_process() -> None:
     env = SerialEnv(2, two_uavs)
     check_env_specs(env)
     assert env.batch_size == (2, 2)
-    env.close()
-
-
-def test_specs_hold_in_two_processes() -> None:
-    env = ParallelEnv(2, two_uavs, mp_start_method="fork")
-    check_env_specs(env)
     env.close()
 
 

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -12,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.commands import in_process
-from tests.helpers.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder
 from uavrl.cli.report import main
 from uavrl.reporting.figures import plotly_script
 from uavrl.reporting.page import page
@@ -196,24 +194,3 @@ def test_a_missing_package_is_told(
         monkeypatch.setitem(sys.modules, name, None)
     code, _, err = report(runs)
     assert code == 1 and f"needs {package}" in err and "pip install 'uavrl[report]'" in err
-
-
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-def test_a_browser_draws_every_figure(tmp_path: Path) -> None:
-    file = tmp_path / "report.html"
-    file.write_text(page(make_report(DOCUMENTED)))
-    command = [
-        str(CHROMIUM),
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--virtual-time-budget=20000",
-        "--dump-dom",
-    ]
-    found = subprocess.run([*command, file.as_uri()], capture_output=True, text=True, timeout=600, check=True).stdout
-    figures = re.findall(r'id="plot-([a-z_-]+)"[^>]*js-plotly-plot|js-plotly-plot[^>]*id="plot-([a-z_-]+)"', found)
-    assert len(figures) == len(re.findall(r'id="plot-', found)) == 9

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.helpers.folders import DOCUMENTED, ROOT, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
 from uavrl.errors import UavrlError
 from uavrl.reporting.report import make_report
 
@@ -163,13 +161,3 @@ def test_the_documented_runs_give_the_documented_numbers() -> None:
         ("TD3-LG (MLP), prize", 0): (0.79, 72_918),
         ("TD3-LG (MLP), prize", 1): (0.748, 87_191),
     }
-
-
-def test_a_report_needs_neither_torch_nor_pybullet() -> None:
-    code = (
-        "import sys, pathlib\n"
-        "from uavrl.reporting.page import page; from uavrl.reporting.report import make_report\n"
-        "page(make_report([pathlib.Path('docs/journal/data/enhancers/td3_seed0')]))\n"
-        "assert not {'torch', 'tensordict', 'pybullet'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=600)

@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import check_env_specs
 
+from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import small_config
 from uavrl.configs.checked import to_dataclass
 from uavrl.errors import UavrlError
@@ -24,7 +25,13 @@ from uavrl.training.policies import load_policy
 from uavrl.training.run import create_run, train
 from uavrl.transforms import Mirror
 
-EASY = ["env.world.goal_radius=14", "env.world.obstacles=0", "env.max_steps=60", "env.world.min_clearance=3"]
+EASY = [
+    *DEFAULT_VALLEY,
+    "env.world.goal_radius=14",
+    "env.world.obstacles=0",
+    "env.max_steps=60",
+    "env.world.min_clearance=3",
+]
 
 
 class Calm(Enhancer):

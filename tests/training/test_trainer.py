@@ -14,6 +14,7 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import LIFEGUARD, small_config
 from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
@@ -113,7 +114,13 @@ def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
 # ---------------------------------------------------------------------- when a run ends, and how long it took
 
 
-EASY = ["env.world.goal_radius=18", "env.world.obstacles=0", "env.max_steps=40", "algo.random_steps=10000"]
+EASY = [
+    *DEFAULT_VALLEY,
+    "env.world.goal_radius=18",
+    "env.world.obstacles=0",
+    "env.max_steps=40",
+    "algo.random_steps=10000",
+]
 
 
 def test_a_run_ends_by_itself_once_enough_of_the_last_flights_arrive(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from uavrl.cli.policies import PACKAGED
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def said(example: str, *arguments: object) -> str:

@@ -13,7 +13,7 @@ SIGKILL_FIRST = 2  # a seed
 
 @pytest.mark.parametrize(("kills", "seed"), [(1, SIGKILL_FIRST), pytest.param(50, 0, marks=pytest.mark.slow)])
 def test_kills_leave_no_trace(tmp_path: Path, kills: int, seed: int) -> None:
-    command = [sys.executable, "-m", "tests.killing", tmp_path, "--kills", str(kills), "--seed", str(seed)]
+    command = [sys.executable, "-m", "tests.check.killing", tmp_path, "--kills", str(kills), "--seed", str(seed)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2])
     assert done.returncode == 0, done.stderr
     told = done.stdout.splitlines()[-1]

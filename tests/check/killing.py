@@ -1,6 +1,6 @@
 """Kills trainings at random moments, and compares them with one that was left alone.
 
-python -m tests.killing FOLDER --kills 50
+python -m tests.check.killing FOLDER --kills 50
 
 Trains each of three configurations once without a stop, and then again and again in processes that are ended by
 kill -9, SIGTERM or Ctrl-C and resumed, until there were as many kills as asked for. Each run must end bit-identical to

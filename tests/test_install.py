@@ -1,17 +1,17 @@
-"""Which Python `make` takes, and what it says where none fits."""
+"""What is installed where, which Python `make` takes, and what it says where none fits."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
-
-pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 
 
 def make(folder: Path, pythons: dict[str, int], *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -27,6 +27,10 @@ def make(folder: Path, pythons: dict[str, int], *arguments: str) -> subprocess.C
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
+needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+
+
+@needs_make
 @pytest.mark.parametrize(
     ("pythons", "taken"),
     [
@@ -40,11 +44,13 @@ def test_it_takes_the_newest_python_that_fits(pythons: dict[str, int], taken: st
     assert f"{taken} -m venv .venv" in result.stdout.splitlines(), result
 
 
+@needs_make
 def test_a_python_may_be_named(tmp_path: Path) -> None:
     result = make(tmp_path, {"python3.12": 0}, "--dry-run", "setup", "PYTHON=/opt/python")
     assert "/opt/python -m venv .venv" in result.stdout.splitlines(), result
 
 
+@needs_make
 def test_one_sentence_where_none_fits(tmp_path: Path) -> None:
     result = make(tmp_path, {"python3": 1}, "setup")
     assert result.returncode != 0
@@ -57,3 +63,22 @@ def test_the_makefile_asks_for_what_the_package_asks_for() -> None:
     assert 'requires-python = ">=3.11,<3.14"' in (ROOT / "pyproject.toml").read_text()
     assert "(3, 11) <= sys.version_info < (3, 14)" in (ROOT / "Makefile").read_text()
     assert os.access(ROOT / ".ci/check_python", os.X_OK)
+
+
+def test_all_but_the_simulator_installs_where_it_has_no_wheels() -> None:
+    requirements = [
+        Requirement(r) for r in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    ]
+
+    def installed(**environment: str) -> set[str]:
+        return {r.name for r in requirements if r.marker is None or r.marker.evaluate(environment)}
+
+    simulators = {"pybullet", "pybullet-arm64", "embreex"}
+    linux, mac = {"sys_platform": "linux"}, {"sys_platform": "darwin", "platform_machine": "arm64"}
+    for version, bullet in (("3.11", "pybullet"), ("3.12", "pybullet-arm64"), ("3.13", "pybullet-arm64")):
+        pc = installed(**linux, platform_machine="x86_64", python_version=version)
+        assert pc & simulators == {bullet, "embreex"}
+        assert installed(**mac, python_version=version) & simulators == {"pybullet-arm64", "embreex"}
+        jetson = installed(**linux, platform_machine="aarch64", python_version=version)
+        assert not jetson & simulators
+        assert {"torch", "torchrl", "hydra-core"} <= jetson
