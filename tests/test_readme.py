@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,17 +26,6 @@ def test_its_python_runs() -> None:
     assert names["faces"].shape == (8, 32)
     assert names["loss"].enhancers
     names["env"].close()
-
-
-@pytest.mark.parametrize("page", sorted(ROOT.glob("*.md")), ids=lambda page: page.name)
-def test_links_of_the_root_lead_somewhere(page: Path) -> None:
-    """Those of docs/ are checked when the site is built."""
-    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text()):
-        path, _, heading = target.partition("#")
-        found = page.parent / path if path else page
-        assert found.exists(), target
-        headings = re.findall(r"^#+ (.*)$", found.read_text(), re.MULTILINE) if heading else []
-        assert heading in ["", *(re.sub(r"[^\w -]", "", text).strip().lower().replace(" ", "-") for text in headings)]
 
 
 def test_what_you_bring_is_trained(tmp_path: Path) -> None:

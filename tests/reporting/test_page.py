@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.commands import in_process
-from tests.helpers.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder, several_runs
 from uavrl.cli.report import main
 from uavrl.reporting.figures import plotly_script
 from uavrl.reporting.page import page
@@ -205,7 +205,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 def test_a_browser_draws_every_figure(tmp_path: Path) -> None:
     file = tmp_path / "report.html"
-    file.write_text(page(make_report(DOCUMENTED)))
+    file.write_text(page(make_report(several_runs(tmp_path / "runs"), window=10)))
     command = [
         str(CHROMIUM),
         "--headless",
