@@ -27,7 +27,7 @@ extensions = [
     "sphinx_copybutton",
     "myst_nb",
 ]
-exclude_patterns = ["_build", "conf.py", "journal/report", "tutorials/shell.py"]
+exclude_patterns = ["_build", "conf.py", "tutorials/shell.py"]
 nitpicky = True
 suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
 

@@ -209,7 +209,7 @@ def test_dense_flights_are_told_of_the_odd_valleys_alone(
         run.mkdir()
         flown = episodes("ac" * 20 + "ca" * 20)
         write_episodes(run / "episodes.csv", [replace(each, world_seed=1 - i % 2) for i, each in enumerate(flown)])
-    kept, picture = tmp_path / "kept.csv", tmp_path / "picture.png"
+    kept, picture = tmp_path / "kept.csv.gz", tmp_path / "picture.png"
     added = [f"mine, weight=1 s{seed}={tmp_path / f'seed={seed}'}" for seed in (0, 1)]
     arguments = ["dense_flights.py", str(kept), "--ranges", "0-400", "400-800", "790-800", "--window", "3"]
     monkeypatch.setattr(sys, "argv", [*arguments, "--add", *added, *added, "--add", f"cells2={tmp_path / 'seed=0'}"])

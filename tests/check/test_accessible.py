@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.flights import small_recording
-from tests.helpers.folders import DOCUMENTED
+from tests.helpers.folders import several_runs
 from uavrl.reporting.flight_page import make_page
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
@@ -52,7 +52,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
-    (folder / "report.html").write_text(page(make_report(DOCUMENTED[:3])), encoding="utf-8")
+    (folder / "report.html").write_text(page(make_report(several_runs(folder / "runs"), window=10)), encoding="utf-8")
     (folder / "flight.html").write_text(make_page(small_recording()), encoding="utf-8")
     return folder
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.folders import DOCUMENTED
+from tests.helpers.folders import several_runs
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 
@@ -20,7 +20,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 def test_a_browser_draws_every_figure(tmp_path: Path) -> None:
     file = tmp_path / "report.html"
-    file.write_text(page(make_report(DOCUMENTED)))
+    file.write_text(page(make_report(several_runs(tmp_path / "runs"), window=10)))
     command = [
         str(CHROMIUM),
         "--headless",

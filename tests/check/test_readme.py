@@ -17,15 +17,18 @@ TINY_RUN = ["trainer.episodes=1", "env.num_uavs=1", "env.max_steps=3", "trainer.
 TINY_RUN += ["trainer.execution=captured"]  # compiling takes longer than the run
 
 
-def test_its_python_runs() -> None:
+def test_its_python_runs_as_one_script() -> None:
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     assert len(blocks) == 5
     names: dict[str, Any] = {}
-    for block in blocks:
-        exec(compile(block, str(README), "exec"), names)
+    exec(compile("\n".join(blocks), str(README), "exec"), names)
     assert names["faces"].shape == (8, 32)
-    assert names["loss"].enhancers
+    losses = names["loss"](names["env"].rollout(10))
+    assert {"loss_actor", "loss_qvalue", "loss_lifeguard"} <= set(losses.keys())
+    assert all(loss.isfinite().all() for loss in losses.values())
+    assert names["valley"].reset(seed=0)[0].shape == (105,)
     names["env"].close()
+    names["valley"].close()
 
 
 def test_what_you_bring_is_trained(tmp_path: Path) -> None:

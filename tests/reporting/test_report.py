@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.folders import DOCUMENTED, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder
 from uavrl.errors import UavrlError
 from uavrl.reporting.report import make_report
 
@@ -107,12 +107,14 @@ def test_groups_stand_beside_the_row_that_they_repeat(tmp_path: Path) -> None:
 
 
 def test_settings_that_differ(tmp_path: Path) -> None:
-    run_folder(tmp_path / "a", "a", seed=0, algo__gamma=0.9, trainer__execution="compiled")
-    run_folder(tmp_path / "b", "a", seed=1, algo__gamma=0.9, trainer__execution="captured")
+    same = {"algo__gamma": 0.9, "algo__newer": 1}  # a key that the other run does not have
+    run_folder(tmp_path / "a", "a", seed=0, trainer__execution="compiled", **same)
+    run_folder(tmp_path / "b", "a", seed=1, trainer__execution="captured", **same)
     run_folder(tmp_path / "c", "a", run_dir="elsewhere")
     assert make_report([tmp_path], window=1).settings == {
         "algo.gamma": ["0.9", "0.99"],
-        "trainer.execution": ["compiled / captured", "–"],
+        "algo.newer": ["1", "–"],
+        "trainer.execution": ["compiled / captured", "auto"],
     }
 
 
@@ -148,16 +150,3 @@ def test_json_gives_back_the_facts_and_names_no_place_of_this_machine(tmp_path: 
     assert facts["evaluations"][0]["files"][0]["path_efficiency"] is None, "a number that is none"
     assert str(tmp_path) not in report.to_json()
     assert facts["runs"][0]["config"]["backward_reward"] == {"artifact": "artifact"}
-
-
-def test_the_documented_runs_give_the_documented_numbers() -> None:
-    report = make_report(DOCUMENTED, threshold=0.6)
-    found = {(r["group"], r["seed"]): (r["last"]["success"]["rate"], r["steps_to_threshold"]) for r in report.runs}
-    assert found == {  # docs/journal/open_valley.md
-        ("TD3, prize", 0): (0.84, 65_980),
-        ("TD3, prize", 1): (0.938, 131_838),
-        ("TD3-FORK, prize", 0): (0.932, 56_777),
-        ("TD3-LG, prize", 0): (0.94, 59_690),
-        ("TD3-LG (MLP), prize", 0): (0.79, 72_918),
-        ("TD3-LG (MLP), prize", 1): (0.748, 87_191),
-    }
