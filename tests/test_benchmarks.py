@@ -16,7 +16,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tests.helpers.configs import with_run_dir
-from tests.helpers.folders import episodes, write_episodes
+from tests.helpers.folders import episodes, evaluation, write_episodes
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import commit
@@ -44,6 +44,31 @@ def test_a_wrong_use_ends_in_one_sentence(tmp_path: Path) -> None:
 def test_every_script_ends_in_one_sentence(script: Path) -> None:
     begun, _, started = script.read_text().partition('if __name__ == "__main__":\n')
     assert started == ("    with one_sentence():\n        main()\n" if "\ndef main(" in begun else "")
+
+
+def test_two_evaluations_are_compared_task_by_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of six tasks one success is lost and two are won; a time-out in a collision's place changes no success."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import outcomes
+
+    one = evaluation(tmp_path, 3, 6, "one.json", outcomes="SSCTSC")
+    ends = {"S": "arrived", "C": "collided", "T": "timed_out"}
+    older = [{"task": task, "outcome": ends[letter]} for task, letter in enumerate("CSSSST")]
+    other = evaluation(tmp_path, 4, 6, "other.json", flights=older)
+    (tmp_path / "suite.json").write_text(json.dumps({"static": json.loads(other.read_text())}))
+    found = outcomes.compared(*map(outcomes.evaluation, (str(one), f"{tmp_path / 'suite.json'}:static")))
+    assert found == {"tasks": 6, "success": [3, 4], "changed": 4, "lost": 1, "won": 2, "p": pytest.approx(1.0)}
+    monkeypatch.setattr(sys, "argv", ["outcomes.py", str(one), str(other)])
+    outcomes.main()
+    assert "66.7% of the outcomes differ: 1 successes lost, 2 won" in capsys.readouterr().out
+    with pytest.raises(UavrlError, match="same tasks, they differ by seed and env"):
+        outcomes.compared(outcomes.evaluation(str(one)), {**outcomes.evaluation(str(one)), "seed": 1, "env": "dynamic"})
+    (tmp_path / "suite.json").write_text(json.dumps({"static": {"episodes": 6}}))
+    for place, told in ((f"{tmp_path}/suite.json:static", "does not tell how"), (f"{tmp_path}/no.json", "Expected an")):
+        with pytest.raises(UavrlError, match=told):
+            outcomes.evaluation(place)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_fo
 from uavrl.cli.suite import evaluate_suite
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.runs.files import replacing, writable
+from uavrl.runs.provenance import processor, versions
 
 
 @command("evaluate")
@@ -42,6 +43,7 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
         chosen.source["run"] = settings.run or f"policy={settings.policy}"
     output = _output(settings, overrides)
     told = {"seed": settings.seed, "env": chosen.choices.get("env", ""), "overrides": distinguishing(overrides)}
+    told |= {"versions": versions(), "processor": processor()}
     count = min(settings.num_uavs, settings.episodes)
     if "world" in chosen.env:
         told["valleys"] = list(chosen.env.world.seeds)

@@ -13,6 +13,7 @@ from uavrl.cli.command import FULL_ERROR
 from uavrl.cli.policies import distinguishing, file_of_policy, name_of_output, policy_folder
 from uavrl.configs import EvaluateConfig
 from uavrl.errors import UavrlError
+from uavrl.runs.episodes import outcomes_of
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.weights import POLICY
 
@@ -82,6 +83,7 @@ def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, 
             settings.episodes,
             settings.seed,
         )
+        result["outcomes"] = outcomes_of(result)  # which a file from before there were any tells by its flights
     except (ValueError, KeyError, TypeError):  # something else, or damaged: it is flown again
         return None
     return result if same and output.stat().st_mtime >= _changed(settings) else None

@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # reports read episodes without torch
 
 OUTCOMES = ("arrived", "collided", "timed_out")
 RATES = {"success": "arrived", "collision": "collided", "time_out": "timed_out"}
+LETTERS = {"arrived": "S", "collided": "C", "timed_out": "T"}  # success, collision, time-out: an outcome in one letter
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,22 @@ def difference_of_rates(one: Mapping[str, float], other: Mapping[str, float]) ->
     below = math.hypot(one["rate"] - one["low"], other["high"] - other["rate"])
     above = math.hypot(one["high"] - one["rate"], other["rate"] - other["low"])
     return found, found - below, found + above
+
+
+def outcomes_of(result: Mapping[str, Any]) -> str | None:
+    """How each task of an evaluation ended, a letter each; None where a file does not tell it.
+
+    Files from before there were ``outcomes`` tell it by their ``flights``.
+
+    Examples:
+        >>> outcomes_of({"outcomes": "SCT"})
+        'SCT'
+        >>> outcomes_of({"flights": [{"task": 0, "outcome": "arrived"}, {"task": 1, "outcome": "timed_out"}]})
+        'ST'
+    """
+    if "outcomes" in result or "flights" not in result:
+        return result.get("outcomes")
+    return "".join(LETTERS[flight["outcome"]] for flight in result["flights"])
 
 
 def outcome(last: TensorDictBase) -> str:

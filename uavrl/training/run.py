@@ -2,7 +2,6 @@
 
 import json
 import logging
-import platform
 import random
 import shutil
 import signal
@@ -15,7 +14,6 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-import uavrl
 from uavrl.configs import learner_name, to_dataclass
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
@@ -24,7 +22,7 @@ from uavrl.runs.config import fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
-from uavrl.runs.provenance import commit
+from uavrl.runs.provenance import processor, versions
 from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
 from uavrl.training.arithmetic import chosen_products, denormals_flushed, multiplied_by
 from uavrl.training.build import build_trainer
@@ -216,12 +214,8 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),
         "mean_return": trainer.episode_log.mean_return(),
-        "versions": {
-            "uavrl": uavrl.__version__,
-            "commit": commit(),
-            "torch": str(torch.__version__),
-            "python": platform.python_version(),
-        },
+        "versions": versions(),
+        "processor": processor(),
     }
     warn_of_nothing_learned(settings, summary["steps"], summary["updates"])
     with replacing(run_dir / SUMMARY) as partial:
