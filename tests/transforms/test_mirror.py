@@ -67,6 +67,18 @@ def test_faces_change_places_in_pairs_and_those_straight_ahead_stay() -> None:
     assert moved[32:].tolist() == [32.0, -33.0, 34.0]
 
 
+@pytest.mark.parametrize("last_action", [False, True])
+def test_a_goal_straight_behind_stays_behind(last_action: bool) -> None:
+    """180 degrees fold to -1 on whichever side, and 1 is never emitted; a yaw rate of -1 does change its sign."""
+    seen = navigation_observation(torch.zeros(32), torch.ones(1), torch.tensor([180.0]), torch.tensor([180.0]))
+    expected = seen
+    if last_action:
+        seen, expected = (torch.cat([seen, torch.tensor([0.0, 0.0, 0.0, rate])]) for rate in (-1.0, 1.0))
+    assert seen[33:35].tolist() == [-1.0, -1.0]
+    mirrored = mirror_observation(seen.repeat(2, 3), last_action=last_action)
+    assert torch.equal(mirrored, expected.repeat(2, 3))
+
+
 def path(action: Tensor, steps: int) -> np.ndarray:
     """Where a vehicle in empty space is after each step of one action, ``[steps, 3]``."""
     simulation = Simulation([], 1)

@@ -1,11 +1,13 @@
 """The coarse range image: literal values, an oracle, and what TorchRL asks of a transform."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 from torchrl.envs import TransformedEnv, check_env_specs
 
 from tests.helpers.contracts import TransformContract
@@ -13,6 +15,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
 from uavrl.transforms import REDUCTIONS, Mirror, NavigationState, RangeImage, mirror_observation
+from uavrl.transforms.functional import truncated_icosahedron
 from uavrl.transforms.range_image import range_image, range_image_directions
 
 
@@ -27,7 +30,7 @@ def oracle(points: np.ndarray, radius: float, statistic: str) -> np.ndarray:
     least = [math.inf] * 72
     for x, y, z in points:
         distance = math.sqrt(x * x + y * y + z * z)
-        if not distance < radius:
+        if not 0.05 < distance < radius:
             continue
         azimuth, elevation = math.degrees(math.atan2(y, x)), math.degrees(math.asin(z / distance))
         column, row = math.floor((azimuth + 7.5) / 15) % 24, 0 if elevation < -5 else 1 if elevation < 5 else 2
@@ -71,13 +74,41 @@ def test_batches_order_and_misses_change_nothing() -> None:
     whole = range_image(clouds)
     assert whole.shape == (2, 3, 72)
     shuffled = clouds[..., torch.randperm(500), :]
-    bad = torch.tensor([torch.nan, torch.inf, -torch.inf])
-    padded = torch.cat([shuffled, bad[:, None].expand(2, 3, 3, 3)], -2)
+    bad = torch.tensor([torch.nan, torch.inf, -torch.inf, 0.0, -0.0, 0.02])
+    padded = torch.cat([shuffled, bad[:, None].expand(2, 3, 6, 3)], -2)
     assert range_image(padded).equal(whole)
     assert range_image(clouds[1, 2]).equal(whole[1, 2])
     assert range_image(torch.empty(2, 0, 3)).equal(torch.zeros(2, 72))
-    assert range_image(torch.zeros(1, 3)).amax() > 3.999  # touching is not nothing
-    assert range_image(torch.zeros(1, 3), statistic="range").count_nonzero() == 1
+    assert (
+        range_image(4 * (1 - 1e-5) * range_image_directions(), statistic="face").gt(0).all()
+    )  # touching is not nothing
+
+
+def test_the_ball_ends_at_its_radius_and_begins_outside_the_sensors_housing() -> None:
+    """What a LiDAR whose range is cut to the radius does not report, a farther scan must not show either."""
+    points = torch.tensor([0.05, 0.051, 4 * (1 - 1e-5), 4.0, 4.1])[:, None, None] * range_image_directions()
+    for statistic, read in (("range", [0.0, 0.051, 3.99996, 0.0, 0.0]), ("proximity", [0.0, 3.949, 4e-5, 0.0, 0.0])):
+        image = range_image(points[:, :, None], statistic=statistic).amax((-2, -1))  # type: ignore[arg-type]
+        torch.testing.assert_close(image, torch.tensor(read), atol=2e-6, rtol=0.0)
+
+
+@pytest.mark.parametrize("radius", [4.0, 2.5, 7.3])
+def test_a_point_at_the_radius_is_a_miss_whatever_rounding_does(radius: float) -> None:
+    directions = torch.nn.functional.normalize(torch.randn(5000, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    assert not range_image(directions * radius, radius, "range").any()
+    assert range_image(directions * radius * (1 - 1e-5), radius, "range").all()
+
+
+@pytest.mark.parametrize("statistic", ["face", "range", "proximity"])
+@pytest.mark.parametrize("reduce", [range_image, truncated_icosahedron])
+def test_whatever_a_driver_writes_for_a_miss_reads_as_nothing(reduce: Callable[..., Tensor], statistic: str) -> None:
+    cloud = torch.randn(2, 400, 3, generator=torch.Generator().manual_seed(0)) * 2
+    missed = torch.arange(400) % 3 > 0
+    seen = reduce(cloud[:, ~missed], 4.0, statistic)
+    assert seen.any()
+    for miss in ([0.0, 0.0, 0.0], [-0.0, 0.0, -0.0], [torch.nan] * 3, [torch.inf, 0.0, 0.0], [0.02, -0.03, 0.03]):
+        assert reduce(torch.where(missed[:, None], torch.tensor(miss), cloud), 4.0, statistic).equal(seen)
+        assert not reduce(torch.tensor(miss).expand(1, 28928, 3), 4.0, statistic).any()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ __all__ = [
     "NUM_FACES",
     "Statistic",
     "TruncatedIcosahedronFaces",
+    "is_return",
     "truncated_icosahedron",
     "truncated_icosahedron_faces",
 ]
@@ -27,9 +28,10 @@ NUM_FACES = 32
 _PHI = (1.0 + math.sqrt(5.0)) / 2.0
 # A face with a point in it never reads 0, which means "no point": see `truncated_icosahedron`.
 TOUCHING = 1e-6
-# The ball stops this much (relative, squared) short of the vertices, so that float32 rounding cannot let in a point
-# that a sensor whose range ends at the circumradius does not report.
-_BALL_EDGE = 1.0 - 2e-6
+NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes from; drivers write misses as zeros
+# The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
+# a sensor whose range ends at the radius does not report; and it begins this much after the housing.
+_ROUNDING = 2e-6
 
 
 class TruncatedIcosahedronFaces(NamedTuple):
@@ -125,10 +127,8 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
 
         ``f_i = min ‖p - c_i‖`` over the points of face i, and 0 where it has none.
 
-    0 means "nothing there", so a point that touches its reference (the face centre, or the sensor for ``"range"``)
-    reads ``1e-6 * radius`` instead. A point equally near to two faces goes to either of them. Points with a NaN or an
-    infinite coordinate are misses, and so are points farther than ``(1 - 1e-6) * radius``, the tips of the vertices: a
-    scan whose range is cut to ``radius`` therefore gives exactly what the uncut scan gives.
+    0 means "nothing there", so a point that touches its face's centre reads ``1e-6 * radius`` instead. A point equally
+    near to two faces goes to either of them. Only returns count, see `is_return`: misses are NaN, infinite or zeros.
 
     Args:
         points: ``[*B, P, 3]`` in metres, float32 or float64, in the sensor frame (x forward, y left, z up). ``P`` may
@@ -157,10 +157,8 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     check_statistic(statistic)
     radius = float(radius)
     batch, (_, centres, ids) = points.shape[:-2], _octant(radius, points.dtype, points.device)
-    x, y, z = (coordinate.reshape(-1) for coordinate in points.unbind(-1))
-    kept = (x < radius).nonzero()[:, 0]  # not NaN: most of a scan's points are misses, and need nothing else
-    x, y, z = (coordinate.index_select(0, kept) for coordinate in (x, y, z))
-    near = (x * x + y * y).addcmul_(z, z) < radius**2 * _BALL_EDGE  # False for NaN and inf
+    kept = is_return(points, radius).reshape(-1).nonzero()[:, 0]  # most of a scan's points are misses
+    x, y, z = (coordinate.reshape(-1).index_select(0, kept) for coordinate in points.unbind(-1))
     cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
     images = cloud.mul_(8).add_(x < 0.0, alpha=4).add_(y < 0.0, alpha=2).add_(z < 0.0)  # see `_octant`
     x, y, z = x.abs(), y.abs(), z.abs()
@@ -168,12 +166,34 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
     if statistic == "face":
         x, y, z = (at - centre.index_select(0, faces) for at, centre in zip((x, y, z), centres, strict=True))
     lengths = (x * x + y * y + z * z).sqrt().clamp(TOUCHING * radius, radius)
-    lengths = torch.where(inside & near, lengths, torch.inf)
+    lengths = torch.where(inside, lengths, torch.inf)
     least = points.new_full((batch.numel() * ids.numel(),), torch.inf)
     least = least.scatter_reduce(0, images.mul_(7).add_(faces), lengths, "amin").reshape(*batch, ids.numel())
     out = points.new_full((*batch, NUM_FACES), torch.inf)
     out = out.scatter_reduce(-1, ids.expand_as(least), least, "amin")
     return reported(out, radius, statistic)
+
+
+def is_return(points: Tensor, radius: float) -> Tensor:
+    """Returns which points are returns of the sensor from within the ball: ``bool [*B, P]``.
+
+    What drivers write for a ray that hit nothing is a miss, whatever the driver: a NaN or an infinite coordinate, and
+    zeros. A point within 0.05 m of the sensor's centre lies inside its housing and is a miss, too. So is a point at or
+    beyond ``radius``, or less than ``1e-6 * radius`` before it: a scan whose range is cut to ``radius`` therefore
+    reduces to exactly what the uncut scan does.
+
+    Args:
+        points: ``[*B, P, 3]`` in metres in the sensor frame.
+        radius: of the ball in metres.
+
+    Examples:
+        >>> points = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [torch.nan, 0.0, 0.0]])
+        >>> is_return(points, 4.0).tolist()
+        [True, False, False, False]
+    """
+    x, y, z = points.unbind(-1)
+    squared = (x * x + y * y).addcmul_(z, z)
+    return (squared > NEAREST_RETURN**2 * (1.0 + _ROUNDING)) & (squared < radius**2 * (1.0 - _ROUNDING))
 
 
 def reported(least: Tensor, radius: float, statistic: Statistic) -> Tensor:
@@ -204,9 +224,12 @@ def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tenso
 
 
 def check_radius(radius: float) -> None:
-    """Refuses what is no length."""
-    if not (isinstance(radius, Real) and 0.0 < radius <= LARGEST_RADIUS):
-        raise ValueError(f"radius must be a positive length in metres, at most {LARGEST_RADIUS:g}, got {radius!r}.")
+    """Refuses what is no length, and balls that lie within the sensor's housing, where nothing is ever seen."""
+    if not (isinstance(radius, Real) and NEAREST_RETURN < radius <= LARGEST_RADIUS):
+        raise ValueError(
+            f"radius must be a length in metres above {NEAREST_RETURN:g}, the sensor's housing, and at most "
+            f"{LARGEST_RADIUS:g}, got {radius!r}."
+        )
 
 
 def check_statistic(statistic: Statistic) -> None:

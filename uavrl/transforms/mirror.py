@@ -14,6 +14,7 @@ __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
 ACTION_SIGNS = (1.0, -1.0, 1.0, -1.0)  # forward, left, up, yaw rate
 BESIDE_SIGNS = (1.0, -1.0, 1.0)  # altitude, heading, elevation
+HEADING = -2  # its place, counted from the elevation's end
 
 
 @lru_cache(maxsize=8)
@@ -55,7 +56,10 @@ def mirror_observation(
     if not observation.shape[-1] or observation.shape[-1] % len(places):
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
-    return (frames.index_select(-1, places) * signs.to(frames.dtype)).flatten(-2)
+    image = frames.index_select(-1, places) * signs.to(frames.dtype)
+    heading = image[..., HEADING - (len(ACTION_SIGNS) if last_action else 0)]
+    heading.masked_fill_(heading == 1.0, -1.0)  # straight behind is -1 on either side: folded angles are in [-1, 1)
+    return image.flatten(-2)
 
 
 def mirror_action(action: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ class PointCloudReduction(Transform):
     A class says where its cells are (``directions``), its ``default_statistic`` and the function ``reduced``.
 
     Args:
-        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame, NaN where a ray hit nothing.
+        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame; NaN, inf or zeros where a ray hit nothing.
         out_keys: one key per cloud for ``[*B, cells]`` in metres, within [0, ``radius``].
         radius: of the ball outside of which nothing is seen, in metres.
         statistic: what a cell tells.

@@ -6,7 +6,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from uavrl.transforms.functional import TOUCHING, Statistic, check_points, check_radius, check_statistic, reported
+from uavrl.transforms.functional import (
+    TOUCHING,
+    Statistic,
+    check_points,
+    check_radius,
+    check_statistic,
+    is_return,
+    reported,
+)
 from uavrl.transforms.point_cloud_reduction import PointCloudReduction
 
 __all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "grid_directions", "range_image", "range_image_directions"]
@@ -47,8 +55,8 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
     """Reduces point clouds to 72 distances, one for each cell of 15 degrees of azimuth and 10 of elevation.
 
     A VLP-16 sees 15 degrees up and down. Of the 32 faces of a truncated icosahedron a dozen lie there, each some 40
-    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells. Points
-    farther than ``radius``, and those with a NaN or an infinite coordinate, are misses.
+    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells. Only returns
+    count, see `uavrl.transforms.functional.is_return`: misses are NaN, infinite or zeros.
 
     Args:
         points: ``[*B, P, 3]`` in metres, float32 or float64, in the sensor frame (x forward, y left, z up), in any
@@ -75,21 +83,21 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
     check_radius(radius)
     check_statistic(statistic)
     batch, cells = points.shape[:-2], AZIMUTHS * ELEVATIONS
-    x, y, z = (coordinate.reshape(-1) for coordinate in points.unbind(-1))
-    kept = (x * x + y * y).addcmul_(z, z).lt(float(radius) ** 2).nonzero()[:, 0]  # False for NaN and inf
-    x, y, z = (coordinate.index_select(0, kept) for coordinate in (x, y, z))
+    radius = float(radius)
+    kept = is_return(points, radius).reshape(-1).nonzero()[:, 0]  # most of a scan's points are misses
+    x, y, z = (coordinate.reshape(-1).index_select(0, kept) for coordinate in points.unbind(-1))
     across = (x * x + y * y).sqrt()
     column = (torch.atan2(y, x) * (AZIMUTHS / math.tau)).round().long().remainder(AZIMUTHS)
     row = (torch.atan2(z, across) / HEIGHT).add_((ELEVATIONS - 1) / 2).round().long().clamp(0, ELEVATIONS - 1)
     cell = column * ELEVATIONS + row
     if statistic == "face":
-        middles = float(radius) * range_image_directions(dtype=points.dtype, device=points.device)
+        middles = radius * range_image_directions(dtype=points.dtype, device=points.device)
         x, y, z = (at - middle.index_select(0, cell) for at, middle in zip((x, y, z), middles.T, strict=True))
     lengths = (x * x + y * y).addcmul_(z, z).sqrt().clamp(TOUCHING * radius, radius)
     cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
     least = points.new_full((batch.numel() * cells,), torch.inf)
     least = least.scatter_reduce(0, cloud * cells + cell, lengths, "amin").reshape(*batch, cells)
-    return reported(least, float(radius), statistic)
+    return reported(least, radius, statistic)
 
 
 class RangeImage(PointCloudReduction):
@@ -98,7 +106,7 @@ class RangeImage(PointCloudReduction):
     The maths is `uavrl.transforms.range_image.range_image`. The cloud itself is dropped.
 
     Args:
-        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame, NaN where a ray hit nothing.
+        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame; NaN, inf or zeros where a ray hit nothing.
         out_keys: one key per cloud for ``[*B, 72]`` in metres, within [0, ``radius``].
         radius: of the ball in metres.
         statistic: as in `uavrl.transforms.TruncatedIcosahedron`, but ``"proximity"`` if nothing is said.

@@ -15,7 +15,7 @@ class TruncatedIcosahedron(PointCloudReduction):
     the specs, so that it never leaves the worker that cast it.
 
     Args:
-        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame, NaN where a ray hit nothing.
+        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame; NaN, inf or zeros where a ray hit nothing.
         out_keys: one key per cloud for ``[*B, 32]`` in metres, within [0, ``radius``].
         radius: circumradius in metres.
         statistic: ``"face"`` (distance to the face's centre), ``"range"`` (distance to the sensor) or ``"proximity"``

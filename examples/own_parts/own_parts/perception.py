@@ -8,6 +8,7 @@ from torchrl.envs import CatFrames, Compose
 
 from uavrl.ranges import Count, Positive
 from uavrl.transforms import NavigationObservation, PointCloudReduction
+from uavrl.transforms.functional import is_return
 
 SECTORS = 8
 
@@ -16,7 +17,7 @@ def sectors(points: Tensor, radius: float, statistic: str) -> Tensor:
     """How near the nearest point of each sector is: clouds ``[*B, P, 3]`` in m to ``[*B, 8]``, 0 for nothing."""
     azimuth = torch.atan2(points[..., 1], points[..., 0]).nan_to_num()
     sector = (azimuth * SECTORS / math.tau).round().long().remainder(SECTORS)
-    distance = points.norm(dim=-1).nan_to_num(radius).clamp(max=radius)
+    distance = points.norm(dim=-1).where(is_return(points, radius), radius)
     nearest = points.new_full((*points.shape[:-2], SECTORS), radius).scatter_reduce(-1, sector, distance, "amin")
     return radius - nearest
 
