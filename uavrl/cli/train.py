@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.cli.errors import one_sentence, sentence
-from uavrl.configs import complete, to_dataclass
+from uavrl.configs import TrainConfig, complete, settings_of_run, to_dataclass
 from uavrl.configs.memory import require_memory
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.files import removed_on_failure
@@ -76,7 +76,7 @@ def _command(config: DictConfig) -> None:
 
 
 def _train(config: DictConfig) -> None:
-    _check(config)
+    _check(to_dataclass(config))
     config = complete(config)
     from uavrl.training.run import create_run, resume_config
 
@@ -88,7 +88,7 @@ def _train(config: DictConfig) -> None:
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-    _check(config)
+    _check(settings_of_run(config))
     with full_disk_told(run_dir):
         _fly(config, run_dir, resume=True)
 
@@ -108,9 +108,8 @@ def full_disk_told(run_dir: Path) -> Iterator[None]:
         ) from error
 
 
-def _check(config: DictConfig) -> None:
+def _check(settings: TrainConfig) -> None:
     """Finds what can be wrong with the settings before a folder is made."""
-    settings = to_dataclass(config)
     require_memory(settings)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.training.loggers import require_login
@@ -120,7 +119,7 @@ def _check(config: DictConfig) -> None:
 
 def _train_in_sweep(config: DictConfig) -> None:
     """Trains a combination, goes on with it, or leaves it alone where it is finished or another process flies it."""
-    _check(config)
+    _check(to_dataclass(config))
     if config.resume is not None:
         raise UavrlError(
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "

@@ -5,12 +5,12 @@ from dataclasses import asdict, dataclass, is_dataclass
 from typing import Annotated, Any, get_type_hints
 
 from uavrl.configs.checks import did_you_mean, require
+from uavrl.configs.offered import OFFERED, TARGET, offered_to, refuse_offered
 from uavrl.configs.signature import classes, signature
 from uavrl.configs.typed import require_known, typed
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count, NonNegative, Range, Whole, Widths
 
-TARGET = "_target_"  # the key that names a class; null where the part is left out
 PARTS = (
     "perception",
     "reward",
@@ -76,6 +76,7 @@ class Logging:
 
 _LOOP = {"algo": Learning, "buffer": Storing, "collector": Collecting, "logger": Logging}
 STEPPER = "uavrl.training.stepper.ActorCriticStepper"  # takes its part of algo
+TO_STEPPER = ("loss", "execution")  # what the run hands to it
 
 
 def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -87,12 +88,28 @@ def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str
     taken: dict[str, dict[str, Any]] = {
         name: get_type_hints(reader, include_extras=True) for name, reader in _LOOP.items()
     }
-    taken.setdefault("algo", {}).update(signature(STEPPER) or {})
+    taken["algo"].update(_without(TO_STEPPER, signature(STEPPER) or {}))
     packages = tuple(packages)
     env = parts.get("env")
     if isinstance(env, Mapping) and env.get(TARGET) is not None:
-        taken["perception"] = dict(_signature(str(env[TARGET]), f"env.{TARGET}", packages))
+        hints = _signature(str(env[TARGET]), f"env.{TARGET}", packages)
+        taken["perception"] = _without(OFFERED["env"], hints)
+        _require_one_place(parts.get("perception"), env, hints)
     return {name: _checked(part, name, packages, taken.get(name, {})) for name, part in parts.items()}
+
+
+def _without(names: Iterable[str], hints: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: hint for name, hint in hints.items() if name not in names}
+
+
+def _require_one_place(perception: Any, env: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
+    """Refuses what both parts hold for the environment: one of the two values would not be used."""
+    if not isinstance(perception, Mapping) or TARGET not in perception:
+        return
+    own = signature(str(perception[TARGET])) or {}
+    for name in map(str, perception):
+        if name != TARGET and name in env and name in hints and name not in own:
+            raise UavrlError(f"perception.{name} and env.{name} are the same value: leave one of the two out.")
 
 
 def _checked(part: Any, key: str, packages: tuple[str, ...], beside: Mapping[str, Any]) -> dict[str, Any]:
@@ -102,6 +119,7 @@ def _checked(part: Any, key: str, packages: tuple[str, ...], beside: Mapping[str
         require_known(options, beside, key)
         return {TARGET: None, **options}
     hints = _signature(str(part[TARGET]), f"{key}.{TARGET}", packages)
+    refuse_offered(key, [name for name in options if name in hints], offered_to(key))
     require_known(options, {**beside, **hints}, key)
     for name, value in options.items():
         below = f"{key}.{name}"

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from uavrl.configs import learner_name, to_dataclass
+from uavrl.configs import learner_name, settings_of_run, to_dataclass
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import restore
@@ -99,7 +99,7 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
 
 
 def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> dict[str, Any]:
-    settings: TrainConfig = to_dataclass(config)
+    settings: TrainConfig = settings_of_run(config) if resume else to_dataclass(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     if resume and never_began(run_dir):
