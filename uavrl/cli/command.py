@@ -1,7 +1,9 @@
 """What the commands that Hydra configures share: mistakes on the command line end in one sentence."""
 
 import os
+import shlex
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from functools import wraps
 
 import hydra
@@ -12,6 +14,8 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.cli.help import show
+from uavrl.cli.process import command_process
+from uavrl.command_line import override
 from uavrl.configs import conf_dir, register_resolvers
 from uavrl.configs.checks import did_you_mean
 from uavrl.configs.choices import check_choices, choices_with, known_keys
@@ -40,11 +44,12 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
 
         @wraps(function)
         def main() -> None:
-            if show(name):
-                return
-            configure_logging()
-            with one_sentence(), mistakes:
-                by_hydra()
+            with command_process():
+                if show(name):
+                    return
+                configure_logging()
+                with mistakes:
+                    by_hydra()
 
         return main
 
@@ -73,7 +78,7 @@ class _Mistakes:
             return
         del os.environ[FULL_ERROR]
         expected = (HydraException, OmegaConfBaseException) if self.composed else Exception
-        if isinstance(error, expected) and not isinstance(error, UavrlError):
+        if isinstance(error, expected) and not isinstance(error, UavrlError | BrokenPipeError):
             raise UavrlError(explained(error, self._name)) from error
 
 
@@ -81,7 +86,17 @@ def explained(error: Exception, name: str) -> str:
     """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``."""
     first = next(iter(str(error).splitlines()), type(error).__name__)
     if isinstance(error, OverrideParseException):
-        return f"The override {error.override!r} cannot be read: write KEY=VALUE, and quotes around special characters."
+        return f"The override {error.override!r} cannot be read: {_readable(str(error.override))}."
+    if isinstance(error, BrokenProcessPool):
+        return (
+            "A process that flew runs of the sweep was killed, often for want of memory: start the same command again, "
+            "which goes on with its runs, and with fewer at a time where memory was short (hydra.launcher.n_jobs=1)."
+        )
+    if isinstance(error, OSError) and error.filename is not None:
+        return (
+            f"{error.filename} cannot be written ({error.strerror}): a sweep writes there what it flies; start it in "
+            f"another folder, or choose one with hydra.sweep.dir=FOLDER."
+        )
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
         choices = error.options
@@ -97,6 +112,14 @@ def explained(error: Exception, name: str) -> str:
         return "An override changes something below a key that has nothing below it: --help=all lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
+
+
+def _readable(given: str) -> str:
+    """How to write an override that Hydra cannot read."""
+    key, equals, value = given.partition("=")
+    if equals and key and value and not set(value) & set("\"'[]{}(),"):
+        return f"if the value is a text, type {shlex.quote(override(key, value))}"
+    return "write KEY=VALUE, and quotes around special characters"
 
 
 def given_overrides() -> list[str]:

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +12,22 @@ from uavrl.errors import Stopped, UavrlError, was_interrupted
 
 def sentence(error: BaseException | None) -> str:
     """What the user can mend."""
-    return f"{error}. Check the folder and the space left on its disk." if isinstance(error, OSError) else str(error)
+    of_a_disk = isinstance(error, OSError) and not isinstance(error, ConnectionError)
+    return f"{error}. Check the folder and the space left on its disk." if of_a_disk else str(error)
+
+
+def _reader_left(error: BaseException) -> bool:
+    """Whether nobody reads on what is printed: ``uavrl-evaluate … | head``. Another pipe may have broken as well."""
+    if not isinstance(error, BrokenPipeError):
+        return False
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())  # for what Python flushes at its end
+        os.close(nowhere)
+        return True
+    return False
 
 
 @contextmanager
@@ -22,6 +38,8 @@ def one_sentence() -> Iterator[None]:
     except SystemExit:  # told by one inside of this
         raise
     except (UavrlError, OSError) as error:
+        if _reader_left(error):
+            raise SystemExit(128 + signal.SIGPIPE) from error
         print(f"uavrl: {sentence(error)}", file=sys.stderr)
         raise SystemExit(1) from error
     except BaseException as error:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from uavrl.cli.errors import one_sentence
+from uavrl.cli.process import command_process
 from uavrl.errors import UavrlError
 from uavrl.runs.weights import POLICY
 
@@ -21,7 +21,7 @@ def main() -> None:
     parser.add_argument(
         "--packages", nargs="*", default=[], metavar="PACKAGE", help="packages whose classes the run may name"
     )
-    with one_sentence():
+    with command_process():
         _export(parser.parse_args())
 
 

@@ -4,15 +4,16 @@ import json
 import sys
 from pathlib import Path
 
-from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.cli.errors import configure_logging
+from uavrl.cli.process import command_process
 from uavrl.errors import UavrlError
 from uavrl.runs.names import SUMMARY
 
 
 def main() -> None:
     """Reads the files of the run folder that was named, of several evaluations the newest."""
-    configure_logging()
-    with one_sentence():
+    with command_process():
+        configure_logging()
         print(reached(Path(sys.argv[1])))
 
 

@@ -44,7 +44,12 @@ def compose(*overrides: str, name: str = "config") -> DictConfig:
     """
     register_resolvers()
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        config = hydra_compose(name, list(overrides), return_hydra_config=True)
+        return compose_again(*overrides, name=name)
+
+
+def compose_again(*overrides: str, name: str) -> DictConfig:
+    """The same where Hydra is at work: it finds what it found before, in the user's ``--config-dir`` too."""
+    config = hydra_compose(name, list(overrides), return_hydra_config=True)
     choices = config.hydra.runtime.choices
     with open_dict(config):
         del config.hydra

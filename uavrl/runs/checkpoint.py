@@ -10,7 +10,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation, DumpLoadCheckpoin
 from torchrl.data import ReplayBuffer
 
 from uavrl.errors import UavrlError
-from uavrl.runs.config import fingerprint, require_folder
+from uavrl.runs.config import fingerprints, require_folder
 from uavrl.runs.names import ANY_CHECKPOINT, CHECKPOINTS, CONFIG
 from uavrl.runs.without_pickles import StateDictWithoutPickles
 from uavrl.trust import check_archive
@@ -83,7 +83,7 @@ def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
         raise
     except Exception as error:
         raise _damaged(path, str(error)) from error
-    if written_under != fingerprint(config):
+    if written_under not in fingerprints(config):
         raise UavrlError(
             f"The checkpoint {path} was written under another configuration than the one given: "
             f"resume it with the {CONFIG} of its own run folder."
