@@ -175,7 +175,7 @@ def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | No
 def _config(path: Path) -> dict[str, Any]:
     config: Any = OmegaConf.to_container(load_config(path))
     for key in ("seed", "trainer", "choices"):
-        if key not in config:
+        if config and key not in config:  # an empty file is a broken one
             raise OtherFormat(path, f"key `{key}`")
     seed, trainer, _ = int(config["seed"]), config["trainer"], learner_name(config["choices"])
     kinds = {"episodes": int, "steps": int, "window": int, "until_success": float}
