@@ -53,7 +53,9 @@ def run_dir(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def test_they_are_trained_from_the_command_line(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_they_are_trained_from_the_command_line(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
     summary = json.loads((run_dir / "summary.json").read_text())
     assert (summary["env"], summary["learner"], summary["reward"]) == ("corridor", "td3_calm", "hurry")
     assert summary["episodes"] == 6 and summary["updates"] > 0
@@ -68,6 +70,8 @@ def test_they_are_trained_from_the_command_line(run_dir: Path, monkeypatch: pyte
     assert resumed == 0 and {kind.__name__ for kind in seen} == {"Calm"}
     assert in_process(evaluate_command.main, f"run={run_dir}", TRUSTED, "episodes=2", "progress=false") == 0
     assert json.loads((run_dir / "evaluation_episodes=2.json").read_text())["env"] == "corridor"
+    sentence = refused(evaluate_command.main, f"run={run_dir}", TRUSTED, "episodes=2", "env=bipedal_hardcore")
+    assert "The policy and env=bipedal_hardcore do not go together (" in sentence  # states of 2 numbers, and of 24
 
 
 def test_a_reduction_that_uavrl_knows_nothing_of_is_flown_with_and_replayed(tmp_path: Path) -> None:

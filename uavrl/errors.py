@@ -21,6 +21,13 @@ class FolderTaken(UavrlError):
     """The folder is somebody else's: another process trains in it, or it holds something already. It stays as it is."""
 
 
+class OtherFormat(UavrlError):
+    """A file of the right name, perhaps whole, is not of the kind that is read."""
+
+    def __init__(self, path: object, lacks: str) -> None:
+        super().__init__(f"{path} has no {lacks}: it was not written by this version of uavrl-train.")
+
+
 class FlyingEnded(UavrlError):
     """A process that flies has died: a run cannot go on, and what it has learned is safe."""
 

@@ -195,7 +195,11 @@ def test_resuming_with_a_value_out_of_range_is_refused_by_name(run_dir: Path, re
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [(None, "found no such file"), ("a,b\n1,2\n", "to start with the columns"), ("short", "has lost those after 1")],
+    [
+        (None, "found no such file"),
+        ("a,b\n1,2\n", "has no column `episode`: it was not written by this version of uavrl-train"),
+        ("short", "has lost those after 1"),
+    ],
     ids=["missing", "foreign", "too short for the one checkpoint that is left"],
 )
 def test_resuming_without_the_runs_episodes_is_refused(

@@ -100,6 +100,32 @@ def test_the_page_says_what_the_facts_say(runs: Path) -> None:
     assert best < second < text.index("Learning curves"), "the answer comes first, and the best group"
 
 
+def test_what_is_not_there_is_not_shown(tmp_path: Path) -> None:
+    """Twelve episodes make no curve in steps of fifty, and a reward that the thesis has not stands beside nothing."""
+    run_folder(tmp_path / "short", "ccaccaccacca")
+    html = page(make_report([tmp_path / "short"]))
+    reader = read(html)
+    text = " ".join(" ".join(reader.text).split())
+    assert "Too short to draw: TD3, prize. A curve begins at episode 50, a tenth of the window" in text
+    assert "No run of this report learns and is paid as one of the thesis's rows." in text
+    assert "plot-steps-success" not in reader.ids and 'class="switch"' not in html and "Thesis: success" not in text
+    assert "plot-steps-success" in read(page(make_report([tmp_path / "short"], window=10))).ids
+
+
+def test_a_short_run_beside_a_long_one_is_named(tmp_path: Path) -> None:
+    run_folder(tmp_path / "short", "ca", {"reward": "navigation"})
+    run_folder(tmp_path / "long", "ca" * 30)
+    html = page(make_report([tmp_path]))
+    assert "Too short to draw: TD3, Eq. 3.6." in html and "plot-steps-success" in read(html).ids
+
+
+def test_of_the_thesis_only_the_rows_of_the_runs_are_shown(runs: Path) -> None:
+    html = page(make_report([runs], window=2))
+    beside = html[html.index('id="thesis"') : html.index('id="settings"')]
+    rows = re.findall(r'<tr><td class="l">(\w+)</td><td class="l">([^<]+)</td>', beside)
+    assert set(rows) == {("td3", "ABR⁺")}
+
+
 def test_names_from_files_cannot_write_html(tmp_path: Path) -> None:
     evil = "</script><script>alert(1)</script><img src=x>"
     folder = run_folder(tmp_path / "<b>run", "ca", {"reward": evil})

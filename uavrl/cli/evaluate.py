@@ -8,7 +8,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder
+from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder, require_fit
 from uavrl.cli.suite import evaluate_suite
 from uavrl.command_line import command_line
 from uavrl.configs import EvaluateConfig, checked
@@ -65,6 +65,7 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     with multiplied_by(settings.products, settings.threads) as told["products"]:
         env = make_env(chosen.env, chosen.perception, measure_clearance=True, **offered)
         try:
+            require_fit(chosen, env)
             places = Whereabouts(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
             watch = None if places is None else places.add
             flights = fly(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)

@@ -23,6 +23,7 @@ from uavrl.runs.weights import POLICY
 if TYPE_CHECKING:
     import torch
     from tensordict import TensorDictBase
+    from torchrl.envs import EnvBase
 
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
 
@@ -81,6 +82,26 @@ def choose(
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env.world.seeds = list(settings.valleys)
     return chosen
+
+
+def require_fit(chosen: Chosen, env: EnvBase) -> None:
+    """Refuses a run's policy that reads or writes other numbers than an environment has, before anything is flown."""
+    import torch
+
+    if chosen.run is None:
+        return
+    try:
+        with torch.no_grad(), torch.random.fork_rng(devices=[]):
+            written = tuple(chosen.policy(env.fake_tensordict())["action"].shape)
+        wanted = tuple(env.full_action_spec["action"].shape)
+        reason = None if written == wanted else f"it writes actions of shape {written}, not {wanted}"
+    except (RuntimeError, KeyError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+    if reason is not None:
+        raise UavrlError(
+            f"The policy and env={chosen.choices.get('env')} do not go together ({reason}): leave env out, or choose "
+            f"another policy."
+        )
 
 
 def require_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:

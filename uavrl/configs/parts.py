@@ -80,7 +80,24 @@ TO_STEPPER = ("loss", "execution")  # what the run hands to it
 
 
 def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """The parts of a run with every value as its class has it, found to be known, of its type and in its range.
+    """The parts of a run with every value as its class has it, found to be known, of its type and in its range."""
+    packages = tuple(packages)
+    taken = _taken_beside(parts, packages)
+    return {name: _checked(part, name, packages, taken.get(name, {})) for name, part in parts.items()}
+
+
+def names_taken(parts: Mapping[str, Any], key: str, packages: Iterable[str]) -> set[str]:
+    """The names that can be written below a key, such as ``reward`` or ``algo.actor``."""
+    packages, part = tuple(packages), parts
+    for name in key.split("."):
+        part = part.get(name, {}) if isinstance(part, Mapping) else {}
+    target = part.get(TARGET) if isinstance(part, Mapping) else None
+    own = {} if target is None else _signature(str(target), f"{key}.{TARGET}", packages)
+    return {*_without(offered_to(key), own), *_taken_beside(parts, packages).get(key, {})}
+
+
+def _taken_beside(parts: Mapping[str, Any], packages: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """What the keys of a part mean to others than its class, with their types.
 
     A key of ``algo`` goes to the loss, to the optimisation step or to the loop, one of ``perception`` to the transform
     or to the environment: whichever takes it.
@@ -89,13 +106,12 @@ def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str
         name: get_type_hints(reader, include_extras=True) for name, reader in _LOOP.items()
     }
     taken["algo"].update(_without(TO_STEPPER, signature(STEPPER) or {}))
-    packages = tuple(packages)
     env = parts.get("env")
     if isinstance(env, Mapping) and env.get(TARGET) is not None:
         hints = _signature(str(env[TARGET]), f"env.{TARGET}", packages)
         taken["perception"] = _without(OFFERED["env"], hints)
         _require_one_place(parts.get("perception"), env, hints)
-    return {name: _checked(part, name, packages, taken.get(name, {})) for name, part in parts.items()}
+    return taken
 
 
 def _without(names: Iterable[str], hints: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +31,21 @@ def register_resolvers() -> None:
     OmegaConf.register_new_resolver("run_name", lambda *, _root_: run_name(_choices(_root_)), replace=True)
 
 
-def compose(*overrides: str, name: str = "config") -> DictConfig:
+def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> DictConfig:
     """What ``uavrl-train OVERRIDES`` composes, for use in Python.
 
     Args:
         *overrides: as on the command line.
         name: the yaml file to begin with.
+        own: folders of further yaml files: what ``--config-dir`` names.
 
     Examples:
         >>> compose("algo=sac", "reward=traditional").choices.algo
         'sac'
     """
     register_resolvers()
+    if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
+        overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         return compose_again(*overrides, name=name)
 

@@ -11,7 +11,7 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavrl.errors import UavrlError
+from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs.files import naming, replacing
 
 if TYPE_CHECKING:  # reports read episodes without torch
@@ -127,6 +127,8 @@ def read_episodes(path: Path) -> list[Episode]:
     try:
         text = path.read_text(encoding="utf-8")
         rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
+        if missing := [name for name in Episode.header() if rows and name not in rows[0]]:
+            raise OtherFormat(path, f"column `{missing[0]}`")
         if rows[:1] != [Episode.header()]:
             raise ValueError(f"expected it to start with the columns {','.join(Episode.header())}")
         episodes = [Episode.from_row(row) for row in rows[1:]]
@@ -134,6 +136,8 @@ def read_episodes(path: Path) -> list[Episode]:
             raise ValueError(f"outcomes are {', '.join(OUTCOMES)} alone")
         if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):
             raise ValueError(f"expected the episodes 1 to {len(episodes)}, each once")
+    except OtherFormat:
+        raise
     except ValueError as error:
         raise UavrlError(f"{path} is damaged: {error}.") from error
     return episodes

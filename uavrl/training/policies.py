@@ -95,8 +95,8 @@ def load_risk(
 def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[str, Any], output: Path) -> None:
     """Writes ``config.yaml``, the weights and then ``policy.json``, without which nothing loads."""
     if POLICY.is_in(output) or (output / CONFIG).exists():
-        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with --output FOLDER.")
-    writable(output / POLICY.json, "--output FOLDER")
+        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with output=FOLDER.")
+    writable(output / POLICY.json, "output=FOLDER")
     config = config.copy()
     config.run_dir = Path(str(config.run_dir)).name
     with replacing(output / CONFIG) as partial:
