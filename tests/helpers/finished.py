@@ -29,7 +29,8 @@ def _folder() -> Path:
     """What is kept of these sources, of this commit and with these packages; what is older than a day is removed."""
     packages = [version(name) for name in ("torch", "torchrl", "tensordict", "numpy", "scipy", "pybullet")]
     digest = hashlib.sha256(repr((commit(), packages)).encode())
-    for path in sorted([*(ROOT / "uavrl").rglob("*.py"), *(ROOT / "conf").rglob("*.yaml")]):
+    sources = (path for name in ("uavrl", "conf", "examples/own_parts") for path in (ROOT / name).rglob("*"))
+    for path in sorted(path for path in sources if path.suffix in (".py", ".yaml")):
         digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
     folder = KEPT / digest.hexdigest()[:16]
     folder.mkdir(parents=True, exist_ok=True)
