@@ -11,8 +11,6 @@ from uavrl.training.compiled_updates import Execution
 
 # The wide one would hold to 3e-6, too close to the limit for every machine.
 SINGLE = [name for name in CASES if name != "td3_wide"]
-    name for name in CASES if name != "td3_wide"
-]  # it would hold to 3e-6, too close to the limit for all machines
 
 
 @pytest.mark.parametrize("name", SINGLE)
