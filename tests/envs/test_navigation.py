@@ -326,7 +326,7 @@ def test_course_replaces_elevation_when_chosen(make: Callable[..., NavigationEnv
 
 
 def test_flights_start_at_rest_at_flight_level(make: Callable[..., NavigationEnv]) -> None:
-    state = make(3).reset()
+    state = make(3, world=WorldConfig()).reset()
     torch.testing.assert_close(state["altitude"], torch.full((3, 1), 3.5))
     assert not state["velocity"].any() and not state["arrived"].any() and not state["collided"].any()
     assert (state["distance"] >= 10).all()
