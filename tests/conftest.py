@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.commands import TINY, in_process
-from tests.helpers.finished import finished_run
+from tests.helpers.finished import built_valley, finished_run
 from uavrl.envs import world
 
 _VALLEYS: dict[str, world.Valley] = {}
@@ -41,11 +41,10 @@ def valleys_built_once() -> Iterator[None]:
 
     def build_once(config: world.WorldConfig, seed: int, origin: np.ndarray, count: int) -> world.Valley:
         like = dict(config) if isinstance(config, Mapping) else asdict(config)
-        key = repr(
-            ({**like, "seeds": None, "obstacles": count}, seed)
-        )  # what a valley is like, its neighbours do not say
+        # What a valley is like, its neighbours do not say, nor how many planes fly through it.
+        key = repr(({**like, "seeds": None, "obstacles": count, "planes": like["planes"] > 0}, seed))
         if key not in _VALLEYS:
-            _VALLEYS[key] = build(config, seed, origin, count)
+            _VALLEYS[key] = built_valley(key, lambda: build(config, seed, origin, count))
         return replace(_VALLEYS[key], origin=origin)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -15,6 +15,7 @@ from torchrl.checkpoint import Checkpoint
 from torchrl.envs import CatTensors, Compose, TransformedEnv
 
 from tests.helpers.commands import in_process
+from tests.helpers.finished import finished_run
 from tests.helpers.flights import small_env, unpack
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
@@ -49,8 +50,7 @@ def importable(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def run_dir(tmp_path: Path) -> Path:
-    assert in_process(train_command.main, *CONFIG_DIR, TRUSTED, *CHOSEN, *SMALL, f"run_dir={tmp_path / 'run'}") == 0
-    return tmp_path / "run"
+    return finished_run(tmp_path / "run", *CONFIG_DIR, TRUSTED, *CHOSEN, *SMALL)
 
 
 def test_they_are_trained_from_the_command_line(

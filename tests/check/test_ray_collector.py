@@ -246,20 +246,3 @@ def test_a_cluster_without_enough_processors_is_told(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(ray, "shutdown", lambda: None)
     with pytest.raises(UavrlError, match="asks for 3 processors, and the Ray cluster has 2"):
         collector(Policy(), workers=3)
-
-
-def test_an_address_where_nobody_answers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(**_: object) -> None:
-        raise ConnectionError("Could not find any\nrunning Ray instance.")
-
-    monkeypatch.setattr(ray, "is_initialized", lambda: False)
-    monkeypatch.setattr(ray, "init", refuse)
-    told = r"collector.address=auto cannot be reached \(Could not find any running Ray instance.\): start Ray"
-    with pytest.raises(UavrlError, match=told):
-        RayCollector(Counter, TensorDictModule(Policy(), ["observation"], ["action"]), address="auto")
-
-
-def test_ray_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UavrlError, match="pip install 'uavrl\\[ray\\]'"):
-        collector(Policy())

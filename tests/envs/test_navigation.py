@@ -20,6 +20,7 @@ from uavrl.envs.quadrotor import Aerodynamics
 from uavrl.envs.world import WorldConfig
 
 NEAR = LidarConfig(max_range=4.0)
+SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=4.0)
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def make() -> Iterator[Callable[..., NavigationEnv]]:
     made: list[NavigationEnv] = []
 
     def build(num_uavs: int = 2, **kwargs: Any) -> NavigationEnv:
-        made.append(NavigationEnv(num_uavs, lidar=kwargs.pop("lidar", NEAR), **kwargs))
+        made.append(NavigationEnv(num_uavs, **{"lidar": NEAR, "world": SMALL} | kwargs))
         return made[-1]
 
     yield build
@@ -36,7 +37,7 @@ def make() -> Iterator[Callable[..., NavigationEnv]]:
 
 
 def two_uavs() -> NavigationEnv:
-    return NavigationEnv(2, lidar=NEAR)
+    return NavigationEnv(2, lidar=NEAR, world=SMALL)
 
 
 def act(state: TensorDictBase, *action: float) -> TensorDictBase:
@@ -325,7 +326,7 @@ def test_course_replaces_elevation_when_chosen(make: Callable[..., NavigationEnv
 
 
 def test_flights_start_at_rest_at_flight_level(make: Callable[..., NavigationEnv]) -> None:
-    state = make(3).reset()
+    state = make(3, world=WorldConfig()).reset()
     torch.testing.assert_close(state["altitude"], torch.full((3, 1), 3.5))
     assert not state["velocity"].any() and not state["arrived"].any() and not state["collided"].any()
     assert (state["distance"] >= 10).all()
