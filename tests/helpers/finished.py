@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 
 from filelock import FileLock
@@ -17,7 +16,7 @@ from filelock import FileLock
 from tests.helpers.commands import in_process
 from uavrl.cli import train as train_command
 from uavrl.envs.world import Valley
-from uavrl.runs.provenance import commit
+from uavrl.runs.provenance import commit, versions
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / ".pytest_cache/d/kept"
@@ -27,7 +26,7 @@ DAY = 86_400
 @cache
 def _folder() -> Path:
     """What is kept of these sources, of this commit and with these packages; what is older than a day is removed."""
-    packages = [version(name) for name in ("torch", "torchrl", "tensordict", "numpy", "scipy", "pybullet")]
+    packages = sorted((name, found) for name, found in versions().items() if name != "commit")
     digest = hashlib.sha256(repr((commit(), packages)).encode())
     sources = (path for name in ("uavrl", "conf", "examples/own_parts") for path in (ROOT / name).rglob("*"))
     for path in sorted(path for path in sources if path.suffix in (".py", ".yaml")):

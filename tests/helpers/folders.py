@@ -6,7 +6,6 @@ import copy
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import astuple
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -51,7 +50,7 @@ def config(choices: dict[str, str] | None = None, **changes: Any) -> dict[str, A
 
 def write_episodes(path: Path, rows: Sequence[Episode]) -> None:
     with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([Episode.header(), *map(astuple, rows)])
+        csv.writer(file, lineterminator="\n").writerows([Episode.header(), *(row.row() for row in rows)])
 
 
 def run_folder(folder: Path, outcomes: str, choices: dict[str, str] | None = None, **changes: Any) -> Path:

@@ -1,14 +1,18 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import WHEREABOUTS, episodes, evaluation, run_folder
 from uavrl.errors import UavrlError
+from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
+from uavrl.runs.episodes import Episode
 
 
 def test_the_numbers_of_two_seeds_by_hand(tmp_path: Path) -> None:
@@ -137,6 +141,20 @@ def test_nothing_to_report_is_an_error(tmp_path: Path) -> None:
 def test_numbers_out_of_range(tmp_path: Path, wrong: dict[str, Any]) -> None:
     with pytest.raises(UavrlError, match="must be"):
         make_report([tmp_path], **wrong)
+
+
+def test_the_return_is_told_by_its_terms_where_all_episodes_name_them(tmp_path: Path) -> None:
+    older, newer = run_folder(tmp_path / "older", "ca"), run_folder(tmp_path / "newer", "ca", seed=1)
+    rows = [replace(each, terms={"progress": 2.0 * each.episode, "arrival": 0.0}) for each in episodes("ca")]
+    lines = [",".join(map(str, line)) for line in (Episode.header(rows[0].terms), *(r.row(r.terms) for r in rows))]
+    (newer / "episodes.csv").write_text("\n".join(lines) + "\n")
+    report = make_report([newer])
+    assert report.groups[0]["last"]["return_terms"] == {"progress": 3.0, "arrival": 0.0}
+    shown = page(report)
+    assert "What the return is made of" in shown and re.search(r"<th[^>]*>progress</th>", shown)
+    both = make_report([older, newer])
+    assert both.groups[0]["last"]["return_terms"] == {}
+    assert "What the return is made of" not in page(both)
 
 
 def test_json_gives_back_the_facts_and_names_no_place_of_this_machine(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -320,6 +320,50 @@ def test_the_log_cuts_its_file_back_to_the_checkpoint(tmp_path: Path) -> None:
     other.add(row(4, "timed_out"))
     assert other.rates() == {"arrived": 0.5, "collided": 0.0, "timed_out": 0.5}
     assert [e.episode for e in read_episodes(path)] == [1, 2, 3, 4]
+
+
+def test_the_log_keeps_what_each_term_of_the_reward_adds(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    log = EpisodeLog(path, window=2)
+    paid = [{"progress": 1.0, "arrival": 0.0}, {"progress": 2.5, "arrival": 200.0}, {"progress": 3.5, "arrival": 0.0}]
+    rows = [replace(row(number), terms=terms) for number, terms in enumerate(paid, start=1)]
+    for each in rows:
+        log.add(each)
+    assert path.read_text().splitlines()[0].endswith(",task,return_progress,return_arrival")
+    assert read_episodes(path) == rows
+    assert log.mean_terms() == {"progress": 3.0, "arrival": 100.0}
+    other = EpisodeLog(path, window=2)
+    other.load_state_dict({"count": 2})
+    assert other.mean_terms() == {"progress": 1.75, "arrival": 100.0}
+    other.add(rows[2])
+    assert read_episodes(path) == rows
+
+
+def test_a_file_from_before_there_were_terms_goes_on_without(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    EpisodeLog(path).add(row(1))
+    log = EpisodeLog(path)
+    log.load_state_dict({"count": 1})
+    log.add(replace(row(2), terms={"progress": 1.0}))
+    assert read_episodes(path) == [row(1), row(2)]
+    assert log.mean_terms() == {}
+
+
+def test_the_terms_of_a_runs_returns_are_logged_beside_them(finished: Path) -> None:
+    episodes = read_episodes(finished / "episodes.csv")
+    for episode in episodes:
+        assert list(episode.terms) == ["progress", "altitude", "heading", "elevation", "arrival", "collision"]
+        assert sum(episode.terms.values()) == pytest.approx(episode.episode_return, abs=1e-4)
+
+
+def test_the_trainer_logs_the_mean_of_each_term(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=3", "reward=traditional", "logger.interval=1")
+    train(config, create_run(config))
+    episodes = read_episodes(tmp_path / "run/episodes.csv")
+    (logged,) = (tmp_path / "run/logs").rglob("return_progress.csv")
+    step, value = logged.read_text().splitlines()[-1].split(",")
+    assert int(step) == episodes[-1].total_steps
+    assert float(value) == pytest.approx(sum(episode.terms["progress"] for episode in episodes) / 3, abs=1e-4)
 
 
 def test_the_log_refuses_a_file_that_is_too_short(tmp_path: Path) -> None:
