@@ -22,6 +22,7 @@ TINY = [
     "buffer.capacity=400",
     "trainer.progress=false",
     "trainer.execution=captured",
+    "trainer.products=mkl",  # `auto` could turn with the process
 ]
 
 
