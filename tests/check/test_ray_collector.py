@@ -97,13 +97,13 @@ def test_whole_flights_come_from_every_worker_and_follow_the_learners_weights() 
             actions.setdefault(worker, []).append(flight["action"][0].item())
             with torch.no_grad():
                 policy.weight.fill_(turn + 1.0)
-            if turn == 11:
+            if turn >= 11 and len(actions) == 2 and min(map(len, actions.values())) > 3:  # one may be slow to begin
                 break
         assert len(seeds) == 2  # processes
         assert len(set.union(*seeds.values())) == 2 and all(len(own) == 1 for own in seeds.values())
         for own in actions.values():
             assert own == sorted(own) and own[-1] > own[0]  # flown with what was learned meanwhile
-        assert flown.state_dict() == {"frames": 60, "iter": 12}
+        assert flown.state_dict() == {"frames": 5 * (turn + 1), "iter": turn + 1}
         flown.start_anew(12, 100)  # a checkpoint: those that fly go on
     finally:
         flown.shutdown()
@@ -117,7 +117,7 @@ def test_random_actions_are_flown_once_and_not_again_after_a_resume() -> None:
         actions: dict[float, list[list[float]]] = {}
         for turn, flight in enumerate(flown):
             actions.setdefault(flight["observation"][0, 1].item(), []).append(flight["action"].flatten().tolist())
-            if turn == 7:
+            if turn >= 7 and len(actions) == 2:
                 break
         assert len(actions) == 2
         (one, other) = (own[0] for own in actions.values())

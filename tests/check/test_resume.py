@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
+from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import ABR, FORK_AND_LIFEGUARD, SAC, SMALL, assert_same_run, contents, small_config
 from uavrl.buffers import GatheringStorage
 from uavrl.errors import UavrlError
@@ -25,7 +26,7 @@ from uavrl.training.run import create_run, train
 
 PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
-DYNAMIC = ["env=dynamic", "perception.lidar.dropout=0.1"]
+DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
 GUIDED = [
     "guide=vfh",
     "enhancer=imitation",

@@ -24,6 +24,7 @@ TINY = [
     "trainer.checkpoint_interval=40",
     "trainer.progress=false",
     "trainer.execution=captured",
+    "trainer.products=mkl",  # `auto` could turn with the process
 ]
 
 SMALL_EVALUATION = ["episodes=2", "progress=false"]  # no more vehicles than tasks are flown

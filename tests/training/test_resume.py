@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+from tests.helpers.damage import halve
 from tests.helpers.runs import assert_same_run, small_config
 from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import RandomState, rotation
 from uavrl.runs.config import read_config
+from uavrl.training.resuming import checkpoint_to_resume
 from uavrl.training.run import create_run, train
 from uavrl.training.trainer import EpisodeTrainer
 
@@ -30,6 +32,21 @@ def test_a_resumed_run_is_bit_identical(tmp_path: Path) -> None:
         file.write("9,9,arri")
     train(small_config(cut, *settings), cut, resume=True)
     assert_same_run(whole, cut)
+
+
+def test_a_damaged_checkpoint_is_passed_over_and_set_aside(run_dir: Path) -> None:
+    older, newest = rotation(run_dir).checkpoints()
+    halve(newest)
+    damaged = newest.read_bytes()
+    assert checkpoint_to_resume(run_dir, read_config(run_dir)) == older
+    assert newest.with_name(f"unused-{newest.name}").read_bytes() == damaged and not newest.exists()
+
+
+def test_a_checkpoint_that_knows_lost_episodes_is_passed_over(run_dir: Path) -> None:
+    older, _ = rotation(run_dir).checkpoints()
+    rows = (run_dir / "episodes.csv").read_text().splitlines(keepends=True)
+    (run_dir / "episodes.csv").write_text("".join(rows[:3]))
+    assert checkpoint_to_resume(run_dir, read_config(run_dir)) == older
 
 
 @pytest.mark.parametrize("frames", [1, 4])
