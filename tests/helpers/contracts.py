@@ -274,12 +274,12 @@ class LossContract:
         assert torch.equal(self.evaluate(loss, method), self.evaluate(copy.deepcopy(loss), method))
 
     def test_under_torch_compile(self, method: str, backend: str) -> None:
-        """With the noise of uncompiled code, which inductor draws too if told so."""
+        """In one graph, and with the noise of uncompiled code, which inductor draws too if told so."""
         loss = self.make_loss()
         expected = self.evaluate(loss, method)
         torch._dynamo.reset()
         with torch._inductor.config.patch(fallback_random=True):
-            compiled = torch.compile(getattr(loss, method), backend=backend)
+            compiled = torch.compile(getattr(loss, method), backend=backend, fullgraph=True)
             torch.manual_seed(1)
             torch.testing.assert_close(compiled(self.make_data())[0], expected)
 
