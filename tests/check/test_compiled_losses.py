@@ -36,13 +36,13 @@ def names(value: object) -> str:
 
 
 def compare(contract: type[LossContract], method: str, backend: str) -> None:
-    """With the noise of uncompiled code, which inductor draws too if told so."""
+    """In one graph, and with the noise of uncompiled code, which inductor draws too if told so."""
     test = contract()
     loss = test.make_loss()
     expected = test.evaluate(loss, method)
     torch._dynamo.reset()
     with torch._inductor.config.patch(fallback_random=True):
-        compiled = torch.compile(getattr(loss, method), backend=backend)
+        compiled = torch.compile(getattr(loss, method), backend=backend, fullgraph=True)
         torch.manual_seed(1)
         torch.testing.assert_close(compiled(test.make_data())[0], expected)
 
