@@ -3,13 +3,9 @@
 A type checker sees the number; a configuration is checked against the range.
 """
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Annotated, Any
-
-from uavrl.errors import UavrlError
 
 
 @dataclass(frozen=True)
@@ -40,28 +36,3 @@ Whole = Annotated[int, Range("at least 0", lambda value: value >= 0)]
 Pairs = Annotated[int, Range("an even number from 2", lambda value: value >= 2 and value % 2 == 0)]
 Seed = Annotated[int, Range("in [0, 2**31)", lambda value: 0 <= value < 2**31)]
 Widths = Annotated[Sequence[int], Range("one or more widths above 0", lambda value: len(value) > 0 and min(value) >= 1)]
-
-
-def whole(name: str, value: Any, least: int = 0) -> int:
-    """The value as an ``int``, NumPy's whole numbers too.
-
-    Raises:
-        UavrlError: when it is no whole number, or less than ``least``.
-
-    Examples:
-        >>> import numpy as np
-        >>> whole("seed", np.int64(3))
-        3
-    """
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
-        raise UavrlError(f"{name} must be a whole number, {least} or more, got {value!r}.")
-    return int(value)
-
-
-def require_finite(config: object, names: Iterable[str]) -> None:
-    """Refuses a configuration whose attributes, numbers or lists of such, hold anything but finite numbers."""
-    for name in names:
-        value = getattr(config, name)
-        several = isinstance(value, Iterable) and not isinstance(value, str)
-        if not all(isinstance(number, Real) and math.isfinite(number) for number in (value if several else (value,))):
-            raise UavrlError(f"{name} must be {'finite numbers' if several else 'a finite number'}, got {value!r}.")

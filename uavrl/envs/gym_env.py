@@ -11,10 +11,10 @@ from torchrl.envs import Compose, TransformedEnv
 
 from uavrl.envs.camera import Camera
 from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.limits import whole
 from uavrl.envs.navigation import ACTION_LIMIT, CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.ranges import whole
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.reductions import Reduction
 

@@ -11,6 +11,7 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.ray_culling import RayCuller
 from uavrl.envs.vlp16 import (
@@ -21,7 +22,6 @@ from uavrl.envs.vlp16 import (
     NUM_RAYS,
     firing_directions,
 )
-from uavrl.ranges import require_finite
 
 __all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
 

@@ -14,14 +14,14 @@ from torchrl.envs import EnvBase
 
 from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
-from uavrl.envs.limits import check_hull
+from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count, whole
+from uavrl.ranges import Count
 
 GoalAngle = Literal["elevation", "course"]
 Hidden = Literal["planes"]

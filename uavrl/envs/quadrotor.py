@@ -11,8 +11,9 @@ from typing import Annotated
 
 import numpy as np
 
+from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
-from uavrl.ranges import Positive, Range, require_finite
+from uavrl.ranges import Positive, Range
 
 GRAVITY = 9.81  # m/s²
 Vector = tuple[float, float, float]

@@ -6,14 +6,13 @@ from itertools import cycle
 
 import numpy as np
 
-from uavrl.envs.limits import check_world_size, in_turn
+from uavrl.envs.limits import check_world_size, in_turn, require_finite, whole
 from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
 from uavrl.errors import UavrlError
-from uavrl.ranges import require_finite, whole
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 ROUTES = 12  # ways of planes through a valley
