@@ -93,6 +93,7 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     def flown() -> Recording:
         parts = (chosen.env, chosen.perception, chosen.reward)
         offered: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": 1}
+        offered["tasks"] = settings.task_numbers  # valleys that none of them needs are not built
         env = make_env(*parts, keep_cloud=True, measure_clearance=True, **offered)
         told: dict[str, Any] = {"seed": settings.seed, "source": source, "risk": risk, "max_points": settings.points}
         try:

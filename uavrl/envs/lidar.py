@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from uavrl.envs.embree import EmbreeScene, TriangleMesh
+from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.ray_culling import RayCuller
 from uavrl.envs.vlp16 import (
@@ -52,13 +53,14 @@ class LidarConfig:
 
     def __post_init__(self) -> None:
         """Checks the values."""
+        require_finite(self, ("max_range", "min_range", "range_noise", "dropout"))
         if not 0.0 < self.max_range <= LARGEST_RANGE:
             raise ValueError(
                 f"max_range must be a positive length in metres, at most {LARGEST_RANGE:g}, got {self.max_range}."
             )
         if not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"min_range must be in [0, max_range) metres, got {self.min_range}.")
-        if not (math.isfinite(self.range_noise) and self.range_noise >= 0.0):
+        if self.range_noise < 0.0:
             raise ValueError(f"range_noise must be a standard deviation in metres, 0 or more, got {self.range_noise}.")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout must be a probability in [0, 1), got {self.dropout}.")

@@ -1,5 +1,6 @@
 """The navigation task as a natively batched TorchRL environment."""
 
+from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
 from typing import Literal
@@ -13,12 +14,12 @@ from torchrl.envs import EnvBase
 
 from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
-from uavrl.envs.limits import check_hull
+from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
-from uavrl.envs.world import World, WorldConfig
+from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count
 
@@ -62,11 +63,12 @@ class NavigationEnv(EnvBase):
             is cast then.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
+        tasks: the only tasks that will begin: valleys that none of them needs are not built. None: any task.
         seed: seed of tasks, traffic, gusts and sensor noise.
         device: where the outputs go. The simulation itself runs on the CPU.
 
     Raises:
-        ValueError: for settings out of range, a world without solvable tasks, or NaN actions.
+        ValueError: for settings out of range, a world without solvable tasks, NaN actions, or a step after ``close``.
 
     Examples:
         >>> from torchrl.envs import check_env_specs
@@ -89,11 +91,11 @@ class NavigationEnv(EnvBase):
         blind: bool = False,
         blind_to: Hidden | None = None,
         measure_clearance: bool = False,
+        tasks: Sequence[int] | None = None,
         seed: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
-        if num_uavs < 1 or max_steps < 1:
-            raise ValueError(f"num_uavs and max_steps must be at least 1, got {num_uavs} and {max_steps}.")
+        num_uavs, max_steps = whole("num_uavs", num_uavs, 1), whole("max_steps", max_steps, 1)
         if goal_angle not in ("elevation", "course"):
             raise ValueError(f"goal_angle must be 'elevation' or 'course', got {goal_angle!r}.")
         if blind_to not in (None, "planes"):
@@ -105,6 +107,7 @@ class NavigationEnv(EnvBase):
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
+        self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
         self._world_config = world or WorldConfig()
         self.airframe = airframe or Airframe()
         self.aerodynamics = aerodynamics or Aerodynamics()
@@ -119,7 +122,9 @@ class NavigationEnv(EnvBase):
         self._task = np.zeros(num_uavs, dtype=np.int64)
         self._steps = np.zeros(num_uavs, dtype=np.int64)
         self._make_specs()
-        self.set_seed(seed)
+        self._seed = whole("seed", seed)
+        self.set_seed(self._seed)
+        self.is_closed = False  # TorchRL closes what says so, in collectors and when it is no longer needed
 
     def _make_specs(self) -> None:
         n, device = self.num_uavs, self.device
@@ -153,7 +158,10 @@ class NavigationEnv(EnvBase):
         self._dtypes = {key: spec.dtype for key, spec in specs.items()}
 
     def _set_seed(self, seed: int | None) -> None:
-        self._seed = 0 if seed is None else int(seed)
+        seed = 0 if seed is None else whole("seed", seed)
+        if self._tasks is not None and seed != self._seed:
+            self._free()  # other valleys are needed
+        self._seed = seed
         self._stale = True
         self._next_task = 0
 
@@ -188,7 +196,10 @@ class NavigationEnv(EnvBase):
     @cached_property
     def world(self) -> World:
         """Valleys, goals and routes; built at the first use, which takes seconds."""
-        return World(self._world_config)
+        needed = None
+        if self._tasks is not None:
+            needed = {draw_valley(self._world_config, self._task_rng(task)) for task in self._tasks}
+        return World(self._world_config, needed)
 
     @property
     def tasks_begun(self) -> int:
@@ -196,6 +207,7 @@ class NavigationEnv(EnvBase):
         return self._next_task
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, task: int | None = None, **_: object) -> TensorDict:
+        self._require_open()
         mask = np.ones(self.num_uavs, dtype=bool)
         if tensordict is not None and (reset := tensordict.get("_reset", None)) is not None:
             mask = reset.reshape(self.num_uavs).cpu().numpy()
@@ -203,7 +215,7 @@ class NavigationEnv(EnvBase):
             raise RuntimeError("The first reset must be of all UAVs: reset the whole environment first.")
         if self._simulation is None or (self._stale and mask.all()):
             self._rebuild()
-        self._next_task = self._next_task if task is None else task
+        self._next_task = self._next_task if task is None else whole("task", task)
         self._place(np.flatnonzero(mask))
         nothing = np.zeros(self.num_uavs, dtype=bool)
         data = self._observe(np.flatnonzero(mask), nothing, nothing)
@@ -211,11 +223,14 @@ class NavigationEnv(EnvBase):
             data[key] = nothing[:, None]
         return self._pack(data)
 
+    def _task_rng(self, task: int) -> np.random.Generator:
+        """What draws a task."""
+        return np.random.default_rng((self._seed, task))
+
     def _place(self, index: np.ndarray) -> None:
         starts, yaws = np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
-            rng = np.random.default_rng((self._seed, self._next_task))
-            task = self.world.sample_task(rng, avoid=self.traffic.positions)
+            task = self.world.sample_task(self._task_rng(self._next_task), avoid=self.traffic.positions)
             starts[row], yaws[row] = task.start, task.yaw
             self._goal[uav], self._valley[uav] = task.goal, task.valley
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
@@ -224,6 +239,7 @@ class NavigationEnv(EnvBase):
         self.simulation.reset(index, starts, yaws)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        self._require_open()
         action = self._checked_action(tensordict.get("action", None))
         distance_tm1 = self._distance()
         path = None
@@ -248,7 +264,9 @@ class NavigationEnv(EnvBase):
                 f"Expected an action of shape ({self.num_uavs}, 4), one row (l_x, l_y, l_z, a_z) for each UAV, got "
                 f"{came}: check the policy's output."
             )
-        return action.detach().cpu().numpy().astype(np.float64)
+        if action.is_complex():
+            raise UavrlError(f"Expected an action of real numbers, got {action.dtype}: check the policy's output.")
+        return action.detach().to("cpu", torch.float64).numpy()
 
     def _distance(self) -> np.ndarray:
         return np.sqrt(((self._goal - self.simulation.position) ** 2).sum(1))
@@ -282,6 +300,7 @@ class NavigationEnv(EnvBase):
     @property
     def simulation(self) -> Simulation:
         """The physics, with attitudes, sensor positions and more; there is none before the first reset."""
+        self._require_open()
         if self._simulation is None:
             raise RuntimeError("Reset the environment first: before that it has no simulation.")
         return self._simulation
@@ -289,6 +308,7 @@ class NavigationEnv(EnvBase):
     @property
     def traffic(self) -> Traffic:
         """The planes on their ways; there are none before the first reset."""
+        self._require_open()
         if self._traffic is None:
             raise RuntimeError("Reset the environment first: before that it has no planes.")
         return self._traffic
@@ -308,7 +328,7 @@ class NavigationEnv(EnvBase):
     @property
     def plane_mesh(self) -> Mesh:
         """The shape of a plane at the origin, x forward, in m; :meth:`plane_poses` says where each one is."""
-        return plane_mesh(self.world.config.plane_wingspan)
+        return plane_mesh(self._world_config.plane_wingspan)
 
     def _scan(self, index: np.ndarray) -> np.ndarray:
         if self._lidar is None:
@@ -352,7 +372,18 @@ class NavigationEnv(EnvBase):
             self._simulation.close()
             self._simulation = None
 
-    def close(self, *, raise_if_closed: bool = True) -> None:
-        """Frees the PyBullet world and closes the environment."""
+    def _require_open(self) -> None:
+        if self.is_closed:
+            raise UavrlError("The environment is closed and has freed its simulation: make a new one.")
+
+    def _free(self) -> None:
+        """Frees the PyBullet world, the ray-casting scene and the valleys."""
         self.close_simulation()
+        self._lidar = self._traffic = None
+        for made in ("world", "_no_returns"):
+            self.__dict__.pop(made, None)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Frees all that was built and closes the environment: it takes no step or reset any more."""
+        self._free()
         super().close(raise_if_closed=raise_if_closed)

@@ -6,11 +6,12 @@ Gazebo". Axes are x forward, y left, z up. Gravity and rigid-body motion (Eq. 2.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
 
+from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
 from uavrl.ranges import Positive, Range
 
@@ -44,8 +45,10 @@ for _entry, _terms in enumerate(
 def _require_three(config: object, names: tuple[str, ...]) -> None:
     """Refuses vectors of another length."""
     for name in names:
-        if len(getattr(config, name)) != 3:
-            raise UavrlError(f"{name} takes three numbers, one for each axis, got {list(getattr(config, name))}.")
+        value = getattr(config, name)
+        if np.shape(value) != (3,):
+            got = list(value) if np.iterable(value) else value
+            raise UavrlError(f"{name} takes three numbers, one for each axis, got {got}.")
 
 
 @dataclass
@@ -95,6 +98,7 @@ class Airframe:
     def __post_init__(self) -> None:
         """Refuses vehicles that cannot fly."""
         _require_three(self, ("inertia", "lidar_position"))
+        require_finite(self, [field.name for field in fields(self)])
         if self.lidar_position[0] or self.lidar_position[1]:
             raise ValueError(
                 f"The LiDAR must sit on the body's z axis, got {self.lidar_position}; pass (0, 0, height) in metres."
@@ -174,6 +178,7 @@ class Aerodynamics:
     def __post_init__(self) -> None:
         """Refuses air that would push instead of drag."""
         _require_three(self, ("force_coefficients", "moment_coefficients", "wind"))
+        require_finite(self, [field.name for field in fields(self)])
         if min(self.air_density, *self.force_coefficients, *self.moment_coefficients, self.gust_intensity) < 0:
             raise ValueError("Air density, drag coefficients and gust intensity must not be negative.")
         if self.gust_time_constant <= 0:

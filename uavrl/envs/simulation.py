@@ -1,5 +1,6 @@
 """Quadrotors, static geometry and moving planes in one PyBullet world."""
 
+import weakref
 from collections.abc import Sequence
 
 import numpy as np
@@ -107,6 +108,7 @@ class Simulation:
             self._client = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise RuntimeError("PyBullet gave no physics client: close simulations that are no longer needed.")
+        self._disconnect = weakref.finalize(self, pybullet.disconnect, physicsClientId=self._client)
         pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self._dt, deterministicOverlappingPairs=1, physicsClientId=self._client
@@ -258,7 +260,6 @@ class Simulation:
         return self._clearance.distances(self._vehicles, self.position)
 
     def close(self) -> None:
-        """Frees the PyBullet world; a second call does nothing."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        """Frees the PyBullet world, as the garbage collector does; a second call does nothing."""
+        self._disconnect()
+        self._client = -1  # PyBullet gives the number to the next one

@@ -100,7 +100,7 @@ class Traffic:
         self.mesh = plane_mesh(config.plane_wingspan)
         self.valleys = np.repeat(np.arange(len(world.valleys)), config.planes)
         self._origins = np.array([world.valleys[v].origin for v in self.valleys]).reshape(-1, 2)
-        seeds = rng.integers(2**63, size=len(self.valleys))
+        seeds = rng.integers(2**63, size=(len(config.seeds), config.planes))[world.built].ravel()
         self.legs = [
             Leg(np.random.default_rng(seed), world.valleys[valley].routes, config.plane_speed)
             for seed, valley in zip(seeds, self.valleys, strict=True)

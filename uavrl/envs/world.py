@@ -1,11 +1,12 @@
 """The world: valleys of terrain and obstacles, and the tasks to fly in them."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from itertools import cycle
 
 import numpy as np
 
-from uavrl.envs.limits import check_world_size, in_turn
+from uavrl.envs.limits import check_world_size, in_turn, require_finite, whole
 from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
@@ -58,24 +59,27 @@ class WorldConfig:
     def __post_init__(self) -> None:
         """Refuses values that make no world."""
         for name in ("seeds", "size", "plane_speed"):
+            if not np.iterable(getattr(self, name)):
+                raise UavrlError(f"{name} takes a list of numbers, got {getattr(self, name)!r}.")
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        if not self.seeds or any(seed < 0 for seed in self.seeds):
-            raise ValueError(f"seeds takes one non-negative integer per valley, got {self.seeds}; pass (0,) for one.")
+        if not self.seeds:
+            raise ValueError("seeds takes one whole number per valley, got none; pass (0,) for one.")
+        object.__setattr__(self, "seeds", tuple(whole("seeds", seed) for seed in self.seeds))
+        require_finite(self, [field.name for field in fields(self) if field.name not in ("seeds", "obstacles")])
         if len(self.size) != 2:
             raise ValueError(f"size takes two lengths in metres, got {self.size}; pass (40.0, 30.0) for 1200 m².")
         positive = ("obstacle_scale", "flight_level", "ceiling", "goal_radius", "uav_radius")
         for name in (*positive, "plane_wingspan", "size", "plane_speed"):
             if not np.all(np.asarray(getattr(self, name)) > 0):
                 raise ValueError(f"{name} must be above 0, got {getattr(self, name)}; give it in metres (or m/s).")
-        if not isinstance(self.obstacles, int):
-            object.__setattr__(self, "obstacles", tuple(self.obstacles))
-        counts = in_turn(self.obstacles)
-        if not counts or min(counts) < 0:
-            raise ValueError(
-                f"obstacles takes a number that is not negative, or a list of such, got {self.obstacles}; pass 0 to go "
-                "without."
-            )
-        for name in ("planes", "min_goal_distance", "min_clearance", "plane_keep_out"):
+        if np.iterable(self.obstacles):
+            object.__setattr__(self, "obstacles", tuple(whole("obstacles", count) for count in self.obstacles))
+        else:
+            object.__setattr__(self, "obstacles", whole("obstacles", self.obstacles))
+        if not in_turn(self.obstacles):
+            raise ValueError("obstacles takes a number, or a list that the valleys take in turn, got an empty list.")
+        object.__setattr__(self, "planes", whole("planes", self.planes))
+        for name in ("min_goal_distance", "min_clearance", "plane_keep_out"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}; pass 0 to go without.")
         if len(self.plane_speed) != 2 or self.plane_speed[0] > self.plane_speed[1]:
@@ -140,11 +144,22 @@ def _routes(config: WorldConfig, seed: int, ground: HeightField, obstacles: list
     return plan_routes(np.random.default_rng([seed, 2]), solid, config.size, top, config.ceiling, radius, ROUTES)
 
 
+def draw_valley(config: WorldConfig, rng: np.random.Generator) -> int:
+    """Draws a task's valley, the first thing that a task takes from its generator: its place among ``config.seeds``."""
+    return int(rng.integers(len(config.seeds)))
+
+
 class World:
     """All valleys side by side, out of each other's LiDAR range.
 
     Args:
         config: Size, contents and rules.
+        needed: Which of the valleys of ``config.seeds`` to build, by their places there; None for all. What is in them
+            and where they lie does not depend on it.
+
+    Attributes:
+        valleys: Those that were built, in the order of ``config.seeds``.
+        built: Their places among ``config.seeds``.
 
     Examples:
         >>> world = World(WorldConfig(seeds=(3,)))
@@ -155,15 +170,17 @@ class World:
         [True]
     """
 
-    def __init__(self, config: WorldConfig) -> None:
+    def __init__(self, config: WorldConfig, needed: Iterable[int] | None = None) -> None:
         self.config = config
         columns = int(np.ceil(len(config.seeds) ** 0.5))
         pitch = np.array(config.size) + VALLEY_GAP
-        origins = [pitch * divmod(i, columns) for i in range(len(config.seeds))]
-        each = zip(config.seeds, origins, cycle(in_turn(config.obstacles)), strict=False)
-        self.valleys = [build_valley(config, seed, origin, count) for seed, origin, count in each]
+        counts = [count for _, count in zip(config.seeds, cycle(in_turn(config.obstacles)), strict=False)]
+        self.built = sorted(set(range(len(config.seeds)) if needed is None else needed))
+        self.valleys = [
+            build_valley(config, config.seeds[i], pitch * divmod(i, columns), counts[i]) for i in self.built
+        ]
         self.meshes = [mesh for valley in self.valleys for mesh in valley.meshes()]
-        self._origins = np.stack(origins)
+        self._origins = np.stack([valley.origin for valley in self.valleys])
         self._heights = np.stack([valley.ground.heights for valley in self.valleys])
 
     def sample_task(self, rng: np.random.Generator, valley: int | None = None, avoid: np.ndarray | None = None) -> Task:
@@ -171,14 +188,14 @@ class World:
 
         Args:
             rng: Source of the task.
-            valley: Index of the valley; drawn if None.
+            valley: Index into ``valleys``; drawn if None.
             avoid: ``[K, 3]`` in metres: planes from which the start keeps ``plane_keep_out``. They move the start
                 where they are too near; goal, valley and yaw depend on ``rng`` alone.
 
         Raises:
-            UavrlError: If the planes leave no place to start.
+            UavrlError: If the planes leave no place to start, or the valley that is drawn was not built.
         """
-        index = int(rng.integers(len(self.valleys))) if valley is None else valley
+        index = self._drawn(rng) if valley is None else valley
         place, config = self.valleys[index], self.config
         places = place.flight.candidates
         start = places[rng.integers(len(places))]
@@ -190,6 +207,16 @@ class World:
             start = self._start_apart(rng, place, start, goal, np.asarray(avoid)[:, :2])
         middle = self.ground_height(goal[None])[0] + config.ceiling / 2
         return Task(np.append(start, config.flight_level), yaw, np.append(goal, middle), index, place.seed)
+
+    def _drawn(self, rng: np.random.Generator) -> int:
+        """Draws a valley, as an index into ``valleys``."""
+        drawn = draw_valley(self.config, rng)
+        if drawn not in self.built:
+            raise UavrlError(
+                f"The task flies in the valley of seed {self.config.seeds[drawn]}, which was not built: name the task "
+                f"when the environment is made, or leave out tasks."
+            )
+        return self.built.index(drawn)
 
     def _start_apart(
         self, rng: np.random.Generator, place: Valley, start: np.ndarray, goal: np.ndarray, planes: np.ndarray

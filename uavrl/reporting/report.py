@@ -128,7 +128,7 @@ def make_report(
 
 
 def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any]:
-    """Rates over the last ``window`` episodes of each seed together, with Wilson intervals, and mean returns by term."""
+    """Rates over the last ``window`` episodes of each seed together, with Wilson intervals, and their mean return."""
     last = [episode for episodes in seeds for episode in episodes[-window:]]
     rates = {name: wilson(sum(e.outcome == outcome for e in last), len(last)) for name, outcome in RATES.items()}
     mean_return = float(np.mean([e.episode_return for e in last]))

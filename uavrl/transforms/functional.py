@@ -227,7 +227,7 @@ def check_radius(radius: float) -> None:
     """Refuses what is no length, and balls that lie within the sensor's housing, where nothing is ever seen."""
     if not (isinstance(radius, Real) and NEAREST_RETURN < radius <= LARGEST_RADIUS):
         raise ValueError(
-            f"radius must be a length in metres above {NEAREST_RETURN:g}, the sensor's housing, and at most "
+            f"radius must be a positive length in metres, above {NEAREST_RETURN:g} (the sensor's housing) and at most "
             f"{LARGEST_RADIUS:g}, got {radius!r}."
         )
 

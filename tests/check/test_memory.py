@@ -1,0 +1,55 @@
+"""Memory stays flat, however often an environment is rebuilt, made or drawn."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.world import WorldConfig
+
+SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0)
+PAGE = 4096  # bytes
+
+
+def resident() -> float:
+    """Memory of this process in MB."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE / 1e6
+
+
+def growth(call: Callable[[], object], times: int) -> float:
+    for _ in range(5):
+        call()
+    before = resident()
+    for _ in range(times):
+        call()
+    return resident() - before
+
+
+def test_two_hundred_rebuilds_take_no_memory() -> None:
+    env = NavigationEnv(1, world=SMALL, lidar=LidarConfig(max_range=4.0))
+
+    def rebuild() -> None:
+        env.set_seed(0)
+        env.reset()
+
+    assert growth(rebuild, 200) < 20.0, "of this valley PyBullet kept 1 MB each time"
+    env.close()
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_environments_that_are_no_longer_needed_take_no_memory(closed: bool) -> None:
+    def use() -> None:
+        env = gymnasium.make("uavrl:uavrl/Valley-v0", world=SMALL, render_mode="rgb_array")
+        env.reset(seed=0)
+        env.render()
+        if closed:
+            env.close()
+
+    assert growth(use, 30) < 20.0

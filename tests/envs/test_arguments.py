@@ -1,0 +1,101 @@
+"""What constructors and steps are given by hand: NumPy's numbers are taken, what makes no sense ends in a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import torch
+
+from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.world import WorldConfig
+from uavrl.errors import UavrlError
+
+SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0)
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[NavigationEnv]:
+    env = NavigationEnv(2, world=SMALL, lidar=LidarConfig(max_range=4.0))
+    yield env
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "dtype", [torch.bfloat16, torch.float16, torch.float32, torch.float64, torch.int64, torch.uint8]
+)
+def test_an_action_may_be_of_any_real_type(env: NavigationEnv, dtype: torch.dtype) -> None:
+    """1 and 2 are the same number in all of them."""
+    flown = []
+    for kind in (torch.float32, dtype):
+        env.set_seed(0)
+        state = env.reset()
+        state["action"] = torch.tensor([[1, 0, 0, 2], [2, 1, 0, 0]], dtype=kind)
+        flown.append(env.step(state)["next", "position"])
+    assert torch.equal(*flown)
+
+
+def test_a_complex_action_is_refused(env: NavigationEnv) -> None:
+    state = env.reset()
+    state["action"] = torch.zeros(2, 4, dtype=torch.complex64)
+    with pytest.raises(UavrlError, match="action of real numbers, got torch"):
+        env.step(state)
+
+
+def test_numpys_numbers_are_taken() -> None:
+    whole, real = np.int64, np.float64
+    world = WorldConfig(
+        seeds=np.array([0, 3]), size=np.array([14.0, 12.0]), obstacles=whole(3), planes=whole(0),
+        min_goal_distance=real(5.0),
+    )  # fmt: skip
+    assert (world.seeds, world.obstacles) == ((0, 3), 3) and type(world.seeds[0]) is type(world.obstacles) is int
+    assert WorldConfig(seeds=(0, 1), obstacles=np.array([3, 4])).obstacles == (3, 4)
+    lidar = LidarConfig(max_range=np.float32(4.0), range_noise=real(0.01))
+    air = Aerodynamics(wind=np.array([1.0, 0.0, 0.0]), gust_intensity=real(0.5))
+    made = NavigationEnv(whole(1), world=world, lidar=lidar, aerodynamics=air, max_steps=whole(3), seed=whole(5))
+    assert made.rollout(2)["next", "task"].flatten().tolist() == [0, 0]
+    made.close()
+    gym = ValleyEnv(world=world, max_steps=whole(3))
+    assert gym.reset(seed=whole(5))[0].shape == (105,)  # type: ignore[arg-type]
+    gym.close()
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: NavigationEnv(1, seed=-1), "seed must be a whole number, 0 or more, got -1"),
+        (lambda: NavigationEnv(1, seed=1.5), "seed must be a whole number, 0 or more, got 1.5"),  # type: ignore[arg-type]
+        (lambda: NavigationEnv(1).set_seed(-1), "seed must be a whole number, 0 or more, got -1"),
+        (lambda: NavigationEnv(0), "num_uavs must be a whole number, 1 or more, got 0"),
+        (lambda: NavigationEnv(2.0), "num_uavs must be a whole number, 1 or more, got 2.0"),  # type: ignore[arg-type]
+        (lambda: NavigationEnv(1, max_steps=None), "max_steps must be a whole number, 1 or more, got None"),  # type: ignore[arg-type]
+        (lambda: NavigationEnv(1, tasks=[-2]), "tasks must be a whole number, 0 or more, got -2"),
+        (lambda: ValleyEnv(seed=-1), "seed must be a whole number, 0 or more, got -1"),
+        (lambda: ValleyEnv().reset(seed=-1), "seed must be a whole number, 0 or more, got -1"),
+        (lambda: WorldConfig(seeds=0), "seeds takes a list of numbers, got 0"),  # type: ignore[arg-type]
+        (lambda: WorldConfig(seeds=(-1,)), "seeds must be a whole number, 0 or more, got -1"),
+        (lambda: WorldConfig(seeds=(1.5,)), "seeds must be a whole number, 0 or more, got 1.5"),  # type: ignore[arg-type]
+        (lambda: WorldConfig(size=40.0), "size takes a list of numbers, got 40.0"),  # type: ignore[arg-type]
+        (lambda: WorldConfig(obstacles=2.5), "obstacles must be a whole number, 0 or more, got 2.5"),  # type: ignore[arg-type]
+        (lambda: WorldConfig(obstacles=None), "obstacles must be a whole number, 0 or more, got None"),  # type: ignore[arg-type]
+        (lambda: WorldConfig(planes=1.5), "planes must be a whole number, 0 or more, got 1.5"),  # type: ignore[arg-type]
+        (lambda: WorldConfig(ceiling=NAN), "ceiling must be a finite number, got nan"),
+        (lambda: WorldConfig(min_goal_distance="far"), "min_goal_distance must be a finite number, got 'far'"),  # type: ignore[arg-type]
+        (lambda: WorldConfig(plane_speed=(3.0, INF)), "plane_speed must be finite numbers"),
+        (lambda: Aerodynamics(wind=(NAN, 0.0, 0.0)), r"wind must be finite numbers, got \(nan, 0.0, 0.0\)"),
+        (lambda: Aerodynamics(wind=3.0), "wind takes three numbers, one for each axis, got 3.0"),  # type: ignore[arg-type]
+        (lambda: Aerodynamics(gust_intensity=NAN), "gust_intensity must be a finite number, got nan"),
+        (lambda: Aerodynamics(air_density=INF), "air_density must be a finite number, got inf"),
+        (lambda: Airframe(mass=NAN), "mass must be a finite number, got nan"),
+        (lambda: LidarConfig(max_range=NAN), "max_range must be a finite number, got nan"),
+        (lambda: LidarConfig(dropout="no"), "dropout must be a finite number, got 'no'"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_sentence(make: Callable[[], object], said: str) -> None:
+    with pytest.raises(UavrlError, match=said):
+        make()
