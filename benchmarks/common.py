@@ -23,7 +23,7 @@ def experiment(*overrides: str) -> TrainConfig:
 def machine() -> dict[str, Any]:
     """Returns the processor and the versions that decide the speed."""
     info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
+    lines = info.read_text(encoding="utf-8").splitlines() if info.is_file() else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     packages = ("torch", "torchrl", "pybullet", "embreex", "numpy")
     return {

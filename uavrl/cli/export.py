@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from uavrl.cli.process import command_process
+from uavrl.command_line import command_line
 from uavrl.errors import UavrlError
 from uavrl.runs.weights import POLICY
 
@@ -34,9 +35,8 @@ def _export(args: argparse.Namespace) -> None:
     config, actor, about = load_actor(args.run, args.checkpoint, "cpu", args.packages)
     export_policy(actor, config, {**about, "run": args.run.resolve().name}, args.output)
     steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"
-    print(
-        f"The policy after {steps} steps is in {args.output}. See how well it flies: uavrl-evaluate run={args.output}"
-    )
+    evaluate = command_line("uavrl-evaluate", run=args.output)
+    print(f"The policy after {steps} steps is in {args.output}. See how well it flies: {evaluate}")
 
 
 if __name__ == "__main__":

@@ -137,12 +137,12 @@ class EpisodeLog:
             self._rewrite([])
 
     def _rewrite(self, episodes: list[Episode]) -> None:
-        with replacing(self.path) as partial, partial.open("w", newline="") as file:
+        with replacing(self.path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerows([Episode.header(), *map(astuple, episodes)])
 
     def add(self, episode: Episode) -> None:
         """Writes one row."""
-        with naming(self.path), self.path.open("a", newline="") as file:
+        with naming(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
             csv.writer(file, lineterminator="\n").writerow(astuple(episode))
             file.flush()
             os.fsync(file.fileno())  # a checkpoint must never know more episodes than the file
