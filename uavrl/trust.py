@@ -77,7 +77,7 @@ def check_links(folder: Path, names: Iterable[str]) -> None:
     inside = folder.resolve()
     for name in names:
         for path in (folder / name, *(folder / name).rglob("*")):
-            if path.is_symlink() and not _leads_into(path, inside) and not _left_by_wandb(path.relative_to(folder)):
+            if path.is_symlink() and not _leads_into(path, inside) and not _left_by_wandb(path, folder):
                 raise UavrlError(
                     f"{path} is a link that leads out of {folder}: put what it means in its place, or, to keep it "
                     f"on another disk, move all of {folder} there and link that."
@@ -91,9 +91,9 @@ def _leads_into(link: Path, folder: Path) -> bool:
         return False
 
 
-def _left_by_wandb(link: Path) -> bool:
+def _left_by_wandb(link: Path, folder: Path) -> bool:
     """Whether a link is one of those that wandb makes to its own log files. It makes new ones, and follows none."""
-    return link.parts[:2] == ("logs", "wandb") and link.suffix == ".log" and not link.is_dir()
+    return (folder / "logs/wandb") in link.parents and link.suffix == ".log" and not link.is_dir()
 
 
 def _check_names(path: Path, components: dict[str, Any], names: set[str]) -> None:

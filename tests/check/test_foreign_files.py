@@ -285,7 +285,7 @@ def test_flights_that_unpack_to_more_than_a_memory_holds_are_refused(
 # ---------------------------------------------------------------------- links
 
 
-@pytest.mark.parametrize("name", ["episodes.csv", "logs", ".lock", "config.yaml.partial", "states"])
+@pytest.mark.parametrize("name", ["episodes.csv", "logs", ".lock", "checkpoints", "logs/run/scalars/return.csv"])
 def test_a_run_folder_that_leads_elsewhere_is_not_written_to(
     name: str, run_dir: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import select
 import signal
 import sys
 from collections.abc import Iterator
@@ -20,14 +21,15 @@ def _reader_left(error: BaseException) -> bool:
     """Whether nobody reads on what is printed: ``uavrl-evaluate … | head``. Another pipe may have broken as well."""
     if not isinstance(error, BrokenPipeError):
         return False
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
+    out = sys.stdout.fileno()
+    asked = select.poll()
+    asked.register(out, 0)
+    left = any(event & select.POLLERR for _, event in asked.poll(0))
+    if left:
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())  # for what Python flushes at its end
+        os.dup2(nowhere, out)  # for what Python flushes at its end
         os.close(nowhere)
-        return True
-    return False
+    return left
 
 
 @contextmanager

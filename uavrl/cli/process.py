@@ -28,7 +28,7 @@ def command_process() -> Iterator[None]:
     os.environ[SAFE_PATH] = "1"
     codecs.register_error(PLAIN, _plain)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper) and stream.errors != "surrogateescape":
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=PLAIN)
     try:
         with one_sentence():

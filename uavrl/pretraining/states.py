@@ -66,9 +66,9 @@ class _StoredTransitions(BufferState):
 
     def load(self, path: Path) -> None:
         """Reads what a :class:`~uavrl.runs.checkpoint.BufferState` wrote."""
-        if json.loads((path / "length.json").read_text()):
+        if json.loads((path / "length.json").read_text(encoding="utf-8")):
             self.storage = FrameStorage.saved_at(path / "storage")
-            self.next_place = int(json.loads((path / "writer/metadata.json").read_text())["cursor"])
+            self.next_place = int(json.loads((path / "writer/metadata.json").read_text(encoding="utf-8"))["cursor"])
 
 
 def read_states(run_dir: Path) -> States:

@@ -25,7 +25,7 @@ class BufferState:
     def dump(self, path: Path) -> None:
         """Writes data, write cursor and sampler below ``path``."""
         path = Path(path)
-        (path / "length.json").write_text(json.dumps(len(self.buffer)))
+        (path / "length.json").write_text(json.dumps(len(self.buffer)), encoding="utf-8")
         if len(self.buffer):
             self.buffer.storage.dumps(path / "storage")
             self.buffer.writer.dumps(path / "writer")
@@ -34,7 +34,7 @@ class BufferState:
     def load(self, path: Path) -> None:
         """Restores what :meth:`dump` wrote."""
         path = Path(path)
-        if json.loads((path / "length.json").read_text()):
+        if json.loads((path / "length.json").read_text(encoding="utf-8")):
             self.buffer.writer.loads(path / "writer")
             self.buffer.sampler.loads(path / "sampler")
             self.buffer.storage.loads(path / "storage")

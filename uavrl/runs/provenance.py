@@ -27,7 +27,7 @@ def processor() -> dict[str, str]:
     """The processor's model, and which of its instruction sets PyTorch uses."""
     import torch  # here: reports ask for a commit without it
 
-    lines = _CPUINFO.read_text().splitlines() if _CPUINFO.is_file() else []
+    lines = _CPUINFO.read_text(encoding="utf-8").splitlines() if _CPUINFO.is_file() else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     model = models[0] if models else platform.processor() or platform.machine()
     return {"model": model, "instructions": torch.backends.cpu.get_cpu_capability()}

@@ -69,9 +69,11 @@ class OneRunWandbLogger(WandbLogger):
         name.parent.mkdir(parents=True, exist_ok=True)
         if not name.exists():
             with replacing(name) as partial:
-                partial.write_text(uuid.uuid4().hex[:8])
+                partial.write_text(uuid.uuid4().hex[:8], encoding="utf-8")
         mode = "offline" if offline else "online"
-        super().__init__(exp_name=exp_name, log_dir=log_dir, id=name.read_text(), project=project, mode=mode)
+        super().__init__(
+            exp_name=exp_name, log_dir=log_dir, id=name.read_text(encoding="utf-8"), project=project, mode=mode
+        )
 
     def log_scalar(self, name: str, value: float, step: int | None = None, *args: Any, **kwargs: Any) -> None:
         """Logs a value, unless its step is shown already: what is sent to wandb cannot be taken back."""
@@ -126,11 +128,11 @@ def truncate_logs(logger: Logger, run_dir: Path, steps: int, reached: int) -> No
 def _truncate_csv(run_dir: Path, steps: int) -> None:
     """Rewrites the CSV logger's files; one that is not the logger's is left alone."""
     for path in (run_dir / LOGS).glob("*/scalars/*.csv"):
-        rows = path.read_text().splitlines(keepends=True)
+        rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
         whole = [row for row in rows if row.endswith("\n")]
         if not all(_ROW.fullmatch(row) for row in whole):
             continue
         kept = [row for row in whole if int(row.partition(",")[0]) <= steps]
         if len(kept) < len(rows):
             with replacing(path) as partial:
-                partial.write_text("".join(kept))
+                partial.write_text("".join(kept), encoding="utf-8")

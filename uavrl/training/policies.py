@@ -100,7 +100,7 @@ def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[s
     config = config.copy()
     config.run_dir = Path(str(config.run_dir)).name
     with replacing(output / CONFIG) as partial:
-        partial.write_text(OmegaConf.to_yaml(config))
+        partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
     POLICY.save(output, actor.state_dict(), about)
 
 

@@ -59,6 +59,6 @@ def summary_lines(run_dirs: list[Path]) -> str:
 def _flown(run_dir: Path, what: str) -> int:
     """A number of a summary; 0 where there is none, or a damaged one, which the end of the run writes anew."""
     try:
-        return int(json.loads((run_dir / SUMMARY).read_text())[what])
+        return int(json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))[what])
     except (OSError, ValueError, KeyError, TypeError):
         return 0
