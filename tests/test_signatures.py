@@ -44,7 +44,7 @@ def shown() -> Any:
         (Widths, "Sequence[int], one or more widths above 0"),
         (dict[str, tuple[Positive, ...]], "dict[str, tuple[float > 0, ...]]"),
     ],
-    ids=str,
+    ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_a_range_is_told_in_words(hint: Any, words: str, shown: Any) -> None:
     assert shown.has_range(hint) and shown.in_words(hint) == words
