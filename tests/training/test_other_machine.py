@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+from tests.helpers.commands import in_process
 from tests.helpers.configs import changed, with_run_dir
 from tests.helpers.runs import SMALL, small_config
+from uavrl.cli import train as train_command
 from uavrl.errors import UavrlError
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, fingerprints, free_keys, read_config
 from uavrl.training import arithmetic
@@ -92,3 +94,24 @@ def test_checkpoints_from_before_that_was_so_are_known(tmp_path: Path) -> None:
     config = small_config(tmp_path / "run")
     assert fingerprints(config) == (fingerprint(config), fingerprint(config, FREE_KEYS))
     assert len(set(fingerprints(config))) == 2
+
+
+@pytest.mark.parametrize("mode", [[], ["-m"]])
+def test_a_device_that_is_not_here_is_refused_before_a_folder_is_told_or_made(
+    mode: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("uavrl.training.run.create_run", pytest.fail)
+    places = [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    assert in_process(train_command.main, *mode, *SMALL, "device=cuda:99", *places) == 1
+    out, err = capfd.readouterr()
+    assert out == "" and "use device=cpu" in err
+    assert not list(tmp_path.glob("run*"))
+
+
+def test_two_combinations_that_are_one_run_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("uavrl.training.sweep.is_finished", lambda *_: True)
+    places = [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    assert in_process(train_command.main, "-m", *SMALL, "trainer.threads=1,2", *places) == 1
+    assert "Two combinations of the sweep mean the same run" in capfd.readouterr().err
