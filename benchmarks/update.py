@@ -244,7 +244,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=30, help="rounds")
     parser.add_argument("--steps", type=int, default=20, help="updates of each row in a round")
     parser.add_argument("--skip-compiled", action="store_true", help="leave out the row that needs a C++ compiler")
-    choices = ("mkl", "onednn", "bf16", "auto")
+    choices = ("mkl", "onednn", "auto")
     parser.add_argument("--products", choices=choices, default="auto", help="what multiplies in uavrl's rows")
     args = parser.parse_args()
     about = machine()

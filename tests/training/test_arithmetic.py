@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,8 @@ from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import rotation
 from uavrl.training import arithmetic
 from uavrl.training import run as run_module
-from uavrl.training import sweep as sweep_module
 from uavrl.training.arithmetic import chosen_products, multiplied_by
 from uavrl.training.run import create_run, resume_config, train
-from uavrl.training.sweep import is_finished, run_folder
 
 
 def test_another_name_is_refused() -> None:
@@ -59,8 +56,6 @@ def test_a_run_keeps_what_auto_chose(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(run_module, "chosen_products", lambda name, threads: {"auto": "onednn"}[name])
     run_dir = create_run(small_config(tmp_path / "run", "trainer.products=auto"))
     assert OmegaConf.load(run_dir / "config.yaml").trainer.products == "onednn"
-    with pytest.raises(UavrlError, match=r"trainer\.products would change it"):
-        resume_config(run_dir, OmegaConf.create({"packages": [], "trainer": {"products": "mkl"}}), ["trainer.products"])
 
 
 def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,15 +76,3 @@ def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatc
     assert summary["episodes"] >= 4
     assert asked == ["mkl", "mkl"]
     assert rotation(run_dir).latest() is not None
-
-
-def test_a_sweep_started_again_finds_what_auto_chose_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sweep_module, "chosen_products", lambda name, threads: "onednn")
-    first = small_config(tmp_path / "run", "trainer.products=auto")
-    run_folder(first).mkdir()
-    (Path(first.run_dir) / "config.yaml").write_text(OmegaConf.to_yaml(first, resolve=True))
-    (Path(first.run_dir) / "summary.json").write_text(json.dumps({"episodes": 10_000}))
-    monkeypatch.setattr(sweep_module, "chosen_products", lambda name, threads: "mkl")
-    again = small_config(tmp_path / "run", "trainer.products=auto")
-    assert is_finished(run_folder(again), episodes=10_000)
-    assert (again.run_dir, again.trainer.products) == (first.run_dir, "onednn")

@@ -18,7 +18,7 @@ from uavrl.training import arithmetic
 from uavrl.training.run import create_run, resume_config
 from uavrl.training.sweep import run_folder
 
-OTHER = {"device": "cuda", "trainer.execution": "eager", "trainer.threads": 2, "trainer.products": "bf16"}
+OTHER = {"device": "cuda", "trainer.execution": "eager", "trainer.threads": 2, "trainer.products": "onednn"}
 
 
 @pytest.fixture
@@ -48,10 +48,9 @@ def test_products_that_this_machine_has_not_become_its_own(tmp_path: Path, caplo
     ]
 
 
-@pytest.mark.usefixtures("without_onednn")
-def test_the_advice_to_choose_others_is_accepted(tmp_path: Path) -> None:
+def test_products_that_there_are_no_longer_may_be_changed(tmp_path: Path) -> None:
     run_dir = recorded(tmp_path / "run", trainer__products="bf16")
-    with pytest.raises(UavrlError, match="choose mkl"):
+    with pytest.raises(UavrlError, match="one of auto, mkl, onednn"):
         resume_config(run_dir, small_config(run_dir), [])
     assert resume_config(run_dir, small_config(run_dir), ["trainer.products"]).trainer.products == "mkl"
 

@@ -10,7 +10,7 @@ from uavrl.ranges import Count, Folder, Positive, Seed, Share
 
 NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
 Execution = Literal["eager", "captured", "compiled", "auto"]
-Products = Literal["mkl", "onednn", "bf16", "auto"]
+Products = Literal["mkl", "onednn", "auto"]
 
 
 @dataclass

@@ -15,8 +15,7 @@ from uavrl.errors import UavrlError
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-Products = Literal["mkl", "onednn", "bf16"]
-FLOAT32: tuple[Products, ...] = ("mkl", "onednn")  # those that `auto` chooses among
+Products = Literal["mkl", "onednn"]
 LARGEST_ERROR = 1e-3  # of a float32 product of PROBE: some 1e-5 to 1e-4; with factors of 8 bits it is 0.1 and more
 PROBE = (100, 400, 300)  # the largest product of the thesis's networks: batch and both hidden layers
 GAIN = 0.95  # onednn is taken from this share of mkl's time on: a tie does not turn with the machine's load
@@ -28,13 +27,11 @@ def chosen_products(name: str, threads: int = 1) -> Products:
     """``name``, found possible here, or for ``"auto"`` the faster of ``"mkl"`` and ``"onednn"``.
 
     ``mkl`` is PyTorch's default. ``onednn`` is float32 too: PyTorch hands products to oneDNN where it may round to
-    bfloat16, and ``ONEDNN_MAX_CPU_ISA=AVX512_CORE`` keeps oneDNN from the instructions that would. ``bf16`` lets it
-    use them. Hence one process has either ``onednn`` or ``bf16``.
+    bfloat16, and ``ONEDNN_MAX_CPU_ISA=AVX512_CORE`` keeps oneDNN from the instructions that would.
     """
-    if name not in ("auto", "mkl", "onednn", "bf16"):
-        raise UavrlError(f"products must be one of auto, mkl, onednn, bf16, got {name!r}.")
-    if name != "bf16":
-        os.environ.setdefault(ISA, "AVX512_CORE")
+    if name not in ("auto", "mkl", "onednn"):
+        raise UavrlError(f"products must be one of auto, mkl, onednn, got {name!r}.")
+    os.environ.setdefault(ISA, "AVX512_CORE")
     if name == "auto":
         return _faster(threads)
     if obstacle := _obstacle(name):
@@ -125,15 +122,10 @@ def _obstacle(name: str) -> str | None:
     if torch.equal(result, product("mkl", one, other)):
         return "PyTorch does not hand products to oneDNN on this machine; choose mkl"
     error = float((result - one.double() @ other.double()).abs().max())
-    if name == "onednn" and error > LARGEST_ERROR:
+    if error > LARGEST_ERROR:
         return (
             f"oneDNN computes in less than float32 in this process (error {error:.1g}); start Python with "
             f"{ISA}=AVX512_CORE, or choose mkl"
-        )
-    if name == "bf16" and error <= LARGEST_ERROR:
-        return (
-            f"oneDNN computes in float32 in this process (error {error:.1g}), for want of instructions or by "
-            f"{ISA}={os.environ.get(ISA, '')}; choose mkl or onednn"
         )
     return None
 
@@ -146,10 +138,11 @@ def _faster(threads: int) -> Products:
     gradient = state @ weight
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
-    best = dict.fromkeys(FLOAT32, float("inf"))
+    libraries: tuple[Products, ...] = ("mkl", "onednn")
+    best = dict.fromkeys(libraries, float("inf"))
     try:
         for _ in range(20):
-            for name in FLOAT32:
+            for name in libraries:
                 begin = time.perf_counter()
                 for one, other in ((state, weight), (gradient, weight.T), (state.T, gradient)):
                     product(name, one, other)
