@@ -1,23 +1,37 @@
 # `make train` and `make test` are all that a newcomer needs; both set up .venv once.
-PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DEV := $(VENV)/.ready-dev
+DOCS := $(VENV)/.ready-docs
+# The newest fitting Python here, unless make PYTHON=/path/to/python3 names one.
+PYTHON ?= $(shell for name in python3.13 python3.12 python3.11 python3; do \
+	$$name -c 'import sys, ensurepip, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null && echo $$name && break; done)
+install = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e
 export OMP_NUM_THREADS ?= 1
 export PYTHONDONTWRITEBYTECODE :=   # else each process would compile torch anew, for ten seconds
 ifndef RUN
 RUN := runs/fast_$(shell date +%Y-%m-%d_%H-%M-%S)
 endif
 
-.PHONY: train demo test test-slow lint bench docs docs-links setup clean
+.PHONY: train demo test check test-slow check-python lint bench docs docs-links setup clean
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt
-	@command -v $(PYTHON) >/dev/null || { echo "uavrl needs Python 3.11: install it, or name it with make PYTHON=/path/to/python3.11"; exit 1; }
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	touch $(READY)
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "uavrl needs Python 3.11, 3.12 or 3.13 with its venv module (Debian and Ubuntu: apt install python3-venv): install one, or name it with make PYTHON=/path/to/python3"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# What trains, evaluates and draws.
+$(READY): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing PyTorch and the rest into $(VENV): 6 GB, some minutes. Without CUDA it is 1.4 GB: see README.md."
+	$(install) '.[report]'
+	touch $@
+
+# What tests and develops, on top.
+$(DEV): $(READY)
+	$(install) '.[dev]'
+	touch $@
 
 # Trains until the policy flies, then evaluates it and draws some flights. ARGS="env=dynamic" changes what is trained.
 # The thesis's run: .venv/bin/uavrl-train (5,000 episodes).
@@ -28,35 +42,46 @@ train: $(READY)
 	@$(BIN)/uavrl-replay run=$(RUN) episodes=4 output=$(RUN)/replay.html
 	@$(BIN)/python -m uavrl.cli.reached $(RUN)
 
+# Four flights of the packaged policy in a valley that it never saw.
 demo: $(READY)
-	$(BIN)/uavrl-replay policy=static tasks=[0,1,2,3] output=demo.html
+	$(BIN)/uavrl-replay policy=best valleys=[100] tasks=[0,1,2,3] output=demo.html
 	@echo "Open demo.html in a browser."
 
-test: $(READY) lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)
+# The quick tests and the doctests. ARGS="-k lidar" chooses among them.
+test: $(DEV) lint
+	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=tests/check $(ARGS)
 
-test-slow: $(READY)
+# What needs processes, Ray, kills, a browser or more than some seconds.
+check: $(DEV)
+	$(BIN)/python -m pytest -n 2 --dist worksteal tests/check $(ARGS)
+
+# What takes more than a minute by its nature.
+test-slow: $(DEV)
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
-lint: $(READY)
+# `make test` under Debian 13's Python, in a root of its own. Takes root on a Debian or Ubuntu, and debootstrap.
+check-python:
+	.ci/check_python $(or $(TARGETS),test)
+
+lint: $(DEV)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
 # The site, in docs/_build/html; tutorials run once and again when they change. ARGS="-D nb_execution_mode=off" shows them without.
-docs: $(VENV)/.ready-docs
+docs: $(DOCS)
 	$(BIN)/python -m sphinx -b html -W -n --keep-going -d docs/_build/trees $(ARGS) docs docs/_build/html
 	@echo "Open docs/_build/html/index.html in a browser."
 
 # Asks the network whether the pages that ours link to are there.
-docs-links: $(VENV)/.ready-docs
+docs-links: $(DOCS)
 	$(BIN)/python -m sphinx -b linkcheck -D nb_execution_mode=off -d docs/_build/trees docs docs/_build/links
 
-$(VENV)/.ready-docs: $(READY)
-	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[docs]'
+$(DOCS): $(READY)
+	$(install) '.[docs]'
 	touch $@
 
-bench: $(READY)
+bench: $(DEV)
 	for name in lidar env update buffer train; do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 clean:

@@ -45,7 +45,7 @@ def episode(steps: int) -> TensorDict:
 
 def held() -> int:
     """Bytes of memory that this process holds."""
-    status = Path("/proc/self/status").read_text().splitlines()
+    status = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmRSS"))
 
 
@@ -142,7 +142,7 @@ def main() -> None:
     print("\n" + ", ".join(f"{name} {value:.2f}" for name, value in ratios.items()))
     if args.json:
         numbers = {**ratios, "transitions": args.transitions, "threads": 1, "rows": rows, "machine": about}
-        args.json.write_text(json.dumps(numbers, indent=2) + "\n")
+        args.json.write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

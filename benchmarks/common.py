@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import platform
 import warnings
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ import numpy as np
 
 from uavrl.configs import TrainConfig, compose, to_dataclass
 from uavrl.errors import UavrlError
+from uavrl.runs.provenance import processor, versions
 
 
 def experiment(*overrides: str) -> TrainConfig:
@@ -22,16 +21,11 @@ def experiment(*overrides: str) -> TrainConfig:
 
 def machine() -> dict[str, Any]:
     """Returns the processor and the versions that decide the speed."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    packages = ("torch", "torchrl", "pybullet", "embreex", "numpy")
     return {
-        "cpu": models[0] if models else platform.processor(),
+        "cpu": processor()["model"],
         "cores": os.cpu_count(),
         "load_before": os.getloadavg()[0],
-        "python": platform.python_version(),
-        **{name: version(name) for name in packages},
+        **versions(),
     }
 
 

@@ -1,19 +1,21 @@
 """How often runs arrive in training in their dense valleys, while the guide flies and after it.
 
-    python benchmarks/dense_flights.py docs/data/guided/near.csv --plot docs/img/near.png
+    python benchmarks/dense_flights.py docs/data/guided/near.csv.gz --plot docs/img/near.png
     python benchmarks/dense_flights.py FILE.csv --add "my way s0=RUN_FOLDER"
 
 For runs that fly in dense and in other valleys in turn, as preset=best does: of its sixteen the odd ones are dense.
-FILE.csv has a line for each flight: run, total_steps, outcome, world_seed. `--add` puts runs into it. Runs whose names
-differ in their seed alone, "s0" at the end, are told together: a flight counts as much as any other.
+FILE.csv, or FILE.csv.gz, has a line for each flight: run, total_steps, outcome, world_seed. `--add` puts runs into it.
+Runs whose names differ in their seed alone, "s0" at the end, are told together: a flight counts as much as any other.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import gzip
 import re
 from pathlib import Path
+from typing import Literal, TextIO
 
 import numpy as np
 from common import named_folder
@@ -28,11 +30,18 @@ FEWEST = 20  # flights of which a share is told
 Rows = list[tuple[str, int, str, int]]
 
 
+def opened(path: Path, mode: Literal["rt", "wt"]) -> TextIO:
+    """A text file, which is compressed where its name ends in .gz."""
+    if path.suffix == ".gz":
+        return gzip.open(path, mode, newline="", encoding="utf-8")
+    return path.open(mode, newline="", encoding="utf-8")
+
+
 def read(path: Path) -> Rows:
     """The flights that are kept in a file."""
     if not path.is_file():
         return []
-    with path.open(newline="", encoding="utf-8") as file:
+    with opened(path, "rt") as file:
         return [
             (row["run"], int(row["total_steps"]), row["outcome"], int(row["world_seed"]))
             for row in csv.DictReader(file)
@@ -61,7 +70,7 @@ def main() -> None:
     for pair in args.add:
         rows = add(rows, *named_folder(pair))
     if args.add:
-        with args.file.open("w", newline="", encoding="utf-8") as file:
+        with opened(args.file, "wt") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerows([COLUMNS, *rows])
     runs: dict[str, dict[str, list[tuple[int, bool]]]] = {}

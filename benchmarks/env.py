@@ -130,7 +130,7 @@ def main() -> None:
         print_scaling(result["scaling"])
     if args.json:
         result |= {"uavs": args.uavs, "rays_per_scan": NUM_RAYS, "threads": 1, "machine": about}
-        args.json.write_text(json.dumps(result, indent=2) + "\n")
+        args.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -91,7 +91,9 @@ def main() -> None:
             shares = "".join(f"{row['right']:11.0%}{row['steps']:5}" for row in told)
             print(f"{question:16}{name:33}{shares}", flush=True)
     if args.json:
-        args.json.write_text(json.dumps({"machine": machine(), "overrides": overrides, "right": found}, indent=1))
+        args.json.write_text(
+            json.dumps({"machine": machine(), "overrides": overrides, "right": found}, indent=1), encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

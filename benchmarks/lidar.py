@@ -147,7 +147,7 @@ def main() -> None:
         rows = {name: {"ms_per_scan": v, "rays_per_s": NUM_RAYS / v * 1e3} for name, v in milliseconds.items()}
         result = {**ratios, "num": args.num, "rays_per_scan": NUM_RAYS, "threads": 1, "rows": rows}
         result["machine"] = about
-        args.json.write_text(json.dumps(result, indent=2) + "\n")
+        args.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -152,7 +152,9 @@ def main() -> None:
         print(f"| {name} | {rate['rate']:.1%} | {rate['low']:.1%} – {rate['high']:.1%} |", flush=True)
     if arguments.json:
         about = {"overrides": arguments.overrides, "tasks": arguments.tasks, "seed": arguments.seed}
-        arguments.json.write_text(json.dumps({**about, "machine": machine(), "rows": rows}, indent=1) + "\n")
+        arguments.json.write_text(
+            json.dumps({**about, "machine": machine(), "rows": rows}, indent=1) + "\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

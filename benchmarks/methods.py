@@ -97,7 +97,7 @@ def read(run: Path) -> dict[str, Any]:
 def _commit(run: Path) -> str | None:
     """What a run was flown with: its summary tells, or the last checkpoint of one that was stopped."""
     if (summary := run / "summary.json").is_file():
-        return json.loads(summary.read_text())["versions"].get("commit")
+        return json.loads(summary.read_text(encoding="utf-8"))["versions"].get("commit")
     checkpoints = sorted(run.glob(ANY_CHECKPOINT))
     return Checkpoint.manifest(checkpoints[-1])["metadata"].get("commit") if checkpoints else None
 
@@ -226,7 +226,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     parser.add_argument("--plot", type=Path, metavar="PNG", help="also draw arrivals over steps")
     args = parser.parse_args()
-    kept: dict[str, list[dict[str, Any]]] = json.loads(args.file.read_text()) if args.file.is_file() else {}
+    kept: dict[str, list[dict[str, Any]]] = (
+        json.loads(args.file.read_text(encoding="utf-8")) if args.file.is_file() else {}
+    )
     for pair in args.add:
         method, folder = named_folder(pair)
         run = read(folder)
@@ -235,7 +237,7 @@ def main() -> None:
     if args.add:
         lines = ",\n".join(f"{json.dumps(name)}: [\n{_rows(seeds)}\n]" for name, seeds in kept.items())
         args.file.parent.mkdir(parents=True, exist_ok=True)
-        args.file.write_text(f"{{\n{lines}\n}}\n")
+        args.file.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
     pools: dict[str, list[dict[str, Any]]] = {}
     for pair in args.pool:
         name, sign, method = pair.partition("=")
@@ -250,7 +252,7 @@ def main() -> None:
     result = told(runs, args)
     print(table(result, args.baseline))
     if args.json:
-        args.json.write_text(json.dumps(result, indent=1) + "\n")
+        args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     if args.plot:
         plot(runs, args.window, args.plot)
 

@@ -65,7 +65,7 @@ def place(folder: Path, row: str, seed: int) -> Path:
 
 def read(run: Path) -> Curve:
     """The flights of a run; of ours the minutes are those that it logged."""
-    with (run / "episodes.csv").open() as file:
+    with (run / "episodes.csv").open(encoding="utf-8") as file:
         flights = list(csv.DictReader(file))
     steps = np.array([int(flight["total_steps"]) for flight in flights])
     arrived = np.array([flight["outcome"] == "arrived" for flight in flights], dtype=float)
@@ -104,7 +104,7 @@ def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
     run.mkdir(parents=True, exist_ok=True)
     arrived: list[bool] = []
 
-    with (run / "episodes.csv").open("w") as file:
+    with (run / "episodes.csv").open("w", encoding="utf-8") as file:
         file.write("minutes,total_steps,outcome\n")
 
         class Watch(BaseCallback):
@@ -129,7 +129,7 @@ def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
         model = sb3_td3(env, random_steps=10_000, seed=seed)
         began = time.monotonic()
         model.learn(10**9, callback=Watch())
-    (run / "summary.json").write_text(json.dumps({"episodes": len(arrived)}) + "\n")
+    (run / "summary.json").write_text(json.dumps({"episodes": len(arrived)}) + "\n", encoding="utf-8")
 
 
 def told(runs: dict[str, list[Curve]], args: argparse.Namespace) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def main() -> None:
         middle = found["median_minutes"]
         print(f"{row:26} median {'never' if middle is None else f'{middle:.1f}'}  ({each})")
     if args.json:
-        args.json.write_text(json.dumps(result, indent=2) + "\n")
+        args.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     if args.figure:
         draw(runs, args.window, args.figure)
 

@@ -87,7 +87,7 @@ def main() -> None:
         print(f"{name:16} {rate:5.1f} % ({low:.1f}-{high:.1f})", flush=True)
         env.close()
     if args.json:
-        args.json.write_text(json.dumps(found, indent=2))
+        args.json.write_text(json.dumps(found, indent=2), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -61,7 +61,9 @@ def main() -> None:
         told[-1] |= {"sideways": sideways, "vertically": vertically}
         print(f"{low:.2f} to {high:.1f} s{len(chosen):>13}{brakes:>+9.2f}{sideways:>+10.2f}{vertically:>+12.2f}")
     if args.json:
-        args.json.write_text(json.dumps({"policy": str(args.run or args.policy), "answers": told}, indent=1))
+        args.json.write_text(
+            json.dumps({"policy": str(args.run or args.policy), "answers": told}, indent=1), encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

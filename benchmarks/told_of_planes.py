@@ -128,7 +128,9 @@ def main() -> None:
         gain = "{:+.1f} ({:+.1f} to {:+.1f})".format(*(100 * each for each in more)) if known != KNOWN[0] else ""
         print(f"| {known} | {told} | {row['collided']} | {row['timed_out']} | {gain} |", flush=True)
     if args.json:
-        args.json.write_text(json.dumps({"tasks": args.tasks, "overrides": chosen, "known": result}, indent=1) + "\n")
+        args.json.write_text(
+            json.dumps({"tasks": args.tasks, "overrides": chosen, "known": result}, indent=1) + "\n", encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ class Clock:
 def peak_rss() -> float:
     """The most MiB that this process and those that fly for it have held; what they share counts in each."""
     pids = ["self", *(str(child.pid) for child in multiprocessing.active_children())]
-    status = [line for pid in pids for line in Path(f"/proc/{pid}/status").read_text().splitlines()]
+    status = [line for pid in pids for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()]
     return sum(int(line.split()[1]) for line in status if line.startswith("VmHWM:")) / 1024
 
 
@@ -225,7 +225,7 @@ def main() -> None:
         speed = row["steps_per_second"]
         print(f"{name:38}{speed:10.1f}{row['peak_rss_mib']:10.0f}{ours / speed:8.2f} times as fast")
     if args.json:
-        args.json.write_text(json.dumps(result, indent=2) + "\n")
+        args.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -89,7 +89,7 @@ def main() -> None:
         left, tasks = [setting for _, setting in found[: max(1, len(left) // 4)]], 4 * tasks
     if args.json:
         told = {"machine": machine(), "perception": seen, "valleys": VALLEYS, "obstacles": OBSTACLES, "rounds": rounds}
-        args.json.write_text(json.dumps(told, indent=1))
+        args.json.write_text(json.dumps(told, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -282,7 +282,8 @@ def main() -> None:
     if args.json:
         args.json.write_text(
             json.dumps({**ratios, "row": chosen, "products": products, "ms": milliseconds, "machine": about}, indent=2)
-            + "\n"
+            + "\n",
+            encoding="utf-8",
         )
 
 

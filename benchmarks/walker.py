@@ -84,7 +84,7 @@ def main() -> None:
     for part, share in sorted(result["shares"].items(), key=lambda item: -item[1]):
         print(f"{share:>6.1%}  {part}")
     if args.json is not None:
-        args.json.write_text(json.dumps(result, indent=1) + "\n")
+        args.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

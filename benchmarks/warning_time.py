@@ -133,7 +133,7 @@ def main() -> None:
         print(f"{name:<24}" + "".join(f"{share:>6.0%}" for share in told[name]) + f"{first[name]:>12.0f}", flush=True)
     if args.json:
         found = {"flights": args.flights, "asked": ends, "shares": told, "warns_from": first, "machine": machine()}
-        args.json.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n")
+        args.json.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     if args.figure:
         draw(told, args.figure)
 

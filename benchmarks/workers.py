@@ -79,7 +79,7 @@ def rate(row: Row, updates: float, warm_up: int, steps: int) -> float:
 def logged(run: Path) -> tuple[np.ndarray, np.ndarray]:
     """Steps and the minutes after which they were learned from."""
     files = list((run / "logs").rglob("minutes.csv"))
-    lines = [line.split(",") for line in files[0].read_text().splitlines()[:-1]] if files else []
+    lines = [line.split(",") for line in files[0].read_text(encoding="utf-8").splitlines()[:-1]] if files else []
     return np.array([float(line[0]) for line in lines]), np.array([float(line[1]) for line in lines])
 
 
@@ -143,7 +143,7 @@ def main() -> None:
     )
     if args.json:
         result = {"rates": rates, "model": model, "bytes": bytes_sent, "machine": about}
-        args.json.write_text(json.dumps(result, indent=2) + "\n")
+        args.json.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,14 +5,19 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
-from docutils.nodes import Element, TextElement
+from docutils.nodes import Element, Text, TextElement
+from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
 from sphinx.ext.intersphinx import missing_reference
+from sphinx.util.inspect import stringify_signature
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+
+from signatures import signature_of  # noqa: E402
 
 import uavrl  # noqa: E402
 
@@ -27,7 +32,7 @@ extensions = [
     "sphinx_copybutton",
     "myst_nb",
 ]
-exclude_patterns = ["_build", "conf.py", "journal/report", "tutorials/shell.py"]
+exclude_patterns = ["_build", "conf.py", "signatures.py", "tutorials/shell.py"]
 nitpicky = True
 suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
 
@@ -125,8 +130,33 @@ def _find_where_public(app: Sphinx, env: BuildEnvironment, node: Element, text: 
     return None
 
 
+def _show_own_arguments(
+    app: Sphinx, what: str, name: str, thing: Any, options: object, arguments: str | None, returned: str | None
+) -> tuple[str, str | None] | None:
+    """Shows a constructor's own arguments where a metaclass hides them, and ranges in words."""
+    if arguments is None or not re.search(r"^\(\*args|\bRange\(|<(factory|function)", arguments):
+        return None
+    signature = signature_of(thing)
+    # Quoted once for Sphinx, which drops a pair, and once so that what it hands on is Python.
+    quoted = [
+        each.replace(annotation=f"'{each.annotation!r}'") if isinstance(each.annotation, str) else each
+        for each in signature.parameters.values()
+    ]
+    signature = signature.replace(parameters=quoted, return_annotation=signature.empty)
+    return stringify_signature(signature, unqualified_typehints=True), returned
+
+
+def _drop_quotes_of_ranges(app: Sphinx, domain: str, kind: str, content: Element) -> None:
+    """Shows ``float > 0`` for ``'float > 0'``: a type in quotes alone is one of ours in words."""
+    for node in list(content.parent.findall(addnodes.desc_sig_literal_string)):
+        if isinstance(node.parent, addnodes.desc_sig_name) and len(node.parent) == 1:
+            node.parent.replace(node, Text(node.astext().strip("'")))
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("source-read", _stay_on_the_site)
     app.connect("include-read", _stay_on_the_site_too)
+    app.connect("autodoc-process-signature", _show_own_arguments)
+    app.connect("object-description-transform", _drop_quotes_of_ranges)
     app.connect("missing-reference", _find_where_public, priority=600)

@@ -37,7 +37,7 @@ def main() -> None:
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     for path in args.evaluations:
-        found = json.loads(path.read_text())["whereabouts"]
+        found = json.loads(path.read_text(encoding="utf-8"))["whereabouts"]
         edges, share = shares(found["altitude_histogram"])
         axes.stairs(100 * share, edges, label=path.resolve().parent.name, linewidth=2)
         low, middle, high = (found["altitude"][key] for key in ("p5", "p50", "p95"))

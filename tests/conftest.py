@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.commands import TINY, in_process
-from uavrl.cli import train as train_command
+from tests.helpers.finished import built_valley, finished_run
 from uavrl.envs import world
 
 _VALLEYS: dict[str, world.Valley] = {}
@@ -41,11 +41,10 @@ def valleys_built_once() -> Iterator[None]:
 
     def build_once(config: world.WorldConfig, seed: int, origin: np.ndarray, count: int) -> world.Valley:
         like = dict(config) if isinstance(config, Mapping) else asdict(config)
-        key = repr(
-            ({**like, "seeds": None, "obstacles": count}, seed)
-        )  # what a valley is like, its neighbours do not say
+        # What a valley is like, its neighbours do not say, nor how many planes fly through it.
+        key = repr(({**like, "seeds": None, "obstacles": count, "planes": like["planes"] > 0}, seed))
         if key not in _VALLEYS:
-            _VALLEYS[key] = build(config, seed, origin, count)
+            _VALLEYS[key] = built_valley(key, lambda: build(config, seed, origin, count))
         return replace(_VALLEYS[key], origin=origin)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -56,9 +55,7 @@ def valleys_built_once() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished training; tests look at it, or change a copy."""
-    run_dir = tmp_path_factory.mktemp("runs") / "run"
-    assert in_process(train_command.main, *TINY, f"run_dir={run_dir}") == 0
-    return run_dir
+    return finished_run(tmp_path_factory.mktemp("runs") / "run", *TINY)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import grimp
 
 # From the top; rooms of one floor do not know each other.
 FLOORS = [
+    {"__main__"},
     {"cli"},
     {"reporting"},
     {"training", "pretraining"},
@@ -16,7 +17,7 @@ FLOORS = [
     {"models", "transforms"},
     {"configs", "runs"},
     {"trust", "upstream"},
-    {"errors", "ranges"},
+    {"errors", "ranges", "command_line"},
 ]
 
 

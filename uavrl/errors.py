@@ -7,8 +7,25 @@ class UavrlError(ValueError):
     """A mistake that the user can mend: what was expected, what came, and what to do."""
 
 
+class MissingSimulator(UavrlError, ImportError):
+    """The simulator has no wheels for this machine, or was not installed."""
+
+    def __init__(self, module: str) -> None:
+        super().__init__(
+            f"uavrl's simulator needs {module}, which is not installed: it runs on Linux x86-64 and macOS arm64, where "
+            "`pip install uavrl` brings it. Losses, transforms, models and buffers work without it."
+        )
+
+
 class FolderTaken(UavrlError):
     """The folder is somebody else's: another process trains in it, or it holds something already. It stays as it is."""
+
+
+class OtherFormat(UavrlError):
+    """A file of the right name, perhaps whole, is not of the kind that is read."""
+
+    def __init__(self, path: object, lacks: str) -> None:
+        super().__init__(f"{path} has no {lacks}: it was not written by this version of uavrl-train.")
 
 
 class FlyingEnded(UavrlError):

@@ -9,7 +9,7 @@ import json
 import math
 import re
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -64,16 +64,36 @@ def check_archive(path: Path) -> dict[str, Any]:
     return manifest
 
 
-def check_links(folder: Path) -> None:
-    """Checks that no link in a folder leads out of it: what is written there would be written elsewhere.
+def check_links(folder: Path, names: Iterable[str]) -> None:
+    """Checks that what is read and written in a folder lies there: no link leads out of it.
+
+    Args:
+        folder: which may itself be a link, and lie on any disk.
+        names: the files in it that matter, and the folders with all that they hold.
 
     Raises:
         UavrlError: naming the link.
     """
     inside = folder.resolve()
-    for path in folder.rglob("*"):
-        if path.is_symlink() and not path.resolve().is_relative_to(inside):
-            raise UavrlError(f"{path} is a link that leads out of {folder}: put what it means in its place.")
+    for name in names:
+        for path in (folder / name, *(folder / name).rglob("*")):
+            if path.is_symlink() and not _leads_into(path, inside) and not _left_by_wandb(path, folder):
+                raise UavrlError(
+                    f"{path} is a link that leads out of {folder}: put what it means in its place, or, to keep it "
+                    f"on another disk, move all of {folder} there and link that."
+                )
+
+
+def _leads_into(link: Path, folder: Path) -> bool:
+    try:
+        return link.resolve().is_relative_to(folder)
+    except (OSError, RuntimeError):  # a link to itself
+        return False
+
+
+def _left_by_wandb(link: Path, folder: Path) -> bool:
+    """Whether a link is one of those that wandb makes to its own log files. It makes new ones, and follows none."""
+    return (folder / "logs/wandb") in link.parents and link.suffix == ".log" and not link.is_dir()
 
 
 def _check_names(path: Path, components: dict[str, Any], names: set[str]) -> None:

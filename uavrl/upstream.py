@@ -1,4 +1,4 @@
-"""Every private name of TorchRL, tensordict and torch that uavrl uses: where it can break when their versions move.
+"""Every private name of TorchRL, tensordict, torch and Ray that uavrl uses: where it can break when they move.
 
 Functions are given a public name here and imported from here. What a class inherits, or an object is asked for, cannot
 be imported: it stands in :data:`ATTRIBUTES`. ``tests/test_upstream.py`` tells what a new version has moved, and what is
@@ -23,6 +23,7 @@ __all__ = [
     "fused_adam",
     "lerp",
     "missing_tolerance",
+    "ray_job",
     "rows",
 ]
 
@@ -41,6 +42,15 @@ def compile_graph(graph: GraphModule, inputs: list[Any], **options: Any) -> Call
 def rows(storage: TensorDictBase, index: Tensor) -> TensorDictBase:
     """The rows ``index [B]`` of all tensors, without the checks of the public ``apply``."""
     return storage._fast_apply(lambda stored: stored.index_select(0, index), batch_size=[len(index)])
+
+
+def ray_job(folders: list[str]) -> Any:
+    """A job of Ray whose workers import from ``folders``, and not from the driver's working folder, as they would."""
+    from ray.job_config import JobConfig
+
+    job = JobConfig(_py_driver_sys_path=folders)
+    job._runtime_env_has_working_dir = lambda: True  # type: ignore[method-assign]
+    return job
 
 
 # By the class that has them. TorchRL's documentation tells subclasses of the first three to write such methods.

@@ -29,7 +29,8 @@ folder = Path(tempfile.mkdtemp())
 # %%
 (folder / "my_parts").mkdir()
 (folder / "my_parts" / "__init__.py").touch()
-_ = (folder / "my_parts" / "rewards.py").write_text("""
+_ = (folder / "my_parts" / "rewards.py").write_text(
+    """
 from torchrl.envs import Transform
 
 from uavrl.ranges import NonNegative, Positive
@@ -43,18 +44,23 @@ class Hurry(Transform):
     def _step(self, tensordict, next_tensordict):
         arrived, collided = (next_tensordict[key].float() for key in self.in_keys)
         return next_tensordict.set("reward", self.prize * (arrived - collided) - self.step_cost)
-""")
+""",
+    encoding="utf-8",
+)
 
 # %% [markdown]
 # A yaml file makes it a choice of `reward=`. Its keys are the constructor's arguments.
 
 # %%
 (folder / "conf" / "reward").mkdir(parents=True)
-_ = (folder / "conf" / "reward" / "mine.yaml").write_text("""
+_ = (folder / "conf" / "reward" / "mine.yaml").write_text(
+    """
 _target_: my_parts.rewards.Hurry
 prize: 10.0      # for arriving, and lost for colliding
 step_cost: 0.1   # of every step
-""")
+""",
+    encoding="utf-8",
+)
 os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), str(examples), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 # %% [markdown]
@@ -65,7 +71,9 @@ os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), str(examples), *filter(
 
 # %%
 (folder / "conf" / "env").mkdir()
-_ = (folder / "conf" / "env" / "corridor.yaml").write_text((examples / "conf" / "env" / "corridor.yaml").read_text())
+_ = (folder / "conf" / "env" / "corridor.yaml").write_text(
+    (examples / "conf" / "env" / "corridor.yaml").read_text(encoding="utf-8"), encoding="utf-8"
+)
 sh(
     f"uavrl-train -m --config-dir {folder / 'conf'} packages=[my_parts,own_parts] env=corridor reward=mine "
     f"reward.step_cost=0,0.5 seed=0,1,2 trainer.episodes={FLIGHTS} algo.random_steps=300 algo.hidden=[32,32] "

@@ -41,7 +41,7 @@ sh(
 # because the policy stays in the air, and more of them arrive.
 
 # %%
-with (run / "episodes.csv").open() as file:
+with (run / "episodes.csv").open(encoding="utf-8") as file:
     flights = list(csv.DictReader(file))
 arrived = [row["outcome"] == "arrived" for row in flights]
 third = len(flights) // 3

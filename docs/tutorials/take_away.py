@@ -29,7 +29,7 @@ sh(
     f"uavrl-train run_dir={folder / 'run'} trainer.episodes=2 env.num_uavs=2 env.max_steps=20 algo.random_steps=20 "
     "algo.hidden=[32,32] buffer.capacity=1000 trainer.execution=captured trainer.progress=false"
 )
-sh(f"uavrl-export {folder / 'run'} --output {folder / 'my_policy'}")
+sh(f"uavrl-export run={folder / 'run'} output={folder / 'my_policy'}")
 
 # %%
 for path in sorted((folder / "my_policy").iterdir()):

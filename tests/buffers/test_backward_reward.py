@@ -90,7 +90,6 @@ class TestContract(TransformContract):
     test_composed_env_matches_its_specs = test_single_env_matches_its_specs
     test_serial_env_matches_its_specs = test_single_env_matches_its_specs
     test_around_serial_env_matches_its_specs = test_single_env_matches_its_specs
-    test_parallel_env_matches_its_specs = test_single_env_matches_its_specs
 
 
 # ---------------------------------------------------------------------- which episodes, which steps

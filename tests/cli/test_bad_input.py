@@ -13,6 +13,7 @@ from filelock import FileLock
 from omegaconf import OmegaConf
 
 from tests.helpers.commands import SMALL_EVALUATION, TINY, content, in_process, newest
+from tests.helpers.damage import empty, flip_in_the_directory, flip_in_the_middle, flip_in_the_networks, halve
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.models import Actor
@@ -75,32 +76,6 @@ def test_resuming_without_checkpoints_is_refused(run_dir: Path, refused: Callabl
     assert content(run_dir) == before
 
 
-def flip(path: Path, position: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[position] ^= 0xFF
-    path.write_bytes(bytes(data))
-
-
-def empty(path: Path) -> None:
-    path.write_bytes(b"")
-
-
-def halve(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-
-
-def flip_in_the_middle(path: Path) -> None:
-    flip(path, path.stat().st_size // 2)
-
-
-def flip_in_the_networks(path: Path) -> None:
-    flip(path, path.read_bytes().index(b"loss_module/state/tensor_00000012.memmap") + 3000)
-
-
-def flip_in_the_directory(path: Path) -> None:
-    flip(path, path.read_bytes().rindex(b"PK\x01\x02") + 1)
-
-
 @pytest.mark.parametrize(
     "damage", [empty, halve, flip_in_the_middle, flip_in_the_networks, flip_in_the_directory], ids=lambda d: d.__name__
 )
@@ -114,21 +89,6 @@ def test_a_damaged_checkpoint_is_named(
     assert content(run_dir) == before
 
 
-@pytest.mark.parametrize("damage", [halve, flip_in_the_networks], ids=lambda d: d.__name__)
-def test_a_run_goes_back_to_the_checkpoint_before_a_damaged_one(
-    damage: Callable[[Path], None], finished: Path, run_dir: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    path = newest(run_dir)
-    damage(path)
-    damaged = path.read_bytes()
-    assert in_process(train_command.main, f"resume={run_dir}") == 0
-    told = capfd.readouterr().err
-    assert f"The checkpoint {path} is damaged" in told and "goes back to the one before, after episode 0" in told
-    assert path.with_name(f"unused-{path.name}").read_bytes() == damaged
-    assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
-    assert in_process(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION) == 0
-
-
 def test_a_run_whose_checkpoints_are_all_damaged_is_refused(run_dir: Path, refused: Callable[..., str]) -> None:
     for path in (run_dir / "checkpoints").iterdir():
         empty(path)
@@ -136,18 +96,6 @@ def test_a_run_whose_checkpoints_are_all_damaged_is_refused(run_dir: Path, refus
     sentence = refused(train_command.main, f"resume={run_dir}")
     assert f"The checkpoint {newest(run_dir)} is damaged" in sentence and "No older checkpoint is left" in sentence
     assert content(run_dir) == before
-
-
-def test_lost_episodes_send_a_run_back_to_a_checkpoint_that_knows_none_of_them(
-    finished: Path, run_dir: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, rows = newest(run_dir), (run_dir / "episodes.csv").read_text().splitlines(keepends=True)
-    (run_dir / "episodes.csv").write_text("".join(rows[:3]))
-    assert in_process(train_command.main, f"resume={run_dir}") == 0
-    lost = f"The checkpoint {path} follows episode 4, and {run_dir / 'episodes.csv'} has lost those after 2."
-    told = capsys.readouterr().err
-    assert lost in told and "goes back to the one before, after episode 0" in told
-    assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
 
 
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.9])
@@ -195,7 +143,11 @@ def test_resuming_with_a_value_out_of_range_is_refused_by_name(run_dir: Path, re
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [(None, "found no such file"), ("a,b\n1,2\n", "to start with the columns"), ("short", "has lost those after 1")],
+    [
+        (None, "found no such file"),
+        ("a,b\n1,2\n", "has no column `episode`: it was not written by this version of uavrl-train"),
+        ("short", "has lost those after 1"),
+    ],
     ids=["missing", "foreign", "too short for the one checkpoint that is left"],
 )
 def test_resuming_without_the_runs_episodes_is_refused(

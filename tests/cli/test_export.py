@@ -13,11 +13,14 @@ from tests.helpers.commands import SMALL_EVALUATION, content, in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import replay as replay_command
+from uavrl.cli.policies import PACKAGED
+from uavrl.configs import settings_of_run
+from uavrl.runs.config import load_config
 
 
 @pytest.fixture
 def policy(run_dir: Path, tmp_path: Path) -> Path:
-    assert in_process(export_command.main, str(run_dir), "--output", str(tmp_path / "policy")) == 0
+    assert in_process(export_command.main, f"run={run_dir}", f"output={tmp_path / 'policy'}") == 0
     return tmp_path / "policy"
 
 
@@ -40,16 +43,35 @@ def test_it_can_be_replayed(policy: Path) -> None:
     assert "policy" in (policy / "replay.html").read_text()
 
 
-def test_an_unknown_run_a_taken_folder_and_a_policy_on_its_own_are_refused(
+def test_a_packaged_policy_and_one_on_its_own_can_be_exported(policy: Path, tmp_path: Path) -> None:
+    """They are read and written again: the same weights of the same run."""
+    for chosen, source in (("policy=static", PACKAGED / "static"), (f"run={policy}", policy)):
+        output = tmp_path / source.name / "again"
+        assert in_process(export_command.main, chosen, f"output={output}") == 0
+        assert json.loads((output / "policy.json").read_text()) == json.loads((source / "policy.json").read_text())
+        assert (output / "policy.safetensors").read_bytes() == (source / "policy.safetensors").read_bytes()
+        settings = [settings_of_run(load_config(folder / "config.yaml")) for folder in (output, source)]
+        assert settings[0].algo == settings[1].algo and settings[0].perception == settings[1].perception
+
+
+def test_an_unknown_run_and_a_taken_folder_are_refused(
     run_dir: Path, policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = content(policy)
+    new = f"output={tmp_path / 'new'}"
     for arguments, said in [
-        ([str(tmp_path / "nothing"), "--output", str(tmp_path / "new")], "Expected a run folder"),
-        ([str(run_dir), "--output", str(policy)], "holds a policy or a run already"),
-        ([str(run_dir), "--output", str(run_dir)], "holds a policy or a run already"),
-        ([str(policy), "--output", str(tmp_path / "new")], "holds a policy on its own already"),
-        ([str(run_dir), "--output", str(tmp_path / "new"), "--checkpoint", "none.zip"], "Expected a checkpoint"),
+        ([f"run={tmp_path / 'nothing'}", new], "Expected a run folder"),
+        ([f"run={run_dir}", f"output={policy}"], "holds a policy or a run already: choose another with output=FOLDER"),
+        ([f"run={run_dir}", f"output={run_dir}"], "holds a policy or a run already"),
+        ([f"run={run_dir}", new, "checkpoint=none.zip"], "Expected a checkpoint"),
+        ([f"run={run_dir}", "policy=best", new], "Give either run=RUN_FOLDER or policy=NAME, and not both"),
+        (
+            ["policy=bst", new],
+            "policy must be one of best, best_dynamic, dynamic, static, got 'bst': did you mean best?",
+        ),
+        (["policy=straight", new], "got 'straight': to export your own give run=RUN_FOLDER"),
+        ([f"run={run_dir}"], "output must be a folder to write the policy to"),
+        ([f"run={run_dir}", new, "chekpoint=1"], "There is no key 'chekpoint': did you mean checkpoint?"),
     ]:
         assert in_process(export_command.main, *arguments) == 1
         assert said in capsys.readouterr().err

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
+import pickle
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +19,9 @@ from tensordict import TensorDict
 
 from tests.helpers.commands import in_process
 from tests.helpers.configs import composed
+from tests.helpers.recorded import recorded
 from uavrl.cli import evaluate as evaluate_command
-from uavrl.cli.policies import file_of_policy
+from uavrl.cli.policies import file_of_policy, packaged_policies
 from uavrl.cli.suite import _changed
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.errors import UavrlError
@@ -39,19 +45,36 @@ class Climber:
 '''
 
 
-@pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A small untrained model of each kind that acts in another way: TD3 squashes its actions, PPO clips them."""
-    sb3 = pytest.importorskip("stable_baselines3")
+def empty_env() -> Any:
+    """As wide as the valley, and like it: of three frames most cells are empty, altitude and angles may be negative."""
     import gymnasium
 
     class Empty(gymnasium.Env):
         observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (105,), np.float32)
         action_space = gymnasium.spaces.Box(-2.0, 2.0, (4,), np.float32)
 
+        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+            super().reset(seed=seed)
+            return self._seen(), {}
+
+        def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+            return self._seen(), 0.0, False, False, {}
+
+        def _seen(self) -> np.ndarray:
+            seen = self.np_random.uniform(0.5, 1.0, (3, 35)) * (self.np_random.random((3, 35)) < 0.2)
+            seen[:, 32:] = self.np_random.uniform(-1.0, 1.0, (3, 3))
+            return seen.ravel().astype(np.float32)
+
+    return Empty()
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A small untrained model of each kind that acts in another way: TD3 squashes its actions, PPO clips them."""
+    sb3 = pytest.importorskip("stable_baselines3")
     folder = tmp_path_factory.mktemp("models")
     for kind in (sb3.TD3, sb3.PPO):
-        kind("MlpPolicy", Empty(), policy_kwargs={"net_arch": [8]}, seed=3).save(folder / kind.__name__)
+        kind("MlpPolicy", empty_env(), policy_kwargs={"net_arch": [8]}, seed=3).save(folder / kind.__name__)
     return {name: folder / f"{name}.zip" for name in ("TD3", "PPO")}
 
 
@@ -67,6 +90,166 @@ def test_a_model_of_stable_baselines_acts_as_in_its_own_library(models: dict[str
     np.testing.assert_array_equal(acted.numpy(), expected)
     with pytest.raises(UavrlError, match=r"reads states of shape \(105,\), got \(35,\)"):
         StableBaselinesPolicy(models[name])(TensorDict({"observation": states[:, :35]}, [5]))
+
+
+def learned(
+    name: str, path: Path, normalized: bool = True, learns: bool = True, norm_obs: bool = True
+) -> tuple[Any, Any]:
+    """A model that has seen a few steps, saved, and the VecNormalize around its environment, which is not."""
+    import stable_baselines3 as sb3
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    env: Any = DummyVecEnv([empty_env])
+    env = VecNormalize(env, norm_obs=norm_obs) if normalized else env
+    few = {"n_steps": 32, "batch_size": 32, "n_epochs": 1} if name == "PPO" else {"learning_starts": 100}
+    model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, seed=3, **few)
+    if learns:
+        model.learn(64)
+    model.save(path)
+    return model, env
+
+
+@pytest.mark.parametrize(("name", "file"), [("TD3", "vecnormalize.pkl"), ("PPO", "m_vecnormalize_64_steps.pkl")])
+def test_a_model_that_saw_normalized_observations_takes_their_statistics(name: str, file: str, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+
+    path = tmp_path / "m_64_steps.zip"
+    model, env = learned(name, path)
+    with pytest.raises(UavrlError, match=r"VecNormalize had changed: put .* beside it as vecnormalize.pkl"):
+        StableBaselinesPolicy(path)
+    env.save(str(tmp_path / file))
+    states = torch.rand(5, 105)
+    acted = StableBaselinesPolicy(path)(TensorDict({"observation": states}, [5]))["action"]
+    expected, _ = model.predict(env.normalize_obs(states.numpy()), deterministic=True)
+    np.testing.assert_array_equal(acted.numpy(), expected)
+    assert np.abs(model.predict(states.numpy(), deterministic=True)[0] - expected).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", packaged_policies())
+def test_states_of_the_valley_are_told_from_normalized_ones(name: str) -> None:
+    """Each of some hundreds of recorded states, as if it were the last one of a training."""
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
+
+    from uavrl.flying.stable_baselines import NEGATIVE, _untouched
+
+    states = recorded(name)["observation"].double().numpy()
+    normalizer: Any = SimpleNamespace(rms=RunningMeanStd(shape=states.shape[1:]))
+    normalizer.rms.update(states)
+    normalizer.normalize_obs = lambda seen: (seen - normalizer.rms.mean) / np.sqrt(normalizer.rms.var + 1e-8)
+    normalized = normalizer.normalize_obs(states)
+    assert (states < 0).mean(1).max() < NEGATIVE < (normalized < 0).mean(1).min()
+    assert all(_untouched(state, normalizer) for state in states)
+    assert not any(_untouched(state, normalizer) for state in normalized)
+
+
+class Bomb:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (Path("exploded"),)
+
+
+def test_statistics_are_opened_once_the_model_is_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
+    learned("TD3", tmp_path / "model.zip")
+    Path("vecnormalize.pkl").write_bytes(pickle.dumps(Bomb()))
+    assert "add packages=[stable_baselines3]" in refused(evaluate_command.main, "policy=model.zip", *SHORT)
+    assert not Path("exploded").exists()
+
+
+@pytest.mark.parametrize("name", ["TD3", "PPO"])
+def test_statistics_of_another_model_are_left_out(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One that has learned from observations as they are. One that has not learned at all takes what lies beside it."""
+    pytest.importorskip("stable_baselines3")
+    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+
+    _, env = learned(name, tmp_path / "other.zip")
+    env.save(str(tmp_path / "vec_normalize.pkl"))
+    states = torch.rand(5, 105)
+    for learns in (True, False):
+        caplog.clear()
+        model, _ = learned(name, tmp_path / "model.zip", normalized=False, learns=learns)
+        acted = StableBaselinesPolicy(tmp_path / "model.zip")(TensorDict({"observation": states}, [5]))["action"]
+        seen = states.numpy() if learns else env.normalize_obs(states.numpy())
+        np.testing.assert_array_equal(acted.numpy(), model.predict(seen, deterministic=True)[0])
+        assert ("vec_normalize.pkl is left out: model.zip has learned" in caplog.text) == learns
+
+
+def test_rewards_that_were_normalized_need_no_statistics(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+
+    model, _ = learned("PPO", tmp_path / "model.zip", norm_obs=False)
+    states = torch.rand(5, 105)
+    acted = StableBaselinesPolicy(tmp_path / "model.zip")(TensorDict({"observation": states}, [5]))["action"]
+    np.testing.assert_array_equal(acted.numpy(), model.predict(states.numpy(), deterministic=True)[0])
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [(b"nothing", "cannot be opened"), (pickle.dumps([1.0]), r"shape \(105,\)"), (None, r"shape \(105,\)")],
+)
+def test_statistics_of_something_else_are_named(content: bytes | None, told: str, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+
+    _, env = learned("TD3", tmp_path / "model.zip")
+    if content is None:
+        env.observation_space = type(env.observation_space)(-1.0, 1.0, (35,))
+    (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps(env) if content is None else content)
+    with pytest.raises(UavrlError, match=rf"{told}.*vecnormalize.pkl|vecnormalize.pkl.*{told}"):
+        StableBaselinesPolicy(tmp_path / "model.zip")
+
+
+def rewritten(source: Path, target: Path, changes: dict[str, Callable[[str], str]]) -> Path:
+    """A copy of a model whose texts are changed."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            new.writestr(name, changes[name](content.decode()) if name in changes else content)
+    return target
+
+
+def pickled_elsewhere(key: str) -> Callable[[str], str]:
+    """The model's data with a value whose pickle names a module that is not there."""
+    gone = base64.b64encode(b"cnumpy._core_of_another_time\nthing\n.").decode()
+
+    def change(data: str) -> str:
+        return json.dumps({**json.loads(data), key: {":type:": "x", ":serialized:": gone}})
+
+    return change
+
+
+def test_a_model_of_other_versions_names_them_where_it_cannot_be_opened(
+    models: dict[str, Path], tmp_path: Path
+) -> None:
+    import stable_baselines3 as sb3
+
+    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+
+    older = "- OS: Linux-5.15 # 66\n- Python: 3.8.10\n- Stable-Baselines3: 1.6.2\n- Numpy: 1.21.0\n"
+    changes = {"data": pickled_elsewhere("observation_space"), "system_info.txt": lambda _: older}
+    saved, here = "Stable-Baselines3 1.6.2 and NumPy 1.21.0", f"Stable-Baselines3 {sb3.__version__} and NumPy "
+    with pytest.raises(UavrlError, match=f"saved with {saved}, and cannot be opened with {here}{np.__version__}"):
+        StableBaselinesPolicy(rewritten(models["TD3"], tmp_path / "older.zip", changes))
+    del changes["system_info.txt"]
+    with pytest.raises(
+        UavrlError, match=r"is no model that Stable-Baselines3 saved \(No module named 'numpy\._core_of"
+    ):
+        StableBaselinesPolicy(rewritten(models["TD3"], tmp_path / "damaged.zip", changes))
+
+
+def test_what_flying_does_not_need_of_a_model_is_not_unpickled(models: dict[str, Path], tmp_path: Path) -> None:
+    """Schedules are what breaks between versions of Python."""
+    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+
+    path = rewritten(models["PPO"], tmp_path / "m.zip", {"data": pickled_elsewhere("lr_schedule")})
+    states = TensorDict({"observation": torch.randn(5, 105)}, [5])
+    acted = [StableBaselinesPolicy(model)(states.clone())["action"] for model in (models["PPO"], path)]
+    assert torch.equal(*acted)
 
 
 def test_a_model_of_stable_baselines_is_evaluated_once_it_is_trusted(

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
 
 from tests.helpers.commands import in_process
@@ -37,14 +34,13 @@ def test_what_is_asked_for_is_shown_and_nothing_else_is_done(capsys: pytest.Capt
         assert "Keys that are used most" in capsys.readouterr().out
 
 
-def test_one_name_for_all_commands() -> None:
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "uavrl.cli.main", *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
+def test_one_name_for_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    def said(*arguments: str, code: int = 0) -> str:
+        assert in_process(main.main, *arguments) == code
+        return "".join(capsys.readouterr())
 
     assert set(main.COMMANDS) == {"train", "evaluate", "replay", "report", "export", "pretrain"}
-    assert run("train", "--help").stdout.startswith("uavrl-train: Trains one policy")
-    assert run("--version").stdout.split()[0] == "uavrl"
-    mistyped = run("trian")
-    assert mistyped.returncode == 1 and mistyped.stderr == "uavrl: There is no command 'trian': did you mean train?\n"
-    assert "did you mean trainer.episodes?" in run("train", "trainer.epsodes=3").stderr
+    assert said("train", "--help").startswith("uavrl-train: Trains one policy")
+    assert said("--version").split()[0] == "uavrl"
+    assert said("trian", code=1) == "uavrl: There is no command 'trian': did you mean train?\n"
+    assert "did you mean trainer.episodes?" in said("train", "trainer.epsodes=3", code=1)

@@ -25,7 +25,7 @@ from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.runs.files import removed_on_failure
+from uavrl.runs.files import made_folder
 from uavrl.training.loggers import require_login
 from uavrl.training.silence import Silence
 from uavrl.transforms import TruncatedIcosahedron
@@ -105,8 +105,7 @@ def test_a_mistake_found_after_the_folder_was_made_leaves_none(tmp_path: Path, r
 
 
 def test_a_folder_with_something_worth_keeping_stays(tmp_path: Path) -> None:
-    with pytest.raises(ValueError), removed_on_failure(tmp_path / "run", "kept*"):
-        (tmp_path / "run").mkdir()
+    with pytest.raises(ValueError), made_folder(tmp_path / "run", "kept*"):
         (tmp_path / "run" / "kept.txt").touch()
         raise ValueError
     assert (tmp_path / "run" / "kept.txt").exists()

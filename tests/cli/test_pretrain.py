@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -13,26 +11,12 @@ import pytest
 import torch
 
 from tests.helpers.commands import in_process
-from tests.helpers.states import checkpoint_run, drifting_run, walk
+from tests.helpers.states import SMALL_PRETRAINING, checkpoint_run, drifting_run, walk
 from uavrl.cli import pretrain as command
 from uavrl.models import TrajectoryClassifier
 from uavrl.pretraining import pipeline
 from uavrl.pretraining.states import read_states
 from uavrl.runs.weights import ARTIFACT
-
-SMALL = [
-    "progress=false",
-    "pretrain=quick",
-    "pretrain.states=400",
-    "pretrain.features=4",
-    "pretrain.hidden=16",
-    "pretrain.psae_epochs=10",
-    "pretrain.psae_lr=0.01",
-    "pretrain.clusters=[2,3,4,5,6,8,10,12,14,16]",
-    "pretrain.classifier_epochs=30",
-    "pretrain.classifier_batch_size=32",
-    "pretrain.one_shot=false",
-]
 
 
 @pytest.fixture
@@ -50,7 +34,7 @@ def names(folder: Path) -> list[str]:
 
 def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out_folder = tmp_path / "artifact"
-    assert in_process(command.main, f"run={run}", f"output={out_folder}", *SMALL) == 0
+    assert in_process(command.main, f"run={run}", f"output={out_folder}", *SMALL_PRETRAINING) == 0
     assert names(out_folder) == ["artifact.json", "artifact.safetensors", "class_sizes.png", "elbow.png"]
     about = ARTIFACT.about(out_folder)
     assert about["k"] == about["sse"]["elbow"] in about["sse"]["k"]
@@ -74,61 +58,6 @@ def test_from_a_run_to_an_artifact(run: Path, tmp_path: Path, capfd: pytest.Capt
     labels = classifier(states)
     nearest = torch.cdist(classifier.encode(states), classifier.centres).argmin(-1)
     assert (labels == nearest).float().mean() > 0.7
-
-
-def test_the_same_seed_gives_the_same_artifact_and_the_default_output_is_in_the_source(run: Path) -> None:
-    assert in_process(command.main, f"run={run}", *SMALL) == 0
-    assert in_process(command.main, f"run={run}", f"output={run}/other", *SMALL) == 0
-    assert in_process(command.main, f"run={run}", f"output={run}/seed", *SMALL, "seed=1") == 0
-    one, same, other = (ARTIFACT.about(run / name) for name in ("pretrained", "other", "seed"))
-    assert one["weights_sha256"] == same["weights_sha256"] != other["weights_sha256"]
-    assert one["config_sha256"] == same["config_sha256"] != other["config_sha256"]
-    assert one["source"] == same["source"]
-
-
-def test_from_the_checkpoint_of_a_run_with_a_given_k(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    path = checkpoint_run(tmp_path / "run", [walk(15, 6, rng) for _ in range(30)])
-    arguments = [f"run={tmp_path / 'run'}", *SMALL, "pretrain.k=7", "pretrain.compare_k=20"]
-    assert in_process(command.main, *arguments) == 0
-    about = ARTIFACT.about(tmp_path / "run" / "pretrained")
-    assert about["source"]["name"] == f"run/{path.name}"
-    assert about["k"] == 7 != about["sse"]["elbow"]
-    assert list(about["class_sizes"]) == [
-        "PSAE and k-means, k = 7",
-        "PSAE and classifier, k = 7",
-        "PSAE and k-means, k = 20",
-    ]
-    assert about["class_sizes"]["PSAE and k-means, k = 20"]["classes"] == 20
-    assert about["class_sizes"]["PSAE and k-means, k = 20"]["mean"] == 400 / 20
-    assert TrajectoryClassifier.load(tmp_path / "run" / "pretrained").k == 7
-
-
-def test_without_a_curve(run: Path) -> None:
-    assert in_process(command.main, f"run={run}", *SMALL, "pretrain.k=3", "pretrain.clusters=[]") == 0
-    assert names(run / "pretrained") == ["artifact.json", "artifact.safetensors", "class_sizes.png"]
-    assert ARTIFACT.about(run / "pretrained")["sse"] == {"k": [], "sse": [], "elbow": None}
-
-
-def test_a_short_run_is_used_whole_and_that_is_said(run: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "uavrl.cli.pretrain", f"run={run}", *SMALL, "pretrain.states=5000"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
-    source = ARTIFACT.about(run / "pretrained")["source"]
-    assert source["states_drawn"] == source["states"] < 5000
-    assert "fewer than pretrain.states=5000: all are used" in done.stderr
-
-
-def test_one_shot_learning_is_counted_beside(run: Path) -> None:
-    assert in_process(command.main, f"run={run}", *SMALL, "pretrain.one_shot=true") == 0
-    sizes = ARTIFACT.about(run / "pretrained")["class_sizes"]
-    assert next(iter(sizes)) == "one-shot learning"
-    assert 1 <= sizes["one-shot learning"]["largest"] <= 400
-
-
-def test_progress_bars_are_shown_if_asked_for(run: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert in_process(command.main, f"run={run}", *SMALL, "progress=true") == 0
-    err = capfd.readouterr().err
-    assert all(name in err for name in ("autoencoder, epochs", "k-means, values of k", "classifier, epochs"))
 
 
 # ---------------------------------------------------------------------- bad input
@@ -159,7 +88,7 @@ def test_bad_input_is_one_sentence_and_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("kept")
-    assert said in refused(command.main, *SMALL, *arguments)
+    assert said in refused(command.main, *SMALL_PRETRAINING, *arguments)
     assert names(tmp_path) == ["file", "run"]
     assert names(run) == ["checkpoints", "config.yaml"]
 
@@ -173,13 +102,13 @@ def test_too_few_states_or_episodes_are_refused(
 ) -> None:
     rng = np.random.default_rng(0)
     checkpoint_run(tmp_path / "few", [walk(length, 6, rng) for length in lengths])
-    assert said in refused(command.main, f"run={tmp_path / 'few'}", *SMALL)
+    assert said in refused(command.main, f"run={tmp_path / 'few'}", *SMALL_PRETRAINING)
 
 
 def test_an_artifact_is_not_overwritten(run: Path, refused: Callable[..., str]) -> None:
     (run / "pretrained").mkdir()
     (run / "pretrained" / "artifact.json").write_text("kept")
-    assert "holds an artifact already" in refused(command.main, f"run={run}", *SMALL)
+    assert "holds an artifact already" in refused(command.main, f"run={run}", *SMALL_PRETRAINING)
     assert (run / "pretrained" / "artifact.json").read_text() == "kept"
 
 
@@ -190,6 +119,6 @@ def test_ctrl_c_leaves_no_artifact(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pipeline, "train_classifier", interrupted)
-    assert in_process(command.main, f"run={run}", *SMALL) == 130
+    assert in_process(command.main, f"run={run}", *SMALL_PRETRAINING) == 130
     assert names(run / "pretrained") == []
     assert "uavrl: stopped." in capfd.readouterr().err

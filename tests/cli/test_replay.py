@@ -14,10 +14,10 @@ import torch
 from tensordict import TensorDict
 
 from tests.helpers.commands import TINY, in_process
+from tests.helpers.finished import finished_run
 from tests.helpers.flights import unpack
 from tests.helpers.pages import Page
 from uavrl.cli import replay as command
-from uavrl.cli import train as train_command
 from uavrl.flying.recording import load_recording
 from uavrl.training.policies import load_policy
 
@@ -35,10 +35,8 @@ def data_of(page: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs") / "guarded"
-    tiny = [*TINY, *WORLD, "lifeguard=linear", "reward=traditional", f"run_dir={folder}"]
-    assert in_process(train_command.main, *tiny) == 0
-    return folder
+    chosen = ["lifeguard=linear", "reward=traditional"]
+    return finished_run(tmp_path_factory.mktemp("runs") / "guarded", *TINY, *WORLD, *chosen)
 
 
 def test_a_run_is_shown_with_its_own_reward_and_the_risk_that_its_lifeguard_sees(

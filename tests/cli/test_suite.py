@@ -10,6 +10,7 @@ import pytest
 
 from tests.helpers.commands import in_process
 from tests.helpers.configs import composed
+from tests.helpers.folders import evaluation
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.errors import UavrlError
@@ -52,6 +53,7 @@ def test_what_is_flown_is_kept_and_what_is_damaged_or_of_other_tasks_is_flown_ag
     assert "dense " in capsys.readouterr().out
     table = json.loads((folder / "suite.json").read_text())
     assert list(table) == ["static", "dense"]
+    assert len(table["dense"]["outcomes"]) == 2 and {"versions", "processor"} < table["dense"].keys()
     assert table["dense"]["overrides"] == ["policy=straight", "seed=7", "env=static", "env.world.obstacles=90"]
     (folder / "dense.json").write_text("{")
     old = 1_000_000_000
@@ -59,6 +61,16 @@ def test_what_is_flown_is_kept_and_what_is_damaged_or_of_other_tasks_is_flown_ag
     assert in_process(evaluate_command.main, *command) == 0
     assert (folder / "static.json").stat().st_mtime == old
     assert json.loads((folder / "dense.json").read_text())["episodes"] == 2
+
+
+def test_a_file_from_before_there_were_outcomes_is_taken_and_its_row_has_them(tmp_path: Path) -> None:
+    flights = [{"task": 0, "outcome": "arrived"}, {"task": 1, "outcome": "collided"}]
+    told = {"overrides": ["policy=straight", "seed=7", "env=static"], "seed": 7, "flights": flights}
+    older = evaluation(tmp_path, 1, 2, "static.json", **told).read_text()
+    assert in_process(evaluate_command.main, *LITTLE, "suite=[static]", f"output={tmp_path}") == 0
+    assert (tmp_path / "static.json").read_text() == older
+    row = json.loads((tmp_path / "suite.json").read_text())["static"]
+    assert row["outcomes"] == "SC" and "flights" not in row and "versions" not in row
 
 
 @pytest.mark.parametrize("more", ["env=dynamic", "valleys=[3]", "env.world.obstacles=5"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -141,18 +139,6 @@ def test_an_environment_that_is_not_trusted_is_refused_before_it_is_read(
     config.env._target_ = "stranger.Env"
     with pytest.raises(UavrlError, match=r"env\._target_ names stranger\.Env, and stranger is no package"):
         to_dataclass(config)
-
-
-def test_all_that_is_checked_is_checked_without_torch() -> None:
-    code = (
-        "import sys\nfrom uavrl.configs import compose, to_dataclass\n"
-        "for more in ([], ['algo=sac', 'backward_reward=abr', 'buffer=prioritized', 'logger=wandb']):\n"
-        "    to_dataclass(compose('fork=on', 'lifeguard=mlp', *more))\n"
-        "to_dataclass(compose('preset=best'))\n"
-        "print([name for name in ('torch', 'torchrl', 'tensordict', 'pybullet') if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.strip() == "[]", done.stderr
 
 
 def test_every_class_that_our_yaml_names_can_be_read() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator
 
@@ -43,17 +41,6 @@ def identical(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def test_gymnasium_finds_it_by_name() -> None:
-    """With the name of the module in front, which loads it, and without, once it is loaded."""
-    code = """
-from gymnasium import make
-for name in ("uavrl:uavrl/Valley-v0", "uavrl/Valley-v0"):
-    print(make(name, max_steps=2).reset(seed=0)[0].shape)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-2:] == ["(105,)", "(105,)"]
-
-
 def test_it_can_show_what_the_best_policy_sees() -> None:
     env = gymnasium.make("uavrl/Valley-v0", max_steps=3, reduction="range_image", last_action=True)
     first = env.reset(seed=0)[0]
@@ -70,14 +57,6 @@ def test_registering_twice_does_no_harm() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         register_envs()
-
-
-def test_importing_uavrl_loads_nothing_heavy() -> None:
-    code = (
-        "import sys, uavrl; print([m for m in ('torch', 'pybullet', 'embreex', 'hydra', 'wandb') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_gymnasiums_checker_passes() -> None:

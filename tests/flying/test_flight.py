@@ -20,6 +20,7 @@ from uavrl.envs.bipedal import BipedalEnv
 from uavrl.flying.baselines import StraightPolicy
 from uavrl.flying.flight import Flight, fly
 from uavrl.flying.summary import summarize, table
+from uavrl.runs.provenance import processor, versions
 
 OUTCOMES = ("arrived", "collided", "timed_out")
 
@@ -182,6 +183,7 @@ def test_summary_takes_path_and_clearance_over_arrivals_alone() -> None:
     assert result["median_clearance"] == pytest.approx(0.6)
     assert result["min_clearance"] == pytest.approx(0.2)
     assert result["steps_per_arrival"] == 80.0
+    assert result["outcomes"] == "SSSCT"
     assert result["steps_per_episode"] == 112.0
 
 
@@ -244,6 +246,9 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
     assert list(results[0]["success_by_valley"]) == ["7", "9"]
     assert [f["task"] for f in results[0]["flights"]] == list(range(6))
     assert all(1 <= f["steps"] <= 4 for f in results[0]["flights"])
+    letters = {"arrived": "S", "collided": "C", "timed_out": "T"}
+    assert results[0]["outcomes"] == "".join(letters[f["outcome"]] for f in results[0]["flights"])
+    assert results[0]["versions"] == versions() and results[0]["processor"] == processor()
     went = results[0]["whereabouts"]
     assert went["steps"] == sum(f["steps"] for f in results[0]["flights"])
     assert 3.3 < went["altitude"]["p5"] <= went["altitude"]["p95"] < 3.7, "it starts at 3.5 m and keeps that height"

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 from collections.abc import Sequence
-from dataclasses import astuple, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import yaml
+from omegaconf import OmegaConf
 
-from uavrl.envs.world import WorldConfig
+from uavrl.configs import complete, compose
 from uavrl.runs.episodes import Episode
 
 ROOT = Path(__file__).resolve().parents[2]
-TEMPLATE = ROOT / "docs/journal/data/enhancers/td3_seed0/config.yaml"
-DOCUMENTED = [
-    ROOT / "docs/journal/data/enhancers" / name
-    for name in (
-        "td3_seed0",
-        "td3_seed1",
-        "td3_fork_seed0",
-        "td3_lg_linear_seed0",
-        "td3_lg_mlp_seed0",
-        "td3_lg_mlp_seed1",
-    )
-]
 OUTCOMES = {"a": "arrived", "c": "collided", "t": "timed_out"}
 
 
@@ -38,13 +28,17 @@ def episodes(outcomes: str, world_seed: int = 0) -> list[Episode]:
     ]
 
 
+@cache
+def _default() -> dict[str, Any]:
+    config = OmegaConf.to_container(complete(compose("run_dir=here")))
+    assert isinstance(config, dict)
+    return {str(key): value for key, value in config.items()}
+
+
 def config(choices: dict[str, str] | None = None, **changes: Any) -> dict[str, Any]:
-    """A real run's configuration with today's keys, values changed by dotted name (two underscores for a dot)."""
-    result = yaml.safe_load(TEMPLATE.read_text())
+    """What ``uavrl-train`` writes, values changed by dotted name (two underscores for a dot)."""
+    result = copy.deepcopy(_default())
     result["choices"].update(choices or {})
-    result["perception"].setdefault("blind", False)  # a key that is younger than that run
-    world = result["env"]["world"]
-    result["env"]["world"] = {field.name: world[field.name] for field in fields(WorldConfig) if field.name in world}
     for key, value in changes.items():
         node = result
         *parents, leaf = key.split("__")
@@ -56,7 +50,7 @@ def config(choices: dict[str, str] | None = None, **changes: Any) -> dict[str, A
 
 def write_episodes(path: Path, rows: Sequence[Episode]) -> None:
     with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([Episode.header(), *map(astuple, rows)])
+        csv.writer(file, lineterminator="\n").writerows([Episode.header(), *(row.row() for row in rows)])
 
 
 def run_folder(folder: Path, outcomes: str, choices: dict[str, str] | None = None, **changes: Any) -> Path:
@@ -100,3 +94,16 @@ def evaluation(folder: Path, arrived: int, tasks: int, name: str = "evaluation.j
     path = folder / name
     path.write_text(json.dumps(result))
     return path
+
+
+def several_runs(folder: Path) -> list[Path]:
+    """Four runs of three groups, each of which has learned to arrive; one run has an evaluation."""
+    learned = "ccct" * 5 + "ca" * 10 + "aaac" * 5
+    runs = [
+        run_folder(folder / "td3_seed0", learned, seed=0),
+        run_folder(folder / "td3_seed1", learned[4:], seed=1),
+        run_folder(folder / "td3_fork_seed0", learned, {"fork": "on"}),
+        run_folder(folder / "td3_lg_seed0", learned, {"lifeguard": "linear"}),
+    ]
+    evaluation(runs[0], 8, 10, whereabouts=WHEREABOUTS)
+    return runs

@@ -8,10 +8,12 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from tests.helpers.commands import DEFAULT_VALLEY, VALLEY
 from tests.helpers.configs import with_run_dir
 from uavrl.runs.checkpoint import rotation
 
 SMALL = [
+    *VALLEY,
     "env.num_uavs=2",
     "env.max_steps=12",
     "algo.random_steps=40",
@@ -26,6 +28,7 @@ SMALL = [
 ]
 
 LIFEGUARD = [  # heard after a few collisions, which a wide hull among many obstacles brings about
+    *DEFAULT_VALLEY,
     "env.airframe.collision_radius=1.45",
     "env.world.obstacles=90",
     "env.max_steps=30",
@@ -47,6 +50,7 @@ FORK_AND_LIFEGUARD = [
 SAC = ["algo=sac", "lifeguard=linear", *LIFEGUARD]
 
 ABR = [  # some goals are so near that random flights arrive; one class for nearly all states
+    *DEFAULT_VALLEY,
     "backward_reward=abr",
     "backward_reward.threshold=0.1",
     "env.world.goal_radius=12",

@@ -14,6 +14,20 @@ from uavrl.buffers import FrameStorage, MultiStep
 from uavrl.runs.checkpoint import BufferState, rotation
 from uavrl.runs.config import fingerprint, read_config
 
+SMALL_PRETRAINING = [
+    "progress=false",
+    "pretrain=quick",
+    "pretrain.states=400",
+    "pretrain.features=4",
+    "pretrain.hidden=16",
+    "pretrain.psae_epochs=10",
+    "pretrain.psae_lr=0.01",
+    "pretrain.clusters=[2,3,4,5,6,8,10,12,14,16]",
+    "pretrain.classifier_epochs=30",
+    "pretrain.classifier_batch_size=32",
+    "pretrain.one_shot=false",
+]
+
 OUTCOMES = ("arrived", "collided", "timed_out")
 
 

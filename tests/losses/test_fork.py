@@ -269,6 +269,19 @@ def test_gate_opens_below_the_threshold_only() -> None:
     assert gates == [True, False, True, False]
 
 
+def test_the_gate_moves_within_a_compiled_graph() -> None:
+    loss = small(threshold=0.1)
+    update = torch.compile(loss.update_gate, backend="eager", fullgraph=True)
+    gates: list[bool] = []
+    for system_loss in (0.05, 0.1, 0.099, float("nan")):
+        update(torch.tensor(system_loss), torch.tensor(2.0))
+        gates.append(loss.active)
+    assert gates == [True, False, True, False]
+    update(torch.tensor(0.0625), torch.tensor(2.0))
+    assert loss.get_extra_state().tolist() == [1.0, 0.0625, 2.0, 3.0, 5.0]
+    assert loss.diagnostics() == {"fork_weight": 0.5, "fork_gate": 0.6, "system_loss": 0.0625, "reward_loss": 2.0}
+
+
 def test_forward_updates_the_gate_before_the_actor() -> None:
     loss = fork(td3(), threshold=1e9)
     data = TestForkOnTD3().make_data()

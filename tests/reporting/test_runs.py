@@ -63,11 +63,9 @@ def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
         ("config.yaml", b""),
         ("config.yaml", b"env: {"),
         ("config.yaml", b"- a\n- list\n"),
-        ("config.yaml", b"env: {name: static}\n"),
         ("config.yaml", b"\x00\xff\xfe\x80"),
         ("episodes.csv", b""),
         ("episodes.csv", b"\x00\xff\xfe\x80\n"),
-        ("episodes.csv", b"some,other,table\n1,2,3\n"),
     ],
 )
 def test_a_broken_file_is_named(tmp_path: Path, name: str, content: bytes) -> None:
@@ -76,6 +74,21 @@ def test_a_broken_file_is_named(tmp_path: Path, name: str, content: bytes) -> No
     assert reason(folder) == f"{name} cannot be read: mend it from a copy, or leave the folder out."
     (folder / name).unlink()
     assert reason(folder) == f"{name} is missing: bring it back, or leave the folder out."
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "lacks"),
+    [
+        ("episodes.csv", b"minutes,total_steps,outcome\n0.0683,41,collided\n", "column `episode`"),
+        ("episodes.csv", b"episode,total_steps,outcome\n1,41,collided\n", "column `episode_return`"),
+        ("config.yaml", b"env: {name: static}\n", "key `seed`"),
+        ("config.yaml", b"seed: 0\ntrainer: {episodes: 3}\n", "key `choices`"),
+    ],
+)
+def test_a_file_of_another_format_is_not_called_broken(tmp_path: Path, name: str, content: bytes, lacks: str) -> None:
+    folder = run_folder(tmp_path / "run", "aca")
+    (folder / name).write_bytes(content)
+    assert reason(folder) == f"{name} has no {lacks}: it was not written by this version of uavrl-train."
 
 
 @pytest.mark.parametrize(

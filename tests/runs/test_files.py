@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,8 @@ from tests.helpers.commands import in_process
 from tests.helpers.runs import SMALL
 from uavrl.cli import train as train_command
 from uavrl.cli.errors import one_sentence
-from uavrl.errors import FolderTaken, Stopped
-from uavrl.runs.files import removed_on_failure
+from uavrl.errors import FolderTaken, Stopped, UavrlError
+from uavrl.runs.files import made_folder
 
 
 @pytest.mark.parametrize("mistake", [[], ["backward_reward=abr_plus", "backward_reward.artifact=/nowhere"]])
@@ -26,10 +27,38 @@ def test_a_folder_that_is_no_run_keeps_its_files(tmp_path: Path, name: str, mist
 
 def test_the_folder_of_another_process_stays(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    with pytest.raises(FolderTaken), removed_on_failure(run, "checkpoint*"):
-        run.mkdir()  # the other process, which is still building
+    with pytest.raises(FolderTaken), made_folder(run, "checkpoint*"):
         raise FolderTaken("Another process trains there.")
     assert run.exists()
+
+
+def test_each_of_several_that_begin_at_once_gets_a_folder_of_its_own(tmp_path: Path) -> None:
+    wanted = tmp_path / "runs/2026-01-01_static"
+
+    def made(_: int) -> Path:
+        with made_folder(wanted, "checkpoint*", another=True) as folder:
+            return folder
+
+    with ThreadPoolExecutor(8) as pool:
+        folders = list(pool.map(made, range(8)))
+    assert sorted(folder.name for folder in folders) == [
+        wanted.name,
+        *(f"{wanted.name}_{number}" for number in range(2, 9)),
+    ]
+    with made_folder(wanted, "checkpoint*") as folder:
+        assert folder == wanted
+
+
+def test_what_was_made_is_removed_where_it_fails_and_what_was_there_stays(tmp_path: Path) -> None:
+    for folder, left in ((tmp_path / "a/b/run", []), (tmp_path / "mine", ["mine"])):
+        if left:
+            folder.mkdir()
+        with pytest.raises(ValueError), made_folder(folder, "checkpoint*", another=False):
+            raise ValueError
+        assert [path.name for path in tmp_path.iterdir()] == left
+    (tmp_path / "file").touch()
+    with pytest.raises(UavrlError, match="cannot be written"), made_folder(tmp_path / "file/run", "checkpoint*"):
+        pass
 
 
 def test_a_stop_is_told_once_however_deep(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,139 +1,17 @@
-"""Ctrl-C, SIGTERM and kill -9: a run says from where it goes on, and goes on from there."""
+"""How signals are taken; tests/check sends them to trainings."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
-from tests.helpers.commands import in_process
-from tests.helpers.runs import SMALL, assert_same_run, small_config
-from uavrl.cli import train as train_command
-from uavrl.runs.checkpoint import rotation
-from uavrl.runs.episodes import Episode, read_episodes
-from uavrl.training.progress import Progress
-from uavrl.training.resuming import how_to_go_on
-from uavrl.training.run import create_run, train
 from uavrl.training.stopping import PATIENCE, Stop, stoppable
 
-EPISODES = ["trainer.episodes=12"]
 
-
-def kill_at(monkeypatch: pytest.MonkeyPatch, episode: int, number: signal.Signals, times: int = 1) -> None:
-    """Sends a signal to this process when an episode has ended, before the updates that follow."""
-
-    def update(self: Progress, episodes: int, *_: object) -> None:
-        if episodes == episode:
-            for _ in range(times):
-                os.kill(os.getpid(), number)
-
-    monkeypatch.setattr(Progress, "update", update)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that was left alone."""
-    config = small_config(tmp_path_factory.mktemp("whole") / "run", *EPISODES)
-    train(config, create_run(config))
-    return Path(config.run_dir)
-
-
-# ---------------------------------------------------------------------- before the first checkpoint
-
-
-@pytest.fixture
-def killed_early(tmp_path: Path) -> Path:
-    """What kill -9 leaves while the first checkpoint is written and an artifact is half copied."""
-    run_dir = create_run(small_config(tmp_path / "run", *EPISODES))
-    (run_dir / "checkpoints/.checkpoint-000000000000.torchrl.stage-1").touch()
-    (run_dir / "artifact").mkdir()
-    (run_dir / "episodes.csv").write_text(",".join(Episode.header()) + "\n")
-    return run_dir
-
-
-def test_a_run_that_was_killed_before_its_first_checkpoint_is_resumed(whole: Path, killed_early: Path) -> None:
-    assert in_process(train_command.main, f"resume={killed_early}") == 0
-    assert_same_run(whole, killed_early)
-    assert not (killed_early / "artifact").exists()
-
-
-def test_a_run_that_was_killed_before_its_first_checkpoint_is_started_again(whole: Path, killed_early: Path) -> None:
-    assert in_process(train_command.main, *SMALL, *EPISODES, f"run_dir={killed_early}") == 0
-    assert_same_run(whole, killed_early)
-    assert in_process(train_command.main, *SMALL, *EPISODES, f"run_dir={killed_early}") == 1
-
-
-# ---------------------------------------------------------------------- Ctrl-C and SIGTERM
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_checkpoint_that_comes_soon_is_waited_for(
-    number: signal.Signals,
-    code: int,
-    whole: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    run_dir = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        kill_at(patch, 2, number)
-        assert in_process(train_command.main, *SMALL, *EPISODES, f"run_dir={run_dir}") == code
-    flown = len(read_episodes(run_dir / "episodes.csv"))
-    assert 2 < flown < 12
-    expected = f"uavrl: stopped after episode {flown}, which is saved: go on with uavrl-train resume={run_dir}."
-    assert [line for line in capfd.readouterr().err.splitlines() if "stopped" in line] == [expected]
-    assert in_process(train_command.main, f"resume={run_dir}") == 0
-    assert_same_run(whole, run_dir)
-
-
-@pytest.mark.parametrize(("interval", "times"), [(10**6, 1), (20, 2)], ids=["too far", "asked twice"])
-def test_a_checkpoint_is_not_waited_for_that_is_too_far_or_where_a_person_insists(
-    interval: int, times: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    kill_at(monkeypatch, 2, signal.SIGTERM, times)
-    overrides = [*SMALL, *EPISODES, f"trainer.checkpoint_interval={interval}", f"run_dir={tmp_path / 'run'}"]
-    assert in_process(train_command.main, *overrides) == 143
-    err = capfd.readouterr().err
-    again = f"stopped after episode 2: uavrl-train resume={tmp_path / 'run'} goes on after 0 and flies episodes 1 to 2"
-    assert f"uavrl: {again} again.\n" in err
-    assert err.count("stopped") == 1
-
-
-def test_flights_of_another_process_are_saved_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    kill_at(monkeypatch, 3, signal.SIGINT)
-    overrides = [*SMALL, *EPISODES, "collector=async", "trainer.checkpoint_interval=100000"]
-    assert in_process(train_command.main, *overrides, f"run_dir={tmp_path / 'run'}") == 130
-    assert "uavrl: stopped after episode 3, which is saved: go on with" in capfd.readouterr().err
-    assert len(rotation(tmp_path / "run").checkpoints()) == 2
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_ending_that_hangs_is_broken_off_by_the_second_signal(
-    number: signal.Signals, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    passed: list[int] = []
-
-    def hang(_: Progress) -> None:
-        for _ in range(9):
-            os.kill(os.getpid(), number)
-            passed.append(number)
-
-    monkeypatch.setattr(Progress, "close", hang)  # which, unlike a collector's shutdown, no garbage collection calls
-    overrides = [*SMALL, "trainer.episodes=2", f"run_dir={tmp_path / 'run'}"]
-    assert in_process(train_command.main, *overrides) == 128 + number
-    assert passed == [number], "the first one may be that of who asked twice"
-    expected = f"uavrl: stopped after episode 2, which is saved: go on with uavrl-train resume={tmp_path / 'run'}."
-    assert [line for line in capfd.readouterr().err.splitlines() if "stopped" in line] == [expected]
-
-
-def test_signals_are_given_back_to_who_had_them(whole: Path, tmp_path: Path) -> None:
+def test_signals_are_given_back_to_who_had_them() -> None:
     heard: list[int] = []
     before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:
@@ -163,12 +41,6 @@ def test_an_interrupt_that_was_swallowed_comes_again() -> None:
         stop.hear(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
         stop.foretell(1, 1)
-
-
-def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, tmp_path: Path) -> None:
-    run_dir = Path(shutil.copytree(whole, tmp_path / "run"))
-    rotation(run_dir).latest().write_bytes(b"")
-    assert how_to_go_on(run_dir) == f"stopped: go on with uavrl-train resume={run_dir}."
 
 
 @pytest.mark.parametrize(("left", "waits"), [(4, True), (6, False)])

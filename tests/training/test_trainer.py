@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import LIFEGUARD, small_config
 from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
@@ -22,8 +22,7 @@ from uavrl.losses import LifeGuard
 from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.build import build_trainer
 from uavrl.training.policies import load_actor
-from uavrl.training.run import create_run, resume_config, seed_everything, train
-from uavrl.training.sweep import is_finished
+from uavrl.training.run import create_run, seed_everything, train
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 
 # The policy hardly moves, and no checkpoint comes between the first and the last.
@@ -113,7 +112,13 @@ def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
 # ---------------------------------------------------------------------- when a run ends, and how long it took
 
 
-EASY = ["env.world.goal_radius=18", "env.world.obstacles=0", "env.max_steps=40", "algo.random_steps=10000"]
+EASY = [
+    *DEFAULT_VALLEY,
+    "env.world.goal_radius=18",
+    "env.world.obstacles=0",
+    "env.max_steps=40",
+    "algo.random_steps=10000",
+]
 
 
 def test_a_run_ends_by_itself_once_enough_of_the_last_flights_arrive(tmp_path: Path) -> None:
@@ -127,32 +132,6 @@ def test_a_run_ends_by_itself_once_enough_of_the_last_flights_arrive(tmp_path: P
     assert enough == [False] * (len(enough) - 1) + [True]
     again = train(config, tmp_path / "run", resume=True)
     assert again["episodes"] == len(arrived), "a run that has ended is not flown on"
-
-
-def test_a_run_ends_with_the_flight_that_makes_its_last_step_and_goes_on_when_given_more(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run", *EASY, "trainer.steps=90", "trainer.episodes=300")
-    summary = train(config, create_run(config))
-    flown = [episode.total_steps for episode in read_episodes(tmp_path / "run" / "episodes.csv")]
-    assert [steps >= 90 for steps in flown] == [False] * (len(flown) - 1) + [True]
-    assert summary["steps"] == flown[-1]
-    assert is_finished(tmp_path / "run", 300, 90) and not is_finished(tmp_path / "run", 300, 200)
-    more = resume_config(tmp_path / "run", OmegaConf.merge(config, {"trainer": {"steps": 200}}), ["trainer.steps"])
-    assert train(more, tmp_path / "run", resume=True)["steps"] >= 200
-    assert [e.total_steps for e in read_episodes(tmp_path / "run" / "episodes.csv")][: len(flown)] == flown
-
-
-def test_minutes_are_logged_and_go_on_after_a_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = small_config(tmp_path / "run", "trainer.episodes=6", "logger.interval=1")
-    clock = iter(range(0, 10**9, 60))
-    monkeypatch.setattr("uavrl.training.trainer.time.monotonic", lambda: float(next(clock)))
-    first = train(config, create_run(config))
-    config.trainer.episodes = 12
-    second = train(config, tmp_path / "run", resume=True)
-    (file,) = (tmp_path / "run" / "logs").rglob("minutes.csv")
-    minutes = [float(row.split(",")[1]) for row in file.read_text().splitlines()]
-    assert minutes == sorted(minutes) and len(minutes) >= 10
-    assert minutes[0] >= 1.0
-    assert 6 < first["minutes"] < minutes[-1] < second["minutes"]
 
 
 # ---------------------------------------------------------------------- what is stored
@@ -313,6 +292,50 @@ def test_the_log_cuts_its_file_back_to_the_checkpoint(tmp_path: Path) -> None:
     other.add(row(4, "timed_out"))
     assert other.rates() == {"arrived": 0.5, "collided": 0.0, "timed_out": 0.5}
     assert [e.episode for e in read_episodes(path)] == [1, 2, 3, 4]
+
+
+def test_the_log_keeps_what_each_term_of_the_reward_adds(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    log = EpisodeLog(path, window=2)
+    paid = [{"progress": 1.0, "arrival": 0.0}, {"progress": 2.5, "arrival": 200.0}, {"progress": 3.5, "arrival": 0.0}]
+    rows = [replace(row(number), terms=terms) for number, terms in enumerate(paid, start=1)]
+    for each in rows:
+        log.add(each)
+    assert path.read_text().splitlines()[0].endswith(",task,return_progress,return_arrival")
+    assert read_episodes(path) == rows
+    assert log.mean_terms() == {"progress": 3.0, "arrival": 100.0}
+    other = EpisodeLog(path, window=2)
+    other.load_state_dict({"count": 2})
+    assert other.mean_terms() == {"progress": 1.75, "arrival": 100.0}
+    other.add(rows[2])
+    assert read_episodes(path) == rows
+
+
+def test_a_file_from_before_there_were_terms_goes_on_without(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    EpisodeLog(path).add(row(1))
+    log = EpisodeLog(path)
+    log.load_state_dict({"count": 1})
+    log.add(replace(row(2), terms={"progress": 1.0}))
+    assert read_episodes(path) == [row(1), row(2)]
+    assert log.mean_terms() == {}
+
+
+def test_the_terms_of_a_runs_returns_are_logged_beside_them(finished: Path) -> None:
+    episodes = read_episodes(finished / "episodes.csv")
+    for episode in episodes:
+        assert list(episode.terms) == ["progress", "altitude", "heading", "elevation", "arrival", "collision"]
+        assert sum(episode.terms.values()) == pytest.approx(episode.episode_return, abs=1e-4)
+
+
+def test_the_trainer_logs_the_mean_of_each_term(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "trainer.episodes=3", "reward=traditional", "logger.interval=1")
+    train(config, create_run(config))
+    episodes = read_episodes(tmp_path / "run/episodes.csv")
+    (logged,) = (tmp_path / "run/logs").rglob("return_progress.csv")
+    step, value = logged.read_text().splitlines()[-1].split(",")
+    assert int(step) == episodes[-1].total_steps
+    assert float(value) == pytest.approx(sum(episode.terms["progress"] for episode in episodes) / 3, abs=1e-4)
 
 
 def test_the_log_refuses_a_file_that_is_too_short(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from uavrl.buffers.functional import Scale
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.trajectory_classifier import TrajectoryClassifier, packaged_artifact
-from uavrl.ranges import Count, NonNegative, Share, Whole
+from uavrl.ranges import Count, Folder, NonNegative, Share, Whole
 from uavrl.runs.weights import ARTIFACT
 
 
@@ -84,7 +84,7 @@ class ABRPlus(BackwardReward):
     def __init__(
         self,
         multiplier: NonNegative = 0.2,
-        artifact: str = "packaged",
+        artifact: Folder = "packaged",
         scale: Scale = "rank",
         window: Count = 1000,
         *,

@@ -1,8 +1,13 @@
 """What the commands that Hydra configures share: mistakes on the command line end in one sentence."""
 
+import argparse
 import os
+import shlex
+import sys
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from functools import wraps
+from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -12,10 +17,13 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.cli.help import show
+from uavrl.cli.process import command_process
+from uavrl.command_line import override
 from uavrl.configs import conf_dir, register_resolvers
 from uavrl.configs.checks import did_you_mean
 from uavrl.configs.choices import check_choices, choices_with, known_keys
-from uavrl.configs.registry import with_choices
+from uavrl.configs.parts import PARTS, names_taken
+from uavrl.configs.registry import compose, with_choices
 from uavrl.errors import UavrlError
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
@@ -40,11 +48,12 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
 
         @wraps(function)
         def main() -> None:
-            if show(name):
-                return
-            configure_logging()
-            with one_sentence(), mistakes:
-                by_hydra()
+            with command_process():
+                if show(name):
+                    return
+                configure_logging()
+                with mistakes:
+                    by_hydra()
 
         return main
 
@@ -73,7 +82,7 @@ class _Mistakes:
             return
         del os.environ[FULL_ERROR]
         expected = (HydraException, OmegaConfBaseException) if self.composed else Exception
-        if isinstance(error, expected) and not isinstance(error, UavrlError):
+        if isinstance(error, expected) and not isinstance(error, UavrlError | BrokenPipeError):
             raise UavrlError(explained(error, self._name)) from error
 
 
@@ -81,22 +90,71 @@ def explained(error: Exception, name: str) -> str:
     """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``."""
     first = next(iter(str(error).splitlines()), type(error).__name__)
     if isinstance(error, OverrideParseException):
-        return f"The override {error.override!r} cannot be read: write KEY=VALUE, and quotes around special characters."
+        return f"The override {error.override!r} cannot be read: {_readable(str(error.override))}."
+    if isinstance(error, BrokenProcessPool):
+        return (
+            "A process that flew runs of the sweep was killed, often for want of memory: start the same command again, "
+            "which goes on with its runs, and with fewer at a time where memory was short (hydra.launcher.n_jobs=1)."
+        )
+    if isinstance(error, OSError) and error.filename is not None:
+        return (
+            f"{error.filename} cannot be written ({error.strerror}): a sweep writes there what it flies; start it in "
+            f"another folder, or choose one with hydra.sweep.dir=FOLDER."
+        )
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
-        choices = error.options
-        return f"{group} must be one of {', '.join(choices)}, got {choice!r}{did_you_mean(choice, choices, ': ')}"
+        folders, _ = _command_line()
+        own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else "One of your own needs --config-dir FOLDER."
+        near = did_you_mean(choice, error.options, ": ")
+        return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
-        key = first.split("'")[-2].split("@")[0]
-        known, group = known_keys(name), key.partition(".")[0]
-        if key in known:
-            having = f"{group}={' or '.join(choices_with(key))}"
-            return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."
-        return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys.")
+        return _no_such_key(first.split("'")[-2].split("@")[0], name)
     if isinstance(error, AssertionError):
         return "An override changes something below a key that has nothing below it: --help=all lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
+
+
+def _readable(given: str) -> str:
+    """How to write an override that Hydra cannot read."""
+    key, equals, value = given.partition("=")
+    if equals and key and value and not set(value) & set("\"'[]{}(),"):
+        return f"if the value is a text, type {shlex.quote(override(key, value))}"
+    return "write KEY=VALUE, and quotes around special characters"
+
+
+def _no_such_key(key: str, name: str) -> str:
+    """Why a key cannot be changed: another choice has it, the yaml of this one leaves it out, or there is none."""
+    folders, overrides = _command_line()
+    group, _, below = key.partition(".")
+    values = [override for override in overrides if override.partition("=")[0] == key]
+    if values and (choice := _choice_that_takes(key, name, folders, [o for o in overrides if o not in values])):
+        theirs = any((folder / group / f"{choice}.yaml").is_file() for folder in folders)
+        return f"{choice}.yaml has no {below}: {'add it there, or ' if theirs else ''}write +{values[-1]}"
+    known = known_keys(name, folders)
+    if key in known:
+        having = f"{group}={' or '.join(choices_with(key, folders))}"
+        return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."
+    return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys.")
+
+
+def _choice_that_takes(key: str, name: str, folders: list[Path], overrides: list[str]) -> str | None:
+    """The choice of a key's group whose class takes it, with all else as it was asked for; None if it does not."""
+    part, _, argument = key.rpartition(".")
+    try:
+        config = compose(*overrides, name=name, own=folders)
+        taken = names_taken({group: config[group] for group in PARTS if group in config}, part, config.packages)
+        return str(config.choices[part.partition(".")[0]]) if argument in taken else None
+    except (HydraException, OmegaConfBaseException, UavrlError, KeyError):  # other mistakes: this one is told first
+        return None
+
+
+def _command_line() -> tuple[list[Path], list[str]]:
+    """The user's folders of yaml files, and the overrides."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--config-dir", "-cd", type=Path)
+    known, others = parser.parse_known_args(sys.argv[1:])
+    return [known.config_dir] if known.config_dir else [], [each for each in others if not each.startswith("-")]
 
 
 def given_overrides() -> list[str]:

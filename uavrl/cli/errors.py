@@ -2,6 +2,8 @@
 
 import logging
 import os
+import select
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +13,23 @@ from uavrl.errors import Stopped, UavrlError, was_interrupted
 
 def sentence(error: BaseException | None) -> str:
     """What the user can mend."""
-    return f"{error}. Check the folder and the space left on its disk." if isinstance(error, OSError) else str(error)
+    of_a_disk = isinstance(error, OSError) and not isinstance(error, ConnectionError)
+    return f"{error}. Check the folder and the space left on its disk." if of_a_disk else str(error)
+
+
+def _reader_left(error: BaseException) -> bool:
+    """Whether nobody reads on what is printed: ``uavrl-evaluate … | head``. Another pipe may have broken as well."""
+    if not isinstance(error, BrokenPipeError):
+        return False
+    out = sys.stdout.fileno()
+    asked = select.poll()
+    asked.register(out, 0)
+    left = any(event & select.POLLERR for _, event in asked.poll(0))
+    if left:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, out)  # for what Python flushes at its end
+        os.close(nowhere)
+    return left
 
 
 @contextmanager
@@ -22,6 +40,8 @@ def one_sentence() -> Iterator[None]:
     except SystemExit:  # told by one inside of this
         raise
     except (UavrlError, OSError) as error:
+        if _reader_left(error):
+            raise SystemExit(128 + signal.SIGPIPE) from error
         print(f"uavrl: {sentence(error)}", file=sys.stderr)
         raise SystemExit(1) from error
     except BaseException as error:

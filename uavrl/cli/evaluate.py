@@ -8,30 +8,43 @@ from typing import Any
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder
+from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder, require_fit
 from uavrl.cli.suite import evaluate_suite
+from uavrl.command_line import command_line
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.runs.files import replacing, writable
+from uavrl.runs.provenance import processor, versions
 
 
 @command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
     settings = checked(config, EvaluateConfig)
-    if settings.suite is None:
-        _evaluate(settings, config, given_overrides())
-    else:
-        evaluate_suite(settings, given_overrides())
+    if settings.suite is not None:
+        evaluate_suite(settings, evaluate, given_overrides())
+        return
+    output = _output(settings, given_overrides())
+    result = evaluate(config, given_overrides(), output)
+    from uavrl.flying.summary import reached, table
+
+    print(table(result))
+    who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
+    who |= {"packages": settings.packages} if settings.packages else {}
+    watch, report = command_line("uavrl-replay", **who), command_line("uavrl-report", Path(str(settings.run)))
+    then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
+    print(f"{reached(result)} Written to {output}. {then}")
 
 
-def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]) -> None:
+def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
+    """Flies the tasks of one evaluation, and writes what came of them with the overrides that made it."""
+    settings = checked(config, EvaluateConfig)
     folder = policy_folder(settings.run, settings.policy)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.flying.flight import fly
-    from uavrl.flying.summary import reached, summarize, table
+    from uavrl.flying.summary import summarize
     from uavrl.flying.whereabouts import Whereabouts
     from uavrl.training.arithmetic import multiplied_by
     from uavrl.training.factory import make_device, make_env
@@ -40,8 +53,9 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
     chosen = choose(settings, config, overrides, folder, make_device(settings.device))
     if folder is not None:
         chosen.source["run"] = settings.run or f"policy={settings.policy}"
-    output = _output(settings, overrides)
-    told = {"seed": settings.seed, "env": chosen.choices.get("env", ""), "overrides": distinguishing(overrides)}
+    writable(output)
+    told: dict[str, Any] = {"seed": settings.seed, "env": chosen.choices.get("env", "")}
+    told |= {"overrides": distinguishing(overrides), "versions": versions(), "processor": processor()}
     count = min(settings.num_uavs, settings.episodes)
     if "world" in chosen.env:
         told["valleys"] = list(chosen.env.world.seeds)
@@ -51,6 +65,7 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
     with multiplied_by(settings.products, settings.threads) as told["products"]:
         env = make_env(chosen.env, chosen.perception, measure_clearance=True, **offered)
         try:
+            require_fit(chosen, env)
             places = Whereabouts(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
             watch = None if places is None else places.add
             flights = fly(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
@@ -58,20 +73,17 @@ def _evaluate(settings: EvaluateConfig, config: DictConfig, overrides: list[str]
             env.close()
     result = summarize(flights) | ({} if places is None else {"whereabouts": places.summary()})
     known = [{key: value for key, value in asdict(flight).items() if value is not None} for flight in flights]
+    result = {**result, **told, **chosen.source, "flights": known}
     with replacing(output) as partial:
-        partial.write_text(json.dumps({**result, **told, **chosen.source, "flights": known}, indent=1) + "\n")
-    print(table(result))
-    who = f"run={settings.run}" if settings.run else f"policy={settings.policy}"
-    who += f" 'packages=[{','.join(settings.packages)}]'" if settings.packages else ""
-    then = f"Watch it fly: uavrl-replay {who}" if "world" in chosen.env else f"Its curves: uavrl-report {settings.run}"
-    print(f"{reached(result)} Written to {output}. {then}")
+        partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return result
 
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
-    """Where the result goes, found writable before anything is flown; what was changed stands in its name."""
+    """Where the result goes; what was changed stands in its name."""
     several = [] if settings.episodes == EvaluateConfig.episodes else [f"episodes={settings.episodes}"]
     name = name_of_output("evaluation", [*distinguishing(overrides), *several]) + ".json"
-    return writable(Path(settings.output or (Path(settings.run or ".") / name)))
+    return Path(settings.output or (Path(settings.run or ".") / name))
 
 
 if __name__ == "__main__":

@@ -1,42 +1,39 @@
 """``uavrl-export``: the policy of a run on its own, small enough to give away."""
 
-import argparse
 from pathlib import Path
 
-from uavrl.cli.errors import one_sentence
+from omegaconf import DictConfig
+
+from uavrl.cli.command import command
+from uavrl.cli.policies import packaged_policies, policy_folder
+from uavrl.command_line import command_line
+from uavrl.configs import checked
+from uavrl.configs.checks import did_you_mean
+from uavrl.configs.export import ExportConfig
 from uavrl.errors import UavrlError
-from uavrl.runs.weights import POLICY
 
 
-def main() -> None:
+@command("export")
+def main(config: DictConfig) -> None:
     """Writes weights and configuration; evaluation and replay take the folder as ``run=``."""
-    parser = argparse.ArgumentParser(
-        prog="uavrl-export",
-        description="Writes the policy of a run, with its configuration and without optimisers and replay buffer, to a "
-        "folder that uavrl-evaluate and uavrl-replay take as run=FOLDER.",
-    )
-    parser.add_argument("run", type=Path, metavar="RUN_FOLDER", help="a run that uavrl-train made")
-    parser.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="where the policy goes")
-    parser.add_argument("--checkpoint", default=None, metavar="FILE", help="a checkpoint (default: the run's newest)")
-    parser.add_argument(
-        "--packages", nargs="*", default=[], metavar="PACKAGE", help="packages whose classes the run may name"
-    )
-    with one_sentence():
-        _export(parser.parse_args())
+    _export(checked(config, ExportConfig))
 
 
-def _export(args: argparse.Namespace) -> None:
-    # Imported here: --help answers without loading torch.
-    from uavrl.training.policies import export_policy, load_actor
+def _export(settings: ExportConfig) -> None:
+    folder, output = policy_folder(settings.run, settings.policy), Path(str(settings.output))
+    if folder is None:
+        names = packaged_policies()
+        near = did_you_mean(str(settings.policy), names, ": ", "to export your own give run=RUN_FOLDER.")
+        raise UavrlError(f"policy must be one of {', '.join(names)}, got {settings.policy!r}{near}")
+    # Imported here: --help and a mistyped key answer without loading torch.
+    from uavrl.training.policies import TOLD, export_policy, load_actor
 
-    if POLICY.is_in(args.run):
-        raise UavrlError(f"{args.run} holds a policy on its own already: copy the folder.")
-    config, actor, about = load_actor(args.run, args.checkpoint, "cpu", args.packages)
-    export_policy(actor, config, {**about, "run": args.run.resolve().name}, args.output)
+    config, actor, known = load_actor(folder, settings.checkpoint, "cpu", settings.packages)
+    about = {key: known[key] for key in ("run", *TOLD) if key in known}
+    export_policy(actor, config, {"run": folder.resolve().name, **about}, output)
     steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"
-    print(
-        f"The policy after {steps} steps is in {args.output}. See how well it flies: uavrl-evaluate run={args.output}"
-    )
+    then = command_line("uavrl-evaluate", run=output)
+    print(f"The policy after {steps} steps is in {output}. See how well it flies: {then}")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import sys
 from importlib import import_module
 
-from uavrl.cli.errors import one_sentence
+from uavrl.cli.process import command_process
 from uavrl.configs.checks import did_you_mean
 from uavrl.errors import UavrlError
 
@@ -19,7 +19,11 @@ COMMANDS = {
 
 def main() -> None:
     """Runs the command that is named first."""
-    name, *rest = sys.argv[1:] or ["--help"]
+    with command_process():
+        _run(*(sys.argv[1:] or ["--help"]))
+
+
+def _run(name: str, *rest: str) -> None:
     if name in ("--version", "-V"):
         from importlib.metadata import version
 
@@ -29,10 +33,9 @@ def main() -> None:
         print("\n".join(f"  uavrl {command:<10}{about}" for command, about in COMMANDS.items()))
         print("\nuavrl COMMAND --help tells more. To see a trained policy fly: uavrl replay policy=static")
     else:
-        with one_sentence():
-            if name not in COMMANDS:
-                told = did_you_mean(name, list(COMMANDS), ": ", "uavrl --help lists them.")
-                raise UavrlError(f"There is no command {name!r}{told}")
+        if name not in COMMANDS:
+            told = did_you_mean(name, list(COMMANDS), ": ", "uavrl --help lists them.")
+            raise UavrlError(f"There is no command {name!r}{told}")
         sys.argv = [f"uavrl-{name}", *rest]
         import_module(f"uavrl.cli.{name}").main()
 

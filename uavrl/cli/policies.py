@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,14 +12,18 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 import uavrl
-from uavrl.configs import TrainConfig, to_dataclass
+from uavrl.configs import TrainConfig, settings_of_run
+from uavrl.configs.checks import did_you_mean
 from uavrl.configs.evaluate import FlyingConfig
+from uavrl.configs.offered import OFFERED, TARGET
+from uavrl.configs.signature import signature
 from uavrl.errors import UavrlError
 from uavrl.runs.weights import POLICY
 
 if TYPE_CHECKING:
     import torch
     from tensordict import TensorDictBase
+    from torchrl.envs import EnvBase
 
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
 
@@ -60,6 +64,9 @@ def choose(
     """Loads what the command line asks for."""
     from uavrl.training.policies import load_policy
 
+    if "env.num_uavs" in _keys(overrides):
+        instead = "write num_uavs=N" if hasattr(settings, "num_uavs") else "a replay flies one vehicle"
+        raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
     if folder is None:
         require_valley(settings.env, settings.choices, "policy")
         told = {str(key): value for key, value in settings.perception.items()}
@@ -69,12 +76,32 @@ def choose(
         chosen = Chosen(policy, *parts, {"policy": settings.policy})
     else:
         run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
-        run = to_dataclass(with_overrides(run_config, config, overrides))
+        run = settings_of_run(with_overrides(run_config, config, overrides))
         chosen = Chosen(policy, run.env, run.perception, run.reward, run.choices, source, run)
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env.world.seeds = list(settings.valleys)
     return chosen
+
+
+def require_fit(chosen: Chosen, env: EnvBase) -> None:
+    """Refuses a run's policy that reads or writes other numbers than an environment has, before anything is flown."""
+    import torch
+
+    if chosen.run is None:
+        return
+    try:
+        with torch.no_grad(), torch.random.fork_rng(devices=[]):
+            written = tuple(chosen.policy(env.fake_tensordict())["action"].shape)
+        wanted = tuple(env.full_action_spec["action"].shape)
+        reason = None if written == wanted else f"it writes actions of shape {written}, not {wanted}"
+    except (RuntimeError, KeyError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+    if reason is not None:
+        raise UavrlError(
+            f"The policy and env={chosen.choices.get('env')} do not go together ({reason}): leave env out, or choose "
+            f"another policy."
+        )
 
 
 def require_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:
@@ -91,16 +118,31 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     """
     result = run_config.copy()
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
-    keys = [override.split("=", 1)[0] for override in overrides]
+    keys = _keys(overrides)
     if "env" in keys:
         result.env = composed.env
         result.choices.env = composed.choices.env
+        _require_env_of_policy(result)
     for key in keys:
         if key.startswith(("env.", "perception.lidar.")) or key in ("perception.blind", "perception.blind_to"):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
         elif key.split(".")[0] in ("perception", "reward"):
             raise UavrlError(f"{key} belongs to the run and cannot change when its policy flies: leave it out.")
     return result
+
+
+def _keys(overrides: Iterable[str]) -> list[str]:
+    return [override.split("=", 1)[0] for override in overrides]
+
+
+def _require_env_of_policy(run: DictConfig) -> None:
+    """Refuses an environment that takes less than the policy's perception says."""
+    taken = {TARGET, *(name for part in (run.perception, run.env) for name in signature(str(part[TARGET])) or {})}
+    if not taken.issuperset(map(str, run.perception)):
+        raise UavrlError(
+            f"The policy and env={run.choices.env} do not go together: the policy reads what perception="
+            f"{run.choices.perception} makes of another environment. Leave env out, or choose another policy."
+        )
 
 
 def distinguishing(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
@@ -152,14 +194,15 @@ def named_policy(
     if "." in target:
         from uavrl.configs.build import build
 
-        given = told if name in BASELINES else {"flight_level": told["flight_level"]}
-        made = build({**given, "_target_": target}, object, packages=packages)
+        offered = {key: told[key] for key in OFFERED["policy"]}
+        seen = {key: value for key, value in told.items() if key not in offered} if name in BASELINES else {}
+        made = build({**seen, TARGET: target}, object, packages=packages, **offered)
         if not callable(made):
             raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
         return made
-    names = ", ".join([*BASELINES, *packaged_policies()])
-    own = "to fly your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS"
-    raise UavrlError(f"policy must be one of {names}, got {name!r}: {own}.")
+    names = [*BASELINES, *packaged_policies()]
+    own = "to fly your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
+    raise UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names, ': ', own)}")
 
 
 def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:

@@ -1,8 +1,11 @@
 """``uavrl-pretrain``: from the states of a run to the trajectory classifier that ABR⁺ loads."""
 
+from pathlib import Path
+
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
+from uavrl.command_line import command_line
 from uavrl.configs import checked
 from uavrl.configs.pretrain import PretrainConfig
 
@@ -32,8 +35,8 @@ def _pretrain(config: DictConfig) -> None:
             f"SD {sizes['sd']:.2f}"
         )
     print(f"Artifact: {about['output']}")
-    chosen = f"backward_reward=abr_plus backward_reward.artifact={about['output']}"
-    print(f"Train with it, and with that run's perception: uavrl-train {chosen}")
+    chosen = {"backward_reward": "abr_plus", "backward_reward.artifact": Path(about["output"])}
+    print(f"Train with it, and with that run's perception: {command_line('uavrl-train', **chosen)}")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder
+from uavrl.command_line import command_line
 from uavrl.configs import checked
 from uavrl.configs.replay import ReplayConfig
 from uavrl.errors import UavrlError
@@ -83,7 +84,7 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
         if "world" not in chosen.env:
             raise UavrlError(
                 f"uavrl-replay shows flights in the valley, and {folder} is a run of {chosen.choices.get('env')}: see "
-                f"how it does with uavrl-evaluate run={folder}."
+                f"how it does with {command_line('uavrl-evaluate', run=folder)}."
             )
         if settings.checkpoint is not None or not POLICY.is_in(folder):  # LifeGuard is not exported
             risk = load_risk(chosen.run, checkpoint_path(folder, settings.checkpoint), device)

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sized
 from pathlib import Path
 
-from uavrl.cli.errors import one_sentence
+from uavrl.cli.process import command_process
 from uavrl.errors import UavrlError
 from uavrl.runs.files import replacing, writable
 
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--window", type=int, default=500, help="episodes that a rate covers (default: 500)")
     parser.add_argument("--threshold", type=float, default=0.78, help="success rate to be reached (default: 0.78)")
     parser.add_argument("--title", default=None, help="of the page")
-    with one_sentence():
+    with command_process():
         _report(parser.parse_args())
 
 

@@ -2,25 +2,38 @@
 
 import json
 import logging
+import multiprocessing
 import os
-import subprocess
-import sys
-from concurrent.futures import ThreadPoolExecutor
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from uavrl.cli.command import FULL_ERROR
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from uavrl.cli.errors import configure_logging
 from uavrl.cli.policies import distinguishing, file_of_policy, name_of_output, policy_folder
 from uavrl.configs import EvaluateConfig
-from uavrl.errors import UavrlError
+from uavrl.configs.machine import machine_processors
+from uavrl.configs.registry import compose_again
+from uavrl.errors import UavrlError, was_interrupted
+from uavrl.runs.episodes import outcomes_of
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.weights import POLICY
+from uavrl.training.stopping import interrupts_held_back
+from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
+Evaluate = Callable[[DictConfig, list[str], Path], dict[str, Any]]
 
 
-def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
+def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list[str]) -> None:
     """Flies the scenarios, as many at a time as there are processors, and prints their table.
 
     Each is an evaluation of its own in a file of its own; one that is there already, of the same policy and tasks, is
@@ -33,56 +46,103 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
     for override in kept:
         if override.split("=")[0] in ("valleys", "env") or override.startswith("env."):
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
-    folder = _folder(settings, kept)
     chosen = scenarios(settings.suite or "all")
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        flown = [pool.submit(_scenario, settings, folder / f"{name}.json", kept, chosen[name]) for name in chosen]
-        try:
-            results = {name: each.result() for name, each in zip(chosen, flown, strict=True)}
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    told = {name: {key: value for key, value in result.items() if key != "flights"} for name, result in results.items()}
+    configs = {name: _config(changes) for name, changes in chosen.items()}
+    folder = _folder(settings, kept)
+    outputs = {name: folder / f"{name}.json" for name in chosen}
+    told = {name: [*kept, *changes] for name, changes in chosen.items()}
+    there = {name: _same(outputs[name], settings, told[name]) for name in chosen}
+    flown = {name: result for name, result in there.items() if result is not None}
+    for name in flown:
+        log.info("%s is there already", outputs[name])
+    flown |= _flown(evaluate, {n: (configs[n], told[n], outputs[n]) for n in chosen if n not in flown})
+    results = {name: flown[name] for name in chosen}
+    known = {name: {k: value for k, value in result.items() if k != "flights"} for name, result in results.items()}
     with replacing(folder / "suite.json") as partial:
-        partial.write_text(json.dumps(told, indent=1) + "\n")
+        partial.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
     print(suite_table(results))
     worst = min(results, key=lambda name: results[name]["success"]["rate"])
     print(f"Hardest: {worst}. {reached(results[worst])} Written to {folder}")
 
 
+def _config(changes: list[str]) -> DictConfig:
+    """What Hydra composes for one scenario of this command."""
+    hydra = HydraConfig.get()
+    own = [override for override in hydra.overrides.task if override.lstrip("+").split("=")[0] not in OWN]
+    return compose_again(*own, *changes, "progress=false", name=str(hydra.job.config_name))
+
+
 def _folder(settings: EvaluateConfig, kept: list[str]) -> Path:
     name = name_of_output("suite", distinguishing(kept))
+    if settings.run is not None and settings.output is None:
+        check_links(Path(settings.run), [name])
     folder = Path(settings.output or (Path(settings.run or ".") / name))
     writable(folder / "suite.json")
     return folder
 
 
-def _scenario(settings: EvaluateConfig, output: Path, kept: list[str], changes: list[str]) -> dict[str, Any]:
-    """The result of one scenario, flown unless its file has it."""
-    told = [*kept, *changes]
-    if output.is_file() and (result := _same(output, settings, told)) is not None:
-        log.info("%s is there already", output)
-        return result
-    quoted = str(output).replace("\\", "\\\\").replace("'", "\\'")
-    command = [sys.executable, "-m", "uavrl.cli.evaluate", *told, f"output='{quoted}'", "progress=false"]
-    environment = {key: value for key, value in os.environ.items() if key != FULL_ERROR}  # set while a command runs
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    if done.returncode:
-        raise UavrlError(f"{output.stem}: {(done.stderr.strip().splitlines() or ['it ended without a word'])[-1]}")
-    log.info("%s is flown", output.stem)
-    return json.loads(output.read_text())
+def _flown(
+    evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]]
+) -> dict[str, dict[str, Any]]:
+    """The results of some scenarios, each flown in a process of its own."""
+    results = {}
+    with _processes(min(machine_processors(), max(len(scenarios), 1))) as pool:
+        with interrupts_held_back():
+            flying = {name: pool.submit(evaluate, *scenario) for name, scenario in scenarios.items()}
+        for name, each in flying.items():
+            try:
+                results[name] = each.result()
+            except BrokenProcessPool as error:
+                raise UavrlError(
+                    f"{name}: a process that flew was killed, often for want of memory: start the same command again, "
+                    f"which flies what is missing."
+                ) from error
+            except UavrlError as error:
+                raise UavrlError(f"{name}: {error}") from error
+            log.info("%s is flown", name)
+    return results
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end with this one: what flies when an error is raised is flown to its end, but for Ctrl-C."""
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
+    try:
+        yield pool
+    except BaseException as error:
+        if was_interrupted(error):
+            for process in multiprocessing.active_children():
+                process.kill()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin() -> None:
+    """In a process that flies."""
+    configure_logging()
+    logging.getLogger().setLevel(logging.WARNING)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGKILL)  # nobody waits for what flies here
 
 
 def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, Any] | None:
     """The result in a file, if it is of these tasks and younger than the policy, else None."""
     try:
-        result = json.loads(output.read_text())
+        result = json.loads(output.read_text(encoding="utf-8"))
         same = (result["overrides"], result["episodes"], result["seed"]) == (
             distinguishing(told),
             settings.episodes,
             settings.seed,
         )
-    except (ValueError, KeyError, TypeError):  # something else, or damaged: it is flown again
+        result["outcomes"] = outcomes_of(result)  # which a file from before there were any tells by its flights
+    except (FileNotFoundError, ValueError, KeyError, TypeError):  # something else, or damaged: it is flown again
         return None
     return result if same and output.stat().st_mtime >= _changed(settings) else None
 

@@ -11,14 +11,15 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from uavrl.cli.command import command
 from uavrl.cli.errors import one_sentence, sentence
-from uavrl.configs import complete, to_dataclass
+from uavrl.command_line import command_line
+from uavrl.configs import TrainConfig, complete, settings_of_run, to_dataclass
 from uavrl.configs.memory import require_memory
 from uavrl.errors import FolderTaken, Stopped, UavrlError
-from uavrl.runs.files import removed_on_failure
+from uavrl.runs.files import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
 
 log = logging.getLogger(__name__)
@@ -76,19 +77,24 @@ def _command(config: DictConfig) -> None:
 
 
 def _train(config: DictConfig) -> None:
-    _check(config)
+    _check(to_dataclass(config))
+    named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
     config = complete(config)
+    from uavrl.training.claim import locked
     from uavrl.training.run import create_run, resume_config
 
     if config.resume is None:
-        run_dir = Path(config.run_dir)
-        with full_disk_told(run_dir), removed_on_failure(run_dir, ANY_CHECKPOINT):
-            _fly(config, create_run(config), resume=False)
+        _check_machine(config)
+        with made_folder(Path(config.run_dir), ANY_CHECKPOINT, another=named_by_time) as run_dir:
+            config.run_dir = str(run_dir)
+            with full_disk_told(run_dir), locked(run_dir):
+                _fly(config, create_run(config), resume=False)
         return
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-    _check(config)
+    _check(settings_of_run(config))
+    _check_machine(config)
     with full_disk_told(run_dir):
         _fly(config, run_dir, resume=True)
 
@@ -102,15 +108,14 @@ def full_disk_told(run_dir: Path) -> Iterator[None]:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         begun = any(run_dir.glob(ANY_CHECKPOINT))
-        again = f"go on with uavrl-train resume={run_dir}" if begun else "start it again"
+        again = f"go on with {command_line('uavrl-train', resume=run_dir)}" if begun else "start it again"
         raise UavrlError(
             f"{error.filename or run_dir} cannot be written ({error.strerror}): make room on its disk, and {again}."
         ) from error
 
 
-def _check(config: DictConfig) -> None:
+def _check(settings: TrainConfig) -> None:
     """Finds what can be wrong with the settings before a folder is made."""
-    settings = to_dataclass(config)
     require_memory(settings)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.training.loggers import require_login
@@ -118,9 +123,19 @@ def _check(config: DictConfig) -> None:
     require_login(settings.logger, settings.packages)
 
 
+def _check_machine(config: DictConfig) -> None:
+    """Finds what this machine has not, before a folder is made."""
+    from uavrl.training.arithmetic import chosen_products
+    from uavrl.training.factory import make_device
+
+    make_device(config.device)
+    if "products" in config.trainer and config.trainer.products != "auto":
+        chosen_products(config.trainer.products, config.trainer.threads)
+
+
 def _train_in_sweep(config: DictConfig) -> None:
     """Trains a combination, goes on with it, or leaves it alone where it is finished or another process flies it."""
-    _check(config)
+    _check(to_dataclass(config))
     if config.resume is not None:
         raise UavrlError(
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
@@ -133,20 +148,24 @@ def _train_in_sweep(config: DictConfig) -> None:
 
     run_dir = run_folder(config)
     config = complete(config)
+    if run_dir in (*_swept.ended, *_swept.elsewhere):
+        raise UavrlError(
+            f"Two combinations of the sweep mean the same run {run_dir}: they differ in nothing that is learned from; "
+            f"fly them apart, each with a run_dir of its own."
+        )
     if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):
         print(f"Finished: {run_dir}")
         _swept.ended.append(run_dir)
         return
     try:
-        with full_disk_told(run_dir), removed_on_failure(run_dir, ANY_CHECKPOINT):
-            run_dir.mkdir(parents=True, exist_ok=True)
-            with locked(run_dir):
-                if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):  # meanwhile, by another process
-                    print(f"Finished: {run_dir}")
-                elif is_begun(run_dir):
-                    _fly(resume_config(run_dir, config, free_keys(config)), run_dir, resume=True)
-                else:
-                    _fly(config, create_run(config), resume=False)
+        _check_machine(config)
+        with full_disk_told(run_dir), made_folder(run_dir, ANY_CHECKPOINT), locked(run_dir):
+            if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):  # meanwhile, by another process
+                print(f"Finished: {run_dir}")
+            elif is_begun(run_dir):
+                _fly(resume_config(run_dir, config, free_keys(config)), run_dir, resume=True)
+            else:
+                _fly(config, create_run(config), resume=False)
     except FolderTaken as taken:
         log.info("%s", taken)
         _swept.elsewhere.append(run_dir)
@@ -157,12 +176,14 @@ def _train_in_sweep(config: DictConfig) -> None:
 def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
     from uavrl.training.run import train
 
-    print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}")
-    summary = train(config, run_dir, resume=resume)
+    def tell() -> None:
+        print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}", flush=True)
+
+    summary = train(config, run_dir, resume=resume, begun=tell)
     rates = ", ".join(f"{100 * rate:.0f} % {name.replace('_', ' ')}" for name, rate in summary["rates"].items())
     print(f"{summary['episodes']:,} episodes, {summary['steps']:,} steps; of the last ones {rates}.")
-    watch = f"; watch it: uavrl-replay run={run_dir}" if "world" in config.env else ""
-    print(f"See how well it does: uavrl-evaluate run={run_dir}{watch}")
+    watch = f"; watch it: {command_line('uavrl-replay', run=run_dir)}" if "world" in config.env else ""
+    print(f"See how well it does: {command_line('uavrl-evaluate', run=run_dir)}{watch}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Checked settings, and what makes objects of them."""
 
-from uavrl.configs.checked import checked, complete, to_dataclass
+from uavrl.configs.checked import checked, complete, settings_of_run, to_dataclass
 from uavrl.configs.evaluate import EvaluateConfig
 from uavrl.configs.registry import compose, conf_dir, learner_name, register_resolvers
 from uavrl.configs.train import TrainConfig
@@ -14,5 +14,6 @@ __all__ = [
     "conf_dir",
     "learner_name",
     "register_resolvers",
+    "settings_of_run",
     "to_dataclass",
 ]

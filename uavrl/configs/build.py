@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import Any, TypeVar
 
+from uavrl.configs.offered import refuse_offered, to_networks
 from uavrl.configs.parts import TARGET, require_allowed
 from uavrl.configs.signature import signature
 from uavrl.configs.typed import below, typed
@@ -30,14 +31,23 @@ def resolve(target: str, kind: type[T], packages: Iterable[str] = ()) -> type[T]
 def build(
     part: Mapping[str, Any], kind: type[T], *, packages: Iterable[str] = (), key: str = "", **offered: Any
 ) -> T | None:
-    """Makes what a part names; None where it names nothing."""
+    """Makes what a part names; None where it names nothing.
+
+    Args:
+        part: the class, and values that its constructor takes.
+        kind: what the class must be.
+        packages: that the user trusts.
+        key: of the part, where the class speaks of its arguments by their names.
+        **offered: what the run hands to the constructor where that names it (:data:`uavrl.configs.offered.OFFERED`).
+    """
     if part[TARGET] is None:
         return None
     made = resolve(part[TARGET], kind, packages)
     hints = signature(part[TARGET]) or {}
-    given = {**options(part, packages, **offered), **{name: value for name, value in offered.items() if name in hints}}
+    written = options(part, packages, **offered)
+    refuse_offered(key or part[TARGET], written, offered)
     try:
-        return made(**given)
+        return made(**written, **{name: value for name, value in offered.items() if name in hints})
     except UavrlError as error:
         if not key:
             raise
@@ -54,7 +64,8 @@ def options(part: Mapping[str, Any], packages: Iterable[str] = (), **offered: An
     found: dict[str, Any] = {}
     for name, value in part.items():
         if name in hints and isinstance(value, Mapping) and TARGET in value:
-            found[name] = build(value, nn.Module, packages=packages, **offered)
+            handed_on = {name: offered[name] for name in to_networks(offered)}
+            found[name] = build(value, nn.Module, packages=packages, **handed_on)
         elif name in hints:
             found[name] = typed(plain_data(value), hints[name], str(name))
     return found

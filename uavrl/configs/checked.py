@@ -7,6 +7,7 @@ from typing import Any, TypeVar, cast, get_type_hints
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from uavrl.configs.offered import without_offered
 from uavrl.configs.parts import PARTS, TARGET, checked_parts
 from uavrl.configs.parts import plain as plain_values
 from uavrl.configs.train import TrainConfig
@@ -19,6 +20,11 @@ T = TypeVar("T")
 def to_dataclass(config: DictConfig) -> TrainConfig:
     """The settings of a training: see :func:`checked`."""
     return checked(config, TrainConfig)
+
+
+def settings_of_run(config: DictConfig) -> TrainConfig:
+    """The settings that a run has recorded."""
+    return to_dataclass(without_offered(config))
 
 
 def checked(config: DictConfig, kind: type[T]) -> T:

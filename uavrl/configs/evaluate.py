@@ -6,7 +6,7 @@ from typing import Annotated
 from omegaconf import DictConfig
 
 from uavrl.configs.train import Products
-from uavrl.ranges import Count, Range, Seed
+from uavrl.ranges import Count, Folder, Range, Seed
 
 Valleys = Annotated[
     tuple[int, ...], Range("null or a list of seeds from 0", lambda seeds: len(seeds) > 0 and min(seeds) >= 0)
@@ -22,12 +22,12 @@ class FlyingConfig:
     reward: DictConfig
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[str, ...] = ()
-    run: str | None = None
+    run: Folder | None = None
     policy: str | None = None
-    checkpoint: str | None = None
+    checkpoint: Folder | None = None
     seed: Seed = 20_000
     valleys: Valleys | None = None
-    output: str | None = None
+    output: Folder | None = None
     device: str = "cpu"
     threads: Count = 1
     products: Products = "mkl"

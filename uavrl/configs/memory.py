@@ -71,7 +71,7 @@ def require_memory(settings: TrainConfig, memory: float | None = None) -> None:
 def machine_memory() -> float:
     """Bytes of memory that a process may take here: the machine's, or the container's where that is less."""
     memory = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    if CGROUP.is_file() and (limit := CGROUP.read_text().strip()).isdigit():
+    if CGROUP.is_file() and (limit := CGROUP.read_text(encoding="utf-8").strip()).isdigit():
         memory = min(memory, float(limit))
     return memory
 

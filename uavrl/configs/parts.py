@@ -5,12 +5,12 @@ from dataclasses import asdict, dataclass, is_dataclass
 from typing import Annotated, Any, get_type_hints
 
 from uavrl.configs.checks import did_you_mean, require
+from uavrl.configs.offered import OFFERED, TARGET, offered_to, refuse_offered
 from uavrl.configs.signature import classes, signature
 from uavrl.configs.typed import require_known, typed
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count, NonNegative, Range, Whole, Widths
 
-TARGET = "_target_"  # the key that names a class; null where the part is left out
 PARTS = (
     "perception",
     "reward",
@@ -76,10 +76,28 @@ class Logging:
 
 _LOOP = {"algo": Learning, "buffer": Storing, "collector": Collecting, "logger": Logging}
 STEPPER = "uavrl.training.stepper.ActorCriticStepper"  # takes its part of algo
+TO_STEPPER = ("loss", "execution")  # what the run hands to it
 
 
 def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """The parts of a run with every value as its class has it, found to be known, of its type and in its range.
+    """The parts of a run with every value as its class has it, found to be known, of its type and in its range."""
+    packages = tuple(packages)
+    taken = _taken_beside(parts, packages)
+    return {name: _checked(part, name, packages, taken.get(name, {})) for name, part in parts.items()}
+
+
+def names_taken(parts: Mapping[str, Any], key: str, packages: Iterable[str]) -> set[str]:
+    """The names that can be written below a key, such as ``reward`` or ``algo.actor``."""
+    packages, part = tuple(packages), parts
+    for name in key.split("."):
+        part = part.get(name, {}) if isinstance(part, Mapping) else {}
+    target = part.get(TARGET) if isinstance(part, Mapping) else None
+    own = {} if target is None else _signature(str(target), f"{key}.{TARGET}", packages)
+    return {*_without(offered_to(key), own), *_taken_beside(parts, packages).get(key, {})}
+
+
+def _taken_beside(parts: Mapping[str, Any], packages: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """What the keys of a part mean to others than its class, with their types.
 
     A key of ``algo`` goes to the loss, to the optimisation step or to the loop, one of ``perception`` to the transform
     or to the environment: whichever takes it.
@@ -87,12 +105,27 @@ def checked_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str
     taken: dict[str, dict[str, Any]] = {
         name: get_type_hints(reader, include_extras=True) for name, reader in _LOOP.items()
     }
-    taken.setdefault("algo", {}).update(signature(STEPPER) or {})
-    packages = tuple(packages)
+    taken["algo"].update(_without(TO_STEPPER, signature(STEPPER) or {}))
     env = parts.get("env")
     if isinstance(env, Mapping) and env.get(TARGET) is not None:
-        taken["perception"] = dict(_signature(str(env[TARGET]), f"env.{TARGET}", packages))
-    return {name: _checked(part, name, packages, taken.get(name, {})) for name, part in parts.items()}
+        hints = _signature(str(env[TARGET]), f"env.{TARGET}", packages)
+        taken["perception"] = _without(OFFERED["env"], hints)
+        _require_one_place(parts.get("perception"), env, hints)
+    return taken
+
+
+def _without(names: Iterable[str], hints: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: hint for name, hint in hints.items() if name not in names}
+
+
+def _require_one_place(perception: Any, env: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
+    """Refuses what both parts hold for the environment: one of the two values would not be used."""
+    if not isinstance(perception, Mapping) or TARGET not in perception:
+        return
+    own = signature(str(perception[TARGET])) or {}
+    for name in map(str, perception):
+        if name != TARGET and name in env and name in hints and name not in own:
+            raise UavrlError(f"perception.{name} and env.{name} are the same value: leave one of the two out.")
 
 
 def _checked(part: Any, key: str, packages: tuple[str, ...], beside: Mapping[str, Any]) -> dict[str, Any]:
@@ -102,6 +135,7 @@ def _checked(part: Any, key: str, packages: tuple[str, ...], beside: Mapping[str
         require_known(options, beside, key)
         return {TARGET: None, **options}
     hints = _signature(str(part[TARGET]), f"{key}.{TARGET}", packages)
+    refuse_offered(key, [name for name in options if name in hints], offered_to(key))
     require_known(options, {**beside, **hints}, key)
     for name, value in options.items():
         below = f"{key}.{name}"

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from uavrl.configs.checks import require
 from uavrl.configs.train import Products
-from uavrl.ranges import Count, Fraction, Positive, Seed, Widths
+from uavrl.ranges import Count, Folder, Fraction, Positive, Seed, Widths
 
 THESIS_CLUSTERS = (100, 250, 500, 750, 1000, *range(1500, 6001, 500))
 
@@ -55,8 +55,8 @@ class PretrainRecipe:
 class PretrainConfig:
     """conf/pretrain.yaml: one pre-training."""
 
-    run: str | None = None
-    output: str | None = None
+    run: Folder | None = None
+    output: Folder | None = None
     pretrain: PretrainRecipe = field(default_factory=PretrainRecipe)
     seed: Seed = 0
     threads: Count = 1

@@ -1,6 +1,6 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +31,28 @@ def register_resolvers() -> None:
     OmegaConf.register_new_resolver("run_name", lambda *, _root_: run_name(_choices(_root_)), replace=True)
 
 
-def compose(*overrides: str, name: str = "config") -> DictConfig:
+def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> DictConfig:
     """What ``uavrl-train OVERRIDES`` composes, for use in Python.
 
     Args:
         *overrides: as on the command line.
         name: the yaml file to begin with.
+        own: folders of further yaml files: what ``--config-dir`` names.
 
     Examples:
         >>> compose("algo=sac", "reward=traditional").choices.algo
         'sac'
     """
     register_resolvers()
+    if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
+        overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        config = hydra_compose(name, list(overrides), return_hydra_config=True)
+        return compose_again(*overrides, name=name)
+
+
+def compose_again(*overrides: str, name: str) -> DictConfig:
+    """The same where Hydra is at work: it finds what it found before, in the user's ``--config-dir`` too."""
+    config = hydra_compose(name, list(overrides), return_hydra_config=True)
     choices = config.hydra.runtime.choices
     with open_dict(config):
         del config.hydra

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from uavrl.configs.checks import require
 from uavrl.configs.evaluate import FlyingConfig
-from uavrl.ranges import Count
+from uavrl.ranges import Count, Folder
 
 MOST_FLIGHTS = 50  # in one page
 
@@ -13,11 +13,11 @@ MOST_FLIGHTS = 50  # in one page
 class ReplayConfig(FlyingConfig):
     """conf/replay.yaml: the flights of one page."""
 
-    flight: str | None = None
+    flight: Folder | None = None
     task: int | None = None
     tasks: tuple[int, ...] | None = None
     episodes: Count | None = None
-    data: str | None = None
+    data: Folder | None = None
     points: Count = 1500
 
     def __post_init__(self) -> None:

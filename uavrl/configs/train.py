@@ -6,7 +6,7 @@ from typing import Literal
 from omegaconf import DictConfig, OmegaConf
 
 from uavrl.configs.checks import require
-from uavrl.ranges import Count, Positive, Seed, Share
+from uavrl.ranges import Count, Folder, Positive, Seed, Share
 
 NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
 Execution = Literal["eager", "captured", "compiled", "auto"]
@@ -56,8 +56,8 @@ class TrainConfig:
     packages: tuple[str, ...] = ()
     seed: Seed = 0
     device: str = "cpu"
-    run_dir: str = "runs"
-    resume: str | None = None
+    run_dir: Folder = "runs"
+    resume: Folder | None = None
 
     @property
     def guided(self) -> bool:

@@ -5,13 +5,14 @@ import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 from uavrl.configs.checks import did_you_mean, require
 from uavrl.configs.limits import check_most
 from uavrl.configs.signature import Other
 from uavrl.errors import UavrlError
-from uavrl.ranges import Range
+from uavrl.ranges import HOME, Range
 
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
@@ -27,6 +28,8 @@ def typed(value: Any, hint: Any, key: str) -> Any:
         for allowed in arguments[1:]:
             if isinstance(allowed, Range):
                 require(allowed.holds(value), key, allowed.words, value)
+            elif allowed == HOME and value.startswith("~"):
+                value = _at_home(value, key)
         return value
     if origin in (Union, types.UnionType):
         return _one_of(value, arguments, key)
@@ -38,6 +41,14 @@ def typed(value: Any, hint: Any, key: str) -> Any:
     if (origin or hint) in (tuple, list, Sequence):
         return _listed(value, arguments, key)
     return _plain(value, hint, key)
+
+
+def _at_home(value: str, key: str) -> str:
+    try:
+        return str(Path(value).expanduser())
+    except RuntimeError:  # there is no such user
+        require(False, key, f"a folder, where one that is called so is written ./{value}", value)
+        raise
 
 
 def _plain(value: Any, hint: Any, key: str) -> Any:

@@ -5,6 +5,8 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from uavrl.errors import MissingSimulator
+
 
 @contextmanager
 def silenced() -> Iterator[None]:
@@ -29,6 +31,9 @@ def silenced() -> Iterator[None]:
 
 
 with silenced():
-    import pybullet
+    try:
+        import pybullet
+    except ModuleNotFoundError as error:
+        raise MissingSimulator(error.name or "pybullet") from error
 
 __all__ = ["pybullet", "silenced"]

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
+from uavrl.envs.embree import EmbreeScene, TriangleMesh
 from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.ray_culling import RayCuller

@@ -20,6 +20,7 @@ from uavrl.flying.flight import FlightMeter, Policy, rollout
 from uavrl.flying.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.flying.whereabouts import Whereabouts
 from uavrl.transforms import PointCloudReduction
+from uavrl.transforms.rewards import terms_of
 
 Risk = Callable[[Tensor, Tensor], Tensor]
 _KEPT = ("position", "velocity", "distance", "clearance", "observation")
@@ -71,13 +72,14 @@ def record_flight(
     goal = state["goal"][0].numpy()
     origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.valleys])
     valley = int(np.linalg.norm(origins - goal, axis=1).argmin())
-    meter, terms_of, reduction = FlightMeter(1), _terms_of(env), reduction_of(env)
+    meter, reduction = FlightMeter(1), reduction_of(env)
+    terms = terms_of(env) or (lambda before, after: {"reward": after["reward"]})
     moments, actions, paid = [_moment(base, state, valley, reduction, max_points)], [], []
     for stepped in rollout(env, policy, state):
         ended = meter.step(stepped)
         moments.append(_moment(base, stepped["next"], valley, reduction, max_points))
         actions.append(stepped["action"][0])
-        paid.append({name: term.item() for name, term in terms_of(stepped, stepped["next"]).items()})
+        paid.append({name: term.item() for name, term in terms(stepped, stepped["next"]).items()})
         if ended:
             break
     states = cast(TensorDict, torch.stack([moment["state"] for moment in moments]))
@@ -103,12 +105,6 @@ def record_flight(
         points=np.concatenate([moment["points"] for moment in moments]).astype(np.float32),
         point_ends=np.cumsum([len(moment["points"]) for moment in moments]),
     )
-
-
-def _terms_of(env: TransformedEnv) -> Callable[[TensorDictBase, TensorDictBase], dict[str, Tensor]]:
-    """The named terms that the reward is the sum of, or the reward alone where its transform has none."""
-    having = (part for part in env.transform.modules() if hasattr(part, "terms"))
-    return getattr(next(having, None), "terms", lambda before, after: {"reward": after["reward"]})
 
 
 def reduction_of(env: TransformedEnv) -> PointCloudReduction:

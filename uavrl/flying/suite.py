@@ -16,7 +16,7 @@ HOW = {"steps_per_arrival": ".0f", "median_clearance": ".2f"}  # arrivals flew, 
 
 def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
     """What each scenario of ``conf/suite.yaml`` that is asked for changes; ``"all"`` asks for every one."""
-    suite: dict[str, list[str]] = yaml.safe_load((conf_dir() / "suite.yaml").read_text())
+    suite: dict[str, list[str]] = yaml.safe_load((conf_dir() / "suite.yaml").read_text(encoding="utf-8"))
     if asked == "all":
         return suite
     names = [asked] if isinstance(asked, str) else list(asked)

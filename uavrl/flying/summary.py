@@ -7,7 +7,7 @@ import numpy as np
 
 from uavrl.flying.flight import Flight
 from uavrl.flying.whereabouts import whereabouts_lines
-from uavrl.runs.episodes import RATES, wilson
+from uavrl.runs.episodes import LETTERS, RATES, wilson
 
 LABELS = {
     "path_efficiency": "path efficiency (straight / flown, arrivals)",
@@ -26,13 +26,14 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
 
     Path efficiency is the mean over arrivals; the minimum clearance (hull to nearest thing) is given
     as the median over arrivals and as the least of them. What has no value without arrivals is ``None``.
-    Flights in several valleys are also counted valley by valley, by its seed.
+    Flights in several valleys are also counted valley by valley, by its seed. ``outcomes`` has a letter for each
+    flight: S for success, C for a collision, T for a time-out.
 
     Examples:
         >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
         >>> result = summarize(flights)
-        >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"]
-        (0.5, 0.9, 75.0)
+        >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"], result["outcomes"]
+        (0.5, 0.9, 75.0, 'SC')
         >>> walks = [Flight(0, "arrived", 900, episode_return=310.0), Flight(1, "collided", 100, episode_return=-90.0)]
         >>> summarize(walks)["mean_return"]
         110.0
@@ -42,6 +43,7 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
     outcomes = [flight.outcome for flight in flights]
     result: dict[str, Any] = {"episodes": len(flights)}
     result |= {name: wilson(outcomes.count(ending), len(flights)) for name, ending in RATES.items()}
+    result["outcomes"] = "".join(LETTERS[ending] for ending in outcomes)
     arrived = [flight for flight in flights if flight.outcome == "arrived"]
     valleys = sorted({flight.world_seed for flight in flights if flight.world_seed is not None})
     if len(valleys) > 1:

@@ -94,6 +94,7 @@ class Fork(Enhancer):
     reward_network_params: TensorDictParams
     target_reward_network_params: TensorDictParams
     weight: Tensor
+    _gate: Tensor
     observed_low: Tensor
     observed_high: Tensor
 
@@ -135,9 +136,11 @@ class Fork(Enhancer):
         self.register_buffer("observed_high", torch.full((observations,), math.inf, device=device))
         self.returns: deque[float] = deque(maxlen=return_window)
         self.out_keys = [*self.out_keys, "loss_system", *(["loss_reward"] if variant == "fork" else [])]
-        self._gate_open = False
-        self._last_losses = (math.nan, math.nan)
-        self._openings, self._updates = 0, 0
+        # Whether the gate is open, the last losses of both networks, and how many of how many updates left it open: on
+        # the device, since torch.compile breaks a graph that takes a number off it. The extra state saves it.
+        gate = torch.tensor([0.0, math.nan, math.nan, 0.0, 0.0], dtype=torch.float64, device=device)
+        self.register_buffer("_gate", gate, persistent=False)
+        self._open: bool | None = False  # the first of them, None until somebody asks
 
     def _add_network(self, name: str, network: nn.Module, out_key: NestedKey) -> None:
         if not isinstance(network, TensorDictModuleBase):
@@ -158,13 +161,23 @@ class Fork(Enhancer):
     def reset_parameters_recursive(self) -> None:
         """As :meth:`Enhancer.reset_parameters_recursive`; the gate is closed until the new models' losses are known."""
         super().reset_parameters_recursive()
-        self._gate_open = False
-        self._last_losses = (math.nan, math.nan)
+        self._gate[0], self._gate[1:3], self._open = 0.0, math.nan, False
 
     @property
     def active(self) -> bool:
-        """Whether the gate is open, because the last system loss was under the threshold."""
-        return self._gate_open
+        """Whether the gate is open, because the last system loss was under the threshold.
+
+        A branch on that would break a graph of ``torch.compile``: it always has the term, 0 while the gate is closed.
+        """
+        if torch.compiler.is_compiling():
+            return True
+        if self._open is None:
+            self._open = bool(self._gate[0])
+        return self._open
+
+    def _while_open(self, value: Tensor, otherwise: Tensor | float) -> Tensor:
+        """The value; in a compiled graph only while the gate is open."""
+        return torch.where(self._gate[0] > 0, value, otherwise) if torch.compiler.is_compiling() else value
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
         """The base's objective, and the term while the gate is open; the bipedal variant asks the target critics."""
@@ -184,6 +197,7 @@ class Fork(Enhancer):
         else:
             g_t, g_tp1 = self._predict_reward(acted, first), self._predict_reward(first, second)
             term = fork_objective(g_t, g_tp1, self.action_value(second), self.weight, self.gamma)
+        term = self._while_open(term, 0.0)
         return term, {"fork_term": term.detach()}
 
     def _advance(self, acted: TensorDictBase) -> TensorDictBase:
@@ -191,6 +205,7 @@ class Fork(Enhancer):
         with torch.set_grad_enabled(self.backprop_through_model and torch.is_grad_enabled()):
             prediction = _call(self.system_network, self.system_network_params.detach(), acted)
             state = prediction.clamp(self.observed_low, self.observed_high)
+            state = self._while_open(state, acted.get(self.tensor_keys.observation))  # else 0 times NaN would count
         return self.act(TensorDict({self.tensor_keys.observation: state}, acted.batch_size, device=acted.device))
 
     def _predict_reward(self, acted: TensorDictBase, following: TensorDictBase) -> Tensor:
@@ -272,6 +287,7 @@ class Fork(Enhancer):
         weights = self._maybe_get_priority_weight(tensordict)
         return self._reduce_loss(errors, tensordict=tensordict, weights=weights)
 
+    @torch.no_grad()
     def update_gate(self, system_loss: Tensor | float, reward_loss: Tensor | float = math.nan) -> None:
         """Opens the gate if the system loss is under the threshold, else closes it.
 
@@ -281,10 +297,12 @@ class Fork(Enhancer):
             system_loss: mean loss of the system network on a batch.
             reward_loss: that of the reward network, for :meth:`diagnostics`.
         """
-        self._last_losses = (_number(system_loss), _number(reward_loss))
-        self._gate_open = self._last_losses[0] < self.threshold
-        self._openings += self._gate_open
-        self._updates += 1
+        gate = self._gate
+        gate[1], gate[2] = system_loss, reward_loss
+        gate[0] = gate[1] < self.threshold
+        gate[3] += gate[0]
+        gate[4] += 1
+        self._open = None if torch.compiler.is_compiling() else bool(gate[0])
 
     def observe(self, episodes: TensorDictBase) -> None:
         """Takes in new episodes: the range of the states, the returns, and so the weight.
@@ -333,38 +351,32 @@ class Fork(Enhancer):
 
     def diagnostics(self) -> dict[str, float]:
         """The weight, the share of updates since the last call that left the gate open, and the models' losses."""
-        share = self._openings / self._updates if self._updates else float(self._gate_open)
-        self._openings, self._updates = 0, 0
+        gate, system_loss, reward_loss, openings, updates = self._gate.tolist()
+        self._gate[3:] = 0.0
         return super().diagnostics() | {
             "fork_weight": self.weight.item(),
-            "fork_gate": share,
-            "system_loss": self._last_losses[0],
-            "reward_loss": self._last_losses[1],
+            "fork_gate": openings / updates if updates else gate,
+            "system_loss": system_loss,
+            "reward_loss": reward_loss,
         }
 
     def get_extra_state(self) -> Tensor:
         """What the state dict holds beside tensors: the gate, what diagnostics count, and the returns."""
-        state = [self._gate_open, *self._last_losses, self._openings, self._updates, *self.returns]
-        return torch.tensor(state, dtype=torch.float64)
+        return torch.tensor([*self._gate.tolist(), *self.returns], dtype=torch.float64)
 
     def set_extra_state(self, state: Tensor) -> None:
         """Restores what :meth:`get_extra_state` gave."""
-        gate, system_loss, reward_loss, openings, updates, *returns = state.tolist()
-        self._gate_open = bool(gate)
-        self._last_losses = (system_loss, reward_loss)
-        self._openings, self._updates = int(openings), int(updates)
+        count = len(self._gate)
+        self._gate.copy_(state[:count])
+        self._open = None
         self.returns.clear()
-        self.returns.extend(returns)
+        self.returns.extend(state[count:].tolist())
 
 
 def _call(network: TensorDictModuleBase, params: TensorDictBase, inputs: TensorDictBase) -> Tensor:
     """What a network with these parameters writes; the inputs are not modified."""
     with params.to_module(network, preserve_module_state=False):
         return network(inputs.select(*network.in_keys)).get(network.out_keys[0])
-
-
-def _number(value: Tensor | float) -> float:
-    return value.item() if isinstance(value, Tensor) else float(value)
 
 
 def _state_key(base: ActorCriticLoss) -> NestedKey:

@@ -17,6 +17,7 @@ from uavrl.errors import UavrlError
 from uavrl.models.trajectory_classifier import form_of_states
 from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
+from uavrl.runs.names import CHECKPOINTS, CONFIG, PRETRAINED
 from uavrl.trust import check_links
 
 _PART = 100_000  # states that are read at a time
@@ -65,9 +66,9 @@ class _StoredTransitions(BufferState):
 
     def load(self, path: Path) -> None:
         """Reads what a :class:`~uavrl.runs.checkpoint.BufferState` wrote."""
-        if json.loads((path / "length.json").read_text()):
+        if json.loads((path / "length.json").read_text(encoding="utf-8")):
             self.storage = FrameStorage.saved_at(path / "storage")
-            self.next_place = int(json.loads((path / "writer/metadata.json").read_text())["cursor"])
+            self.next_place = int(json.loads((path / "writer/metadata.json").read_text(encoding="utf-8"))["cursor"])
 
 
 def read_states(run_dir: Path) -> States:
@@ -81,7 +82,7 @@ def read_states(run_dir: Path) -> States:
     Raises:
         UavrlError: when there is no run, its checkpoint is damaged, or it holds no whole episode of finite states.
     """
-    check_links(run_dir)
+    check_links(run_dir, (CONFIG, CHECKPOINTS, PRETRAINED))
     path = latest_checkpoint(run_dir)
     config = read_config(run_dir)
     check_checkpoint(path, config)

@@ -105,9 +105,11 @@ def make_page(recording: Recording) -> str:
     """The page, with its data, its programs and plotly's inside."""
     data = json.dumps(page_data(recording), separators=(",", ":")).replace("<", "\\u003c")
     assets = resources.files("uavrl.reporting") / "assets"
-    texts = {name: (assets / name).read_text("utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")}
+    texts = {
+        name: (assets / name).read_text(encoding="utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")
+    }
     # No fragment holds another one's mark, so the order of the replacements does not matter.
-    page = (assets / "flight.html").read_text("utf-8")
+    page = (assets / "flight.html").read_text(encoding="utf-8")
     for mark, text in {**texts, "plotly.js": needs_plotly(), "data.json": data}.items():
         before, found, after = page.partition(f"/*{mark}*/")
         assert found, f"flight.html has no place for {mark}"

@@ -90,6 +90,8 @@ def page(report: Report) -> str:
     filters = (percent, interval, number, reached, made_by, config_text)
     environment.filters.update({each.__name__: each for each in filters})
     facts = report.facts()
+    drawn = {label: curve["success"]["episodes"]["seeds"] for label, curve in facts["curves"].items()}
+    short = [label for label, seeds in drawn.items() if all(len(x) < 2 for x, _ in seeds)]
     return environment.get_template("report.html").render(
         facts,
         axes=AXES,
@@ -97,6 +99,7 @@ def page(report: Report) -> str:
         words=words(group["label"] for group in report.groups),
         colours=[colour(index) for index in range(len(report.groups))],
         success_figure=last_success(facts),
-        curve_figures=learning_curves(facts),
+        curve_figures=learning_curves(facts) if len(short) < len(drawn) else {},
+        too_short=short,
         plotly_script=plotly_script(),
     )

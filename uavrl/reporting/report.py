@@ -16,7 +16,7 @@ from uavrl.reporting.groups import HOW_IT_RUNS, Group, below, differences, group
 from uavrl.reporting.learning_curves import curves, steps_to
 from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
 from uavrl.reporting.thesis import beside_the_thesis
-from uavrl.runs.episodes import RATES, Episode, wilson
+from uavrl.runs.episodes import RATES, Episode, mean_terms, wilson
 
 FORMAT = 2  # of the JSON file
 _PLACES = ("run_dir", "resume")  # of the machine that made a run
@@ -131,7 +131,8 @@ def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any
     """Rates over the last ``window`` episodes of each seed together, with Wilson intervals, and their mean return."""
     last = [episode for episodes in seeds for episode in episodes[-window:]]
     rates = {name: wilson(sum(e.outcome == outcome for e in last), len(last)) for name, outcome in RATES.items()}
-    return {"episodes": len(last), **rates, "mean_return": float(np.mean([e.episode_return for e in last]))}
+    mean_return = float(np.mean([e.episode_return for e in last]))
+    return {"episodes": len(last), **rates, "mean_return": mean_return, "return_terms": mean_terms(last)}
 
 
 def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str, Any]:

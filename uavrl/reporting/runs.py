@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from uavrl.configs import learner_name
 from uavrl.configs.parts import PARTS
 from uavrl.configs.registry import NONE
-from uavrl.errors import UavrlError
+from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs import names
 from uavrl.runs.config import load_config
 from uavrl.runs.episodes import RATES, Episode, read_episodes, wilson
@@ -157,6 +157,8 @@ def _read(path: Path, read: Callable[[Path], T]) -> T:
         raise UavrlError(f"{path.name} is missing: bring it back, or leave the folder out.")
     try:
         return read(path)
+    except OtherFormat as error:
+        raise UavrlError(str(error).replace(str(path), path.name)) from error
     except Exception as error:  # a file can be broken in more ways than can be named
         raise UavrlError(f"{path.name} cannot be read: mend it from a copy, or leave the folder out.") from error
 
@@ -172,6 +174,9 @@ def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | No
 
 def _config(path: Path) -> dict[str, Any]:
     config: Any = OmegaConf.to_container(load_config(path))
+    for key in ("seed", "trainer", "choices"):
+        if config and key not in config:  # an empty file is a broken one
+            raise OtherFormat(path, f"key `{key}`")
     seed, trainer, _ = int(config["seed"]), config["trainer"], learner_name(config["choices"])
     kinds = {"episodes": int, "steps": int, "window": int, "until_success": float}
     limits = {key: kind(trainer[key]) for key, kind in kinds.items() if key == "episodes" or trainer.get(key)}
@@ -189,7 +194,8 @@ def _episodes(path: Path) -> list[Episode]:
     episodes = read_episodes(path)
     steps = [e.total_steps for e in episodes]
     grows = all(earlier < later for earlier, later in zip([0, *steps], [*steps, _MOST_STEPS], strict=True))
-    if not (episodes and grows and all(isfinite(e.episode_return) for e in episodes)):
+    numbers = all(isfinite(number) for e in episodes for number in (e.episode_return, *e.terms.values()))
+    if not (episodes and grows and numbers):
         raise ValueError("Expected one episode or more, steps that grow, and returns that are numbers.")
     return episodes
 

@@ -10,7 +10,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation, DumpLoadCheckpoin
 from torchrl.data import ReplayBuffer
 
 from uavrl.errors import UavrlError
-from uavrl.runs.config import fingerprint, require_folder
+from uavrl.runs.config import fingerprints, require_folder
 from uavrl.runs.names import ANY_CHECKPOINT, CHECKPOINTS, CONFIG
 from uavrl.runs.without_pickles import StateDictWithoutPickles
 from uavrl.trust import check_archive
@@ -25,7 +25,7 @@ class BufferState:
     def dump(self, path: Path) -> None:
         """Writes data, write cursor and sampler below ``path``."""
         path = Path(path)
-        (path / "length.json").write_text(json.dumps(len(self.buffer)))
+        (path / "length.json").write_text(json.dumps(len(self.buffer)), encoding="utf-8")
         if len(self.buffer):
             self.buffer.storage.dumps(path / "storage")
             self.buffer.writer.dumps(path / "writer")
@@ -34,7 +34,7 @@ class BufferState:
     def load(self, path: Path) -> None:
         """Restores what :meth:`dump` wrote."""
         path = Path(path)
-        if json.loads((path / "length.json").read_text()):
+        if json.loads((path / "length.json").read_text(encoding="utf-8")):
             self.buffer.writer.loads(path / "writer")
             self.buffer.sampler.loads(path / "sampler")
             self.buffer.storage.loads(path / "storage")
@@ -83,7 +83,7 @@ def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
         raise
     except Exception as error:
         raise _damaged(path, str(error)) from error
-    if written_under != fingerprint(config):
+    if written_under not in fingerprints(config):
         raise UavrlError(
             f"The checkpoint {path} was written under another configuration than the one given: "
             f"resume it with the {CONFIG} of its own run folder."

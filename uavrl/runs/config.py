@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import yaml
@@ -26,16 +27,18 @@ FREE_KEYS = (
     "trainer.progress",
     "trainer.keep_checkpoints",
 )
-# What may differ between two seeds of one experiment: beside that, what bears on the last digits alone.
+# What a run may change when it goes on, on another machine perhaps: it bears on the last digits alone.
+MACHINE_KEYS = ("device", "trainer.execution", "trainer.threads", "trainer.products")
+# What may differ between two seeds of one experiment.
 OF_OLDER_RUNS = ("trainer.record_states",)
-HOW_IT_RUNS = (*FREE_KEYS, "device", "trainer.execution", "trainer.threads", "trainer.window", *OF_OLDER_RUNS)
+HOW_IT_RUNS = (*FREE_KEYS, *MACHINE_KEYS, "trainer.window", *OF_OLDER_RUNS)
 _MOST_BYTES = 1_000_000  # a configuration is of some 4,000
 
 
-def fingerprint(config: DictConfig) -> str:
+def fingerprint(config: DictConfig, without: Iterable[str] = (*FREE_KEYS, *MACHINE_KEYS)) -> str:
     """A hash of everything in a resolved configuration that changes what is learned."""
     plain = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
-    for key in FREE_KEYS:
+    for key in without:
         parent, _, leaf = key.rpartition(".")
         node = OmegaConf.select(plain, parent) if parent else plain
         if isinstance(node, DictConfig) and leaf in node:
@@ -44,9 +47,15 @@ def fingerprint(config: DictConfig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def fingerprints(config: DictConfig) -> tuple[str, ...]:
+    """Under which a checkpoint of the configuration may have been written: until 0.1.0 the machine's keys counted."""
+    return fingerprint(config), fingerprint(config, FREE_KEYS)
+
+
 def free_keys(config: DictConfig) -> list[str]:
-    """Those of :data:`FREE_KEYS` that a configuration has."""
-    return [key for key in FREE_KEYS if OmegaConf.select(config, key, default=key) != key]
+    """What a sweep sets in a run that it goes on with: all that may change, but what the run has chosen by ``auto``."""
+    found = {key: OmegaConf.select(config, key, default=key) for key in (*FREE_KEYS, *MACHINE_KEYS)}
+    return [key for key, value in found.items() if value != key and not (key in MACHINE_KEYS[1:] and value == "auto")]
 
 
 def read_config(run_dir: Path) -> DictConfig:
@@ -80,7 +89,7 @@ def load_config(path: Path) -> DictConfig:
     """
     if path.stat().st_size > _MOST_BYTES:
         raise ValueError(f"expected at most {_MOST_BYTES:,} bytes, found {path.stat().st_size:,}")
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             raise ValueError("it holds an alias, which no run writes")

@@ -6,26 +6,30 @@ import csv
 import math
 import os
 from collections import deque
-from collections.abc import Iterator, Mapping
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavrl.errors import UavrlError
+from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs.files import naming, replacing
 
 if TYPE_CHECKING:  # reports read episodes without torch
     from tensordict import TensorDictBase
+    from torch import Tensor
 
 OUTCOMES = ("arrived", "collided", "timed_out")
 RATES = {"success": "arrived", "collision": "collided", "time_out": "timed_out"}
+TERM = "return_"  # begins the column of what one term of the reward adds to the return
+LETTERS = {"arrived": "S", "collided": "C", "timed_out": "T"}  # success, collision, time-out: an outcome in one letter
 
 
 @dataclass(frozen=True)
 class Episode:
     """One flown episode; lengths in metres. Places are 0 where the environment has none.
 
-    The return is the one that the environment gave, where a transform scaled the rewards that are learned from.
+    The return is the one that the environment gave, where a transform scaled the rewards that are learned from. The
+    ``terms`` are what each named term of the reward adds to it; there are none where the reward names none.
     """
 
     episode: int
@@ -41,17 +45,24 @@ class Episode:
     goal_z: float
     world_seed: int
     task: int
+    terms: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
-    def header() -> list[str]:
-        """The column names."""
-        return [field.name for field in fields(Episode)]
+    def header(terms: Sequence[str] = ()) -> list[str]:
+        """The column names, with one for each term."""
+        return [field.name for field in fields(Episode)[:-1]] + [f"{TERM}{name}" for name in terms]
+
+    def row(self, terms: Sequence[str] = ()) -> list[Any]:
+        """The values of the columns of :meth:`header`."""
+        return [getattr(self, name) for name in Episode.header()] + [self.terms[name] for name in terms]
 
     @staticmethod
-    def from_row(row: list[str]) -> Episode:
+    def from_row(row: list[str], terms: Sequence[str] = ()) -> Episode:
         """Reads one row of ``episodes.csv``."""
         kinds = {"int": int, "float": float, "str": str}
-        return Episode(*(kinds[str(field.type)](value) for field, value in zip(fields(Episode), row, strict=True)))
+        values = [kinds[str(each.type)](value) for each, value in zip(fields(Episode)[:-1], row, strict=False)]
+        added = dict(zip(terms, map(float, row[len(values) :]), strict=True))
+        return replace(Episode(*values), terms=added)
 
 
 def wilson(count: int, total: int) -> dict[str, float]:
@@ -77,6 +88,22 @@ def difference_of_rates(one: Mapping[str, float], other: Mapping[str, float]) ->
     return found, found - below, found + above
 
 
+def outcomes_of(result: Mapping[str, Any]) -> str | None:
+    """How each task of an evaluation ended, a letter each; None where a file does not tell it.
+
+    Files from before there were ``outcomes`` tell it by their ``flights``.
+
+    Examples:
+        >>> outcomes_of({"outcomes": "SCT"})
+        'SCT'
+        >>> outcomes_of({"flights": [{"task": 0, "outcome": "arrived"}, {"task": 1, "outcome": "timed_out"}]})
+        'ST'
+    """
+    if "outcomes" in result or "flights" not in result:
+        return result.get("outcomes")
+    return "".join(LETTERS[flight["outcome"]] for flight in result["flights"])
+
+
 def outcome(last: TensorDictBase) -> str:
     """How an episode ended, from what came after its last step."""
     return "arrived" if last["arrived"].item() else "collided" if last["collided"].item() else "timed_out"
@@ -93,14 +120,29 @@ def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
         start = end + 1
 
 
-def summarize(trajectory: TensorDictBase, episode: int, total_steps: int) -> Episode:
-    """One row from the steps of one whole episode."""
+def summarize(
+    trajectory: TensorDictBase,
+    episode: int,
+    total_steps: int,
+    reward_terms: Callable[[TensorDictBase, TensorDictBase], Mapping[str, Tensor]] | None = None,
+) -> Episode:
+    """One row from the steps of one whole episode; ``reward_terms`` gives the terms of its rewards, ``[T, 1]`` each."""
     first, last = trajectory[0], trajectory[-1]["next"]
     paid = float(last.get("episode_reward", trajectory["next", "reward"].double().sum()))
     places = [first.get(key, None) for key in ("position", "goal")]
     start, goal = ([0.0] * 3 if place is None else place.tolist() for place in places)
     where = [*start, *goal, int(first.get("world_seed", 0)), int(first["task"].item())]
-    return Episode(episode, total_steps, outcome(last), paid, len(trajectory), *where)
+    terms = reward_terms(trajectory, trajectory["next"]) if reward_terms is not None else {}
+    added = {name: float(term.double().sum()) for name, term in terms.items()}
+    row = Episode(episode, total_steps, outcome(last), paid, len(trajectory), *where)
+    return replace(row, terms=added)
+
+
+def mean_terms(episodes: Collection[Episode]) -> dict[str, float]:
+    """What each term of the reward adds to the mean return of some episodes, of the terms that all of them name."""
+    names = next(iter(episodes)).terms if episodes else ()
+    named = [name for name in names if all(name in episode.terms for episode in episodes)]
+    return {name: sum(episode.terms[name] for episode in episodes) / len(episodes) for name in named}
 
 
 def read_episodes(path: Path) -> list[Episode]:
@@ -110,13 +152,19 @@ def read_episodes(path: Path) -> list[Episode]:
     try:
         text = path.read_text(encoding="utf-8")
         rows = list(csv.reader(text[: text.rfind("\n") + 1].splitlines()))
-        if rows[:1] != [Episode.header()]:
-            raise ValueError(f"expected it to start with the columns {','.join(Episode.header())}")
-        episodes = [Episode.from_row(row) for row in rows[1:]]
+        if missing := [name for name in Episode.header() if rows and name not in rows[0]]:
+            raise OtherFormat(path, f"column `{missing[0]}`")
+        columns = Episode.header()
+        terms = [name.removeprefix(TERM) for name in rows[0][len(columns) :]] if rows else []
+        if rows[:1] != [Episode.header(terms)]:
+            raise ValueError(f"expected it to start with the columns {','.join(columns)}")
+        episodes = [Episode.from_row(row, terms) for row in rows[1:]]
         if not {e.outcome for e in episodes} <= set(OUTCOMES):
             raise ValueError(f"outcomes are {', '.join(OUTCOMES)} alone")
         if [e.episode for e in episodes] != list(range(1, len(episodes) + 1)):
             raise ValueError(f"expected the episodes 1 to {len(episodes)}, each once")
+    except OtherFormat:
+        raise
     except ValueError as error:
         raise UavrlError(f"{path} is damaged: {error}.") from error
     return episodes
@@ -133,17 +181,22 @@ class EpisodeLog:
         self.window = window
         self.count = 0
         self._recent: deque[Episode] = deque(maxlen=window)
+        self._terms: list[str] = []  # those that the file has columns for
         if not path.exists():
-            self._rewrite([])
+            self._rewrite([], [])
 
-    def _rewrite(self, episodes: list[Episode]) -> None:
-        with replacing(self.path) as partial, partial.open("w", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows([Episode.header(), *map(astuple, episodes)])
+    def _rewrite(self, episodes: list[Episode], terms: list[str]) -> None:
+        self._terms = terms
+        with replacing(self.path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+            rows = [Episode.header(terms), *(episode.row(terms) for episode in episodes)]
+            csv.writer(file, lineterminator="\n").writerows(rows)
 
     def add(self, episode: Episode) -> None:
-        """Writes one row."""
-        with naming(self.path), self.path.open("a", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerow(astuple(episode))
+        """Writes one row; the first one decides which terms there are columns for."""
+        if self.count == 0 and episode.terms:
+            self._rewrite([], list(episode.terms))
+        with naming(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerow(episode.row(self._terms))
             file.flush()
             os.fsync(file.fileno())  # a checkpoint must never know more episodes than the file
         self.count += 1
@@ -163,6 +216,10 @@ class EpisodeLog:
         """Mean return over the window; 0 before the first episode."""
         return sum(e.episode_return for e in self._recent) / max(len(self._recent), 1)
 
+    def mean_terms(self) -> dict[str, float]:
+        """What each term of the reward adds to the mean return over the window."""
+        return mean_terms(self._recent)
+
     def state_dict(self) -> dict[str, Any]:
         """The number of rows."""
         return {"count": self.count}
@@ -176,7 +233,7 @@ class EpisodeLog:
                 f"the file does not belong to the checkpoint."
             )
         episodes = episodes[: state_dict["count"]]
-        self._rewrite(episodes)
+        self._rewrite(episodes, list(episodes[0].terms) if episodes else [])
         self.count = len(episodes)
         self._recent.clear()
         self._recent.extend(episodes)

@@ -2,8 +2,9 @@
 
 import errno
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 
 from uavrl.errors import FolderTaken, UavrlError
@@ -62,17 +63,50 @@ def require_room(folder: Path, size: float) -> None:
 
 
 @contextmanager
-def removed_on_failure(folder: Path, holding: str) -> Iterator[None]:
-    """Leaves no trace of a folder that is made inside the block, where an error ends the block before ``holding``."""
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
+def made_folder(folder: Path, holding: str, *, another: bool = False) -> Iterator[Path]:
+    """Makes a folder where there is none, and no trace of it is left where an error ends the block before ``holding``.
+
+    Args:
+        folder: that is wanted.
+        holding: a pattern of what in it is worth keeping.
+        another: whether, where there is one of this name, another is made whose name ends in a number. Of several
+            processes that ask for it in the same moment, each gets its own.
+    """
+    above = [path for path in folder.parents if not path.exists()]
     try:
-        yield
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder, is_new = _made(folder, another)
+    except OSError as error:
+        _remove_empty(above)
+        raise UavrlError(
+            f"The run folder {folder} cannot be written ({error.strerror}): choose another with run_dir=FOLDER."
+        ) from error
+    try:
+        yield folder
     except FolderTaken:
         raise
     except Exception:
-        if made and not any(folder.glob(holding)):
+        if is_new and not any(folder.glob(holding)):
             shutil.rmtree(folder, ignore_errors=True)
-            for parent in made[1:]:
-                with suppress(OSError):
-                    parent.rmdir()
+            _remove_empty(above)
         raise
+
+
+def _made(folder: Path, another: bool) -> tuple[Path, bool]:
+    """The folder, and whether it was made here."""
+    for number in count(1):
+        numbered = folder if number == 1 else folder.with_name(f"{folder.name}_{number}")
+        try:
+            numbered.mkdir()
+        except FileExistsError:
+            if not another:
+                return folder, False
+        else:
+            return numbered, True
+    raise AssertionError("count has no end")
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()

@@ -1,10 +1,36 @@
-"""Which state of the code made a run."""
+"""Which state of the code made a result, and on what: the same code gives other last digits elsewhere."""
 
+import platform
 import subprocess
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent
+# Whose versions bear on a result. PyBullet has a fork with other wheels; one of the two is installed.
+PACKAGES = ("uavrl", "torch", "torchrl", "numpy", "pybullet", "pybullet-arm64", "embreex")
+_CPUINFO = Path("/proc/cpuinfo")
+
+
+def versions() -> dict[str, str | None]:
+    """The versions of :data:`PACKAGES` and of Python, and uavrl's commit, None outside of a checkout."""
+    found: dict[str, str | None] = {"commit": commit(), "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def processor() -> dict[str, str]:
+    """The processor's model, and which of its instruction sets PyTorch uses."""
+    import torch  # here: reports ask for a commit without it
+
+    lines = _CPUINFO.read_text(encoding="utf-8").splitlines() if _CPUINFO.is_file() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = models[0] if models else platform.processor() or platform.machine()
+    return {"model": model, "instructions": torch.backends.cpu.get_cpu_capability()}
 
 
 @cache

@@ -29,5 +29,5 @@ class StateDictWithoutPickles(StateDictCheckpointAdapter):
     ) -> None:
         """Restores ``component`` from ``path``."""
         tensors = tensordict.load(path / self.state_directory, allow_pickle=False)
-        schema = json.loads((path / self.schema_filename).read_text())
+        schema = json.loads((path / self.schema_filename).read_text(encoding="utf-8"))
         component.load_state_dict(decode_state_dict(schema, tensors, map_location), *args, **kwargs)

@@ -8,6 +8,7 @@ from torch import nn
 
 from uavrl.configs.build import build, options, resolve
 from uavrl.configs.checks import require
+from uavrl.configs.offered import OFFERED, refuse_offered
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss, Enhancer
@@ -34,8 +35,10 @@ def make_loss(
         )
         for _ in range(loss_class.num_critics)
     ]
-    loss = loss_class.of_networks(actor, critics, sizes.action_spec(device), **options(settings.algo, packages))
-    given = {"gamma": settings.algo.gamma, "stacked": sizes.frames, "limit": sizes.limit, **_widths(sizes)}
+    written = options(settings.algo, packages, **_offered(sizes))
+    refuse_offered("algo", written, OFFERED["algo"])
+    loss = loss_class.of_networks(actor, critics, sizes.action_spec(device), **written)
+    given = {"gamma": settings.algo.gamma, **_offered(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.enhancer):
         enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
         if enhanced is None:
@@ -57,7 +60,7 @@ def _loss_class(settings: TrainConfig) -> type[ActorCriticLoss]:
 def _network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: NetworkSizes) -> nn.Module:
     """The network of a part of ``algo``, tried once: what takes other inputs would fail in the middle of a flight."""
     part = getattr(settings.algo, role)
-    network = build(part, nn.Module, packages=settings.packages, limit=sizes.limit, **_widths(sizes))
+    network = build(part, nn.Module, packages=settings.packages, **_offered(sizes))
     if network is None:
         raise UavrlError(f"algo.{role} must name a network, got null: choose another algorithm.")
     inputs = [torch.zeros(2, sizes.state)] + [torch.zeros(2, sizes.actions)] * (role == "critic")
@@ -76,5 +79,5 @@ def _network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: Net
     return network
 
 
-def _widths(sizes: NetworkSizes) -> dict[str, Any]:
-    return {"observations": sizes.state, "actions": sizes.actions}
+def _offered(sizes: NetworkSizes) -> dict[str, Any]:
+    return {"observations": sizes.state, "actions": sizes.actions, "limit": sizes.limit, "stacked": sizes.frames}

@@ -42,6 +42,14 @@ def chosen_products(name: str, threads: int = 1) -> Products:
     return cast(Products, name)
 
 
+def products_here(recorded: str, threads: int = 1) -> Products:
+    """What a run has recorded; on a machine without oneDNN's products in float32 PyTorch's own, which are as good."""
+    if recorded == "onednn":
+        os.environ.setdefault(ISA, "AVX512_CORE")
+        return "mkl" if _obstacle(recorded) else "onednn"
+    return chosen_products(recorded, threads)
+
+
 @contextmanager
 def multiplied_by(name: str, threads: int = 1) -> Iterator[Products]:
     """Multiplies by :func:`chosen_products`, yields its name, and gives the caller's choice back at the end.

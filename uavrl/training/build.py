@@ -32,6 +32,7 @@ from uavrl.training.loggers import IntervalLog, make_logger
 from uavrl.training.network_sizes import network_sizes
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
+from uavrl.transforms.rewards import terms_of
 
 
 def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
@@ -39,7 +40,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
     device = make_device(settings.device)
     new_env = partial(make_training_env, settings, seed=barrier_seed(settings.seed, 0))
     env = new_env()
-    sizes = network_sizes(env)
+    sizes, reward_terms = network_sizes(env), terms_of(env)
     actor = make_actor(settings, sizes, device)
     loss = make_loss(settings, actor, sizes, device)
     backward_reward = make_backward_reward(settings, sizes, run_dir / ARTIFACT)
@@ -65,6 +66,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         learns_after=0 if settings.guided else settings.algo.random_steps,
         judged_after=settings.algo.random_steps if settings.guided else 0,
         seed=settings.seed,
+        reward_terms=reward_terms,
         checkpoint_interval=settings.trainer.checkpoint_interval,
         log=IntervalLog(logger, settings.logger.interval),
         collector=make_collector(settings, flown, actor, sizes, device),  # last: it may have begun a process

@@ -10,9 +10,9 @@ from threading import Event, Thread
 
 from filelock import FileLock, Timeout
 
-from uavrl.errors import FolderTaken
+from uavrl.errors import FolderTaken, UavrlError
+from uavrl.runs.names import HOLDER, LOCK
 
-LOCK, HOLDER = ".lock", ".holder.json"
 BEAT = 15.0  # s between two signs of life
 GONE = 120.0  # s without one after which a holder on another machine is taken for dead
 
@@ -29,6 +29,10 @@ def locked(run_dir: Path) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise _taken(run_dir) from None
+    except OSError as error:
+        raise UavrlError(
+            f"The folder {run_dir} cannot be written ({error.strerror}): choose another, or work on a copy."
+        ) from error
     try:
         if lock.lock_counter > 1:
             yield
@@ -49,7 +53,7 @@ def _taken(run_dir: Path) -> FolderTaken:
 
 def _holder(run_dir: Path) -> dict[str, object]:
     try:
-        held = json.loads((run_dir / HOLDER).read_text())
+        held = json.loads((run_dir / HOLDER).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return held if isinstance(held, dict) else {}
@@ -67,7 +71,7 @@ def _held_elsewhere(run_dir: Path) -> bool:
 
 @contextmanager
 def _signs_of_life(holder: Path) -> Iterator[None]:
-    holder.write_text(json.dumps({"host": platform.node(), "pid": os.getpid()}))
+    holder.write_text(json.dumps({"host": platform.node(), "pid": os.getpid()}), encoding="utf-8")
     ended = Event()
 
     def beat() -> None:

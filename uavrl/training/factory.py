@@ -13,6 +13,7 @@ from torchrl.modules import AdditiveGaussianModule
 
 from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
 from uavrl.configs.build import build, options, resolve
+from uavrl.configs.offered import OFFERED, refuse_offered
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.training.collecting import OURS, FlightCollector
@@ -51,9 +52,10 @@ def make_env(
     **offered: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read."""
-    several = {} if num_uavs is None else {"num_uavs": num_uavs}
+    several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of those that a run flies
     own = {str(key): value for part in (perception, env) for key, value in part.items()}
-    base = build(own, EnvBase, packages=packages, key="env", **several, **offered)
+    own = {key: value for key, value in own.items() if key in env or key not in OFFERED["env"]} | several
+    base = build(own, EnvBase, packages=packages, key="env", **offered)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
@@ -200,6 +202,5 @@ def make_collector(
     if found.flies_elsewhere:
         kwargs["num_threads"] = settings.trainer.threads
     own = options(settings.collector)
-    if taken := own.keys() & kwargs.keys():
-        raise UavrlError(f"collector.{min(taken)} is set by the run itself: leave it out.")
+    refuse_offered("collector", own, OFFERED["collector"])
     return found(env, **kwargs, **own)

@@ -15,6 +15,7 @@ from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
 from uavrl.configs.build import build, resolve
 from uavrl.errors import UavrlError
 from uavrl.runs.files import replacing
+from uavrl.runs.names import LOGS
 
 WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
@@ -23,7 +24,7 @@ _ROW = re.compile(r"\d+,\S+\n")  # step and value
 def make_logger(part: DictConfig, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
     """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``."""
     with _told(choice):
-        return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / "logs"))
+        return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / LOGS))
 
 
 def require_login(part: DictConfig, packages: Iterable[str] = ()) -> None:
@@ -68,9 +69,11 @@ class OneRunWandbLogger(WandbLogger):
         name.parent.mkdir(parents=True, exist_ok=True)
         if not name.exists():
             with replacing(name) as partial:
-                partial.write_text(uuid.uuid4().hex[:8])
+                partial.write_text(uuid.uuid4().hex[:8], encoding="utf-8")
         mode = "offline" if offline else "online"
-        super().__init__(exp_name=exp_name, log_dir=log_dir, id=name.read_text(), project=project, mode=mode)
+        super().__init__(
+            exp_name=exp_name, log_dir=log_dir, id=name.read_text(encoding="utf-8"), project=project, mode=mode
+        )
 
     def log_scalar(self, name: str, value: float, step: int | None = None, *args: Any, **kwargs: Any) -> None:
         """Logs a value, unless its step is shown already: what is sent to wandb cannot be taken back."""
@@ -124,12 +127,12 @@ def truncate_logs(logger: Logger, run_dir: Path, steps: int, reached: int) -> No
 
 def _truncate_csv(run_dir: Path, steps: int) -> None:
     """Rewrites the CSV logger's files; one that is not the logger's is left alone."""
-    for path in (run_dir / "logs").glob("*/scalars/*.csv"):
-        rows = path.read_text().splitlines(keepends=True)
+    for path in (run_dir / LOGS).glob("*/scalars/*.csv"):
+        rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
         whole = [row for row in rows if row.endswith("\n")]
         if not all(_ROW.fullmatch(row) for row in whole):
             continue
         kept = [row for row in whole if int(row.partition(",")[0]) <= steps]
         if len(kept) < len(rows):
             with replacing(path) as partial:
-                partial.write_text("".join(kept))
+                partial.write_text("".join(kept), encoding="utf-8")

@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint
 
-from uavrl.configs import to_dataclass
+from uavrl.configs import settings_of_run
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import LifeGuard
@@ -33,7 +33,7 @@ def load_actor(
     """Configuration, policy and origin: of the checkpoint named, else of a policy on its own, else the newest."""
     config = read_config(folder)
     config.packages = list(packages)
-    settings = to_dataclass(config)
+    settings = settings_of_run(config)
     actor = make_actor(settings, _sizes(settings), device)
     if checkpoint is None and POLICY.is_in(folder):
         about, weights = POLICY.load(folder)
@@ -95,12 +95,12 @@ def load_risk(
 def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[str, Any], output: Path) -> None:
     """Writes ``config.yaml``, the weights and then ``policy.json``, without which nothing loads."""
     if POLICY.is_in(output) or (output / CONFIG).exists():
-        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with --output FOLDER.")
-    writable(output / POLICY.json, "--output FOLDER")
+        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with output=FOLDER.")
+    writable(output / POLICY.json, "output=FOLDER")
     config = config.copy()
     config.run_dir = Path(str(config.run_dir)).name
     with replacing(output / CONFIG) as partial:
-        partial.write_text(OmegaConf.to_yaml(config))
+        partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
     POLICY.save(output, actor.state_dict(), about)
 
 

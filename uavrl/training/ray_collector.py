@@ -10,6 +10,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,8 +24,10 @@ from torchrl.envs import EnvBase
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.ranges import Count
 from uavrl.training.stopping import interrupts_held_back
+from uavrl.upstream import ray_job
 
 log = logging.getLogger(__name__)
+SAFE_PATH = "PYTHONSAFEPATH"  # set in a command: nothing is imported from the working folder
 OBJECTS = 512 * 2**20  # bytes that a Ray of our own keeps for flights and weights on their way
 
 
@@ -186,7 +189,9 @@ def _join(address: str | None, processors: int) -> None:
     own: dict[str, Any] = {"num_cpus": processors, "object_store_memory": OBJECTS, "include_dashboard": False}
     try:
         with interrupts_held_back(), _handlers_kept():
-            ray.init(address=address or "local", logging_level=logging.ERROR, **({} if address else own))
+            own = {} if address else own
+            job = ray_job(_folders_of_the_user()) if os.environ.get(SAFE_PATH) else None
+            ray.init(address=address or "local", job_config=job, logging_level=logging.ERROR, **own)  # type: ignore[arg-type]
     except (ConnectionError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         if address is None:
@@ -195,6 +200,12 @@ def _join(address: str | None, processors: int) -> None:
             f"collector.address={address} cannot be reached ({reason}): start Ray there by ray start --head, or leave "
             f"collector.address out."
         ) from error
+
+
+def _folders_of_the_user() -> list[str]:
+    """What ``PYTHONPATH`` names, for workers that were started without it."""
+    named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return [str(Path(folder).absolute()) for folder in named if folder]
 
 
 def _leave() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 from torchrl.checkpoint import Checkpoint
 
+from uavrl.command_line import command_line
 from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import DamagedCheckpoint, all_checkpoints, check_checkpoint
 from uavrl.runs.episodes import read_episodes
@@ -60,14 +61,15 @@ def _set_aside(passed_over: dict[Path, str], saved: int) -> None:
 
 def how_to_go_on(run_dir: Path) -> str:
     """The sentence that a stopped run ends with."""
+    go_on = command_line("uavrl-train", resume=run_dir)
     if not any(run_dir.glob(ANY_CHECKPOINT)):
-        return f"stopped before the first flight: start it again, or uavrl-train resume={run_dir}."
+        return f"stopped before the first flight: start it again, or {go_on}."
     try:
         saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]
         flown = len(read_episodes(run_dir / EPISODES))
     except Exception:  # damaged meanwhile: whoever goes on is told what, and nothing may hide that the run was stopped
-        return f"stopped: go on with uavrl-train resume={run_dir}."
+        return f"stopped: go on with {go_on}."
     if flown == saved:
-        return f"stopped after episode {flown}, which is saved: go on with uavrl-train resume={run_dir}."
+        return f"stopped after episode {flown}, which is saved: go on with {go_on}."
     again = f"episode {flown}" if flown == saved + 1 else f"episodes {saved + 1} to {flown}"
-    return f"stopped after episode {flown}: uavrl-train resume={run_dir} goes on after {saved} and flies {again} again."
+    return f"stopped after episode {flown}: {go_on} goes on after {saved} and flies {again} again."

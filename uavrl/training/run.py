@@ -2,10 +2,10 @@
 
 import json
 import logging
-import platform
 import random
 import shutil
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,18 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-import uavrl
-from uavrl.configs import learner_name, to_dataclass
+from uavrl.command_line import command_line
+from uavrl.configs import learner_name, settings_of_run, to_dataclass
 from uavrl.configs.train import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import restore
-from uavrl.runs.config import fingerprint, read_config
+from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
-from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
-from uavrl.runs.provenance import commit
+from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
+from uavrl.runs.provenance import processor, versions
 from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
-from uavrl.training.arithmetic import chosen_products, denormals_flushed, multiplied_by
+from uavrl.training.arithmetic import chosen_products, denormals_flushed, multiplied_by, products_here
 from uavrl.training.build import build_trainer
 from uavrl.training.claim import locked
 from uavrl.training.compiled_updates import chosen_execution
@@ -44,6 +44,7 @@ log = logging.getLogger(__name__)
 def create_run(config: DictConfig) -> Path:
     """Makes the run folder with its resolved configuration."""
     run_dir = Path(str(config.run_dir))
+    check_links(run_dir, TRAINING)
     _refuse_a_run(run_dir)
     # recorded: both bear on the last digits
     config.trainer.execution = chosen_execution(config.trainer.execution)
@@ -68,7 +69,7 @@ def _refuse_a_run(run_dir: Path) -> None:
     if any(run_dir.glob(ANY_CHECKPOINT)):
         raise FolderTaken(
             f"The run folder {run_dir} holds a run already: "
-            f"go on with it by resume={run_dir}, or choose another run_dir."
+            f"go on with it by {command_line('uavrl-train', resume=run_dir)}, or choose another run_dir."
         )
     if any((run_dir / name).exists() for name in (CONFIG, EPISODES, ARTIFACT)):
         raise FolderTaken(f"The run folder {run_dir} holds a run already, without checkpoints: choose another run_dir.")
@@ -76,13 +77,22 @@ def _refuse_a_run(run_dir: Path) -> None:
 
 def _write(config: DictConfig, run_dir: Path) -> None:
     with replacing(run_dir / CONFIG) as partial_config:
-        partial_config.write_text(OmegaConf.to_yaml(config, resolve=True))
+        partial_config.write_text(OmegaConf.to_yaml(config, resolve=True), encoding="utf-8")
 
 
-def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[str, Any]:
-    """Trains until the configured number of episodes or steps is flown, or until the policy is good enough."""
+def train(
+    config: DictConfig, run_dir: Path, *, resume: bool = False, begun: Callable[[], None] = lambda: None
+) -> dict[str, Any]:
+    """Trains until the configured number of episodes or steps is flown, or until the policy is good enough.
+
+    Args:
+        config: complete.
+        run_dir: made by :func:`create_run`.
+        resume: whether to go on from the newest checkpoint.
+        begun: called once all is built: what can be refused was not.
+    """
     if resume:
-        check_links(run_dir)
+        check_links(run_dir, TRAINING)
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
     with (
         locked(run_dir),
@@ -91,7 +101,7 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
         stoppable() as stop,
     ):
         try:
-            return _train(config, run_dir, stop, resume=resume)
+            return _train(config, run_dir, stop, begun, resume=resume)
         except BaseException as error:
             if stop.signal is None and not was_interrupted(error):
                 if isinstance(error, FlyingEnded):
@@ -100,8 +110,8 @@ def train(config: DictConfig, run_dir: Path, *, resume: bool = False) -> dict[st
             raise Stopped(how_to_go_on(run_dir), stop.signal or signal.SIGINT) from None
 
 
-def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> dict[str, Any]:
-    settings: TrainConfig = to_dataclass(config)
+def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], None], *, resume: bool) -> dict[str, Any]:
+    settings: TrainConfig = settings_of_run(config) if resume else to_dataclass(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     if resume and never_began(run_dir):
@@ -121,6 +131,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, *, resume: bool) -> di
         raise
     trainer.stop = stop
     try:
+        begun()
         if checkpoint is not None:
             _take_up(trainer, checkpoint, config, run_dir)
         else:
@@ -216,23 +227,19 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),
         "mean_return": trainer.episode_log.mean_return(),
-        "versions": {
-            "uavrl": uavrl.__version__,
-            "commit": commit(),
-            "torch": str(torch.__version__),
-            "python": platform.python_version(),
-        },
+        "versions": versions(),
+        "processor": processor(),
     }
     warn_of_nothing_learned(settings, summary["steps"], summary["updates"])
     with replacing(run_dir / SUMMARY) as partial:
-        partial.write_text(json.dumps(summary, indent=2) + "\n")
+        partial.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary
 
 
 def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> DictConfig:
     """The configuration of a run to go on with."""
     config = read_config(run_dir)
-    before = fingerprint(config)
+    before, machine = fingerprint(config), _of_the_machine(config)
     config.packages = overrides.packages  # whom the one trusts who runs this, whatever the file says
     address = config.collector.get("address")
     if address is not None and "collector.address" not in changed:  # what a Ray cluster sends is unpickled
@@ -250,4 +257,16 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
             f"resume={run_dir} goes on with the run's own configuration, and {', '.join(changed)} would change it: "
             f"leave that out, or start a new run."
         )
+    if "trainer.products" in machine:  # older runs have no choice
+        found_here = chosen_products if "trainer.products" in changed else products_here
+        config.trainer.products = found_here(config.trainer.products, config.trainer.threads)
+        config.trainer.execution = chosen_execution(config.trainer.execution)
+    now = _of_the_machine(config)
+    if others := [f"{key}={now[key]} (before: {machine.get(key)})" for key in now if now[key] != machine.get(key)]:
+        log.info("%s goes on with %s: from here on last digits may differ.", run_dir, ", ".join(others))
     return config
+
+
+def _of_the_machine(config: DictConfig) -> dict[str, Any]:
+    found = {key: OmegaConf.select(config, key) for key in MACHINE_KEYS}
+    return {key: value for key, value in found.items() if value is not None}

@@ -9,9 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import read_episodes
-from uavrl.runs.names import ANY_CHECKPOINT, CONFIG, EPISODES, SUMMARY
-from uavrl.training.arithmetic import FLOAT32, chosen_products
-from uavrl.training.compiled_updates import chosen_execution
+from uavrl.runs.names import ANY_CHECKPOINT, EPISODES, SUMMARY
 from uavrl.training.run import free
 
 NAME_DIGITS = 6
@@ -21,12 +19,15 @@ FOLLOWING = -1  # stands in a name for the random steps that follow from the run
 def run_folder(config: DictConfig) -> Path:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and returns it.
 
-    What does not change what is learned (as ``trainer.episodes``) is not part of the fingerprint, nor are random steps
+    What does not change what is learned (as ``trainer.episodes``, or what the machine at hand has) is not part of the
+    fingerprint, so that all machines that share a sweep find its runs; nor are random steps
     that follow from a run's length: a sweep that is started again for longer runs goes on with its runs, whose random
     steps stay what they were.
     """
-    config.trainer.execution = chosen_execution(config.trainer.execution)
-    run_dir = _place(config)
+    named = copy.deepcopy(config)
+    if OmegaConf.is_interpolation(named.algo, "random_steps"):
+        named.algo.random_steps = FOLLOWING
+    run_dir = Path(f"{Path(config.run_dir).expanduser()}_{fingerprint(named)[:NAME_DIGITS]}")
     OmegaConf.update(config, "run_dir", str(run_dir))
     return run_dir
 
@@ -55,26 +56,9 @@ def summary_lines(run_dirs: list[Path]) -> str:
     return "\n".join([f"The sweep's {len(run_dirs)} runs:", *lines])
 
 
-def _place(config: DictConfig) -> Path:
-    """The run's folder. Where ``trainer.products=auto`` has chosen before, that choice is kept."""
-    wanted = config.trainer.products
-    for products in FLOAT32 if wanted == "auto" else ():
-        if (_named(config, products) / CONFIG).exists():
-            return _named(config, products)
-    return _named(config, chosen_products(wanted, config.trainer.threads))
-
-
-def _named(config: DictConfig, products: str) -> Path:
-    config.trainer.products = products
-    named = copy.deepcopy(config)
-    if OmegaConf.is_interpolation(named.algo, "random_steps"):
-        named.algo.random_steps = FOLLOWING
-    return Path(f"{config.run_dir}_{fingerprint(named)[:NAME_DIGITS]}")
-
-
 def _flown(run_dir: Path, what: str) -> int:
     """A number of a summary; 0 where there is none, or a damaged one, which the end of the run writes anew."""
     try:
-        return int(json.loads((run_dir / SUMMARY).read_text())[what])
+        return int(json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))[what])
     except (OSError, ValueError, KeyError, TypeError):
         return 0

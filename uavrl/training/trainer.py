@@ -25,6 +25,7 @@ from uavrl.training.progress import Progress
 from uavrl.training.silence import Silence
 from uavrl.training.stepper import ActorCriticStepper
 from uavrl.training.stopping import Stop
+from uavrl.transforms.rewards import RewardTerms
 
 WAITED_FOR = (
     "No episode has ended for a while: flights go on for up to env.max_steps steps, or the updates after one are being "
@@ -64,6 +65,7 @@ class EpisodeTrainer:
     judged_after: int  # steps; flights that ended before are a guide's, and say nothing of the policy
     seed: int
     checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
+    reward_terms: RewardTerms | None = None  # the named terms of the reward
     progress: Progress = field(default_factory=lambda: Progress(0, 1, enabled=False))
     stop: Stop = field(default_factory=Stop)
     collected_frames: int = 0  # steps of whole episodes, which is what is learned from
@@ -139,7 +141,7 @@ class EpisodeTrainer:
         steps = self.collected_frames - len(batch)
         for trajectory in split_episodes(batch):
             steps += len(trajectory)
-            episode = summarize(trajectory, self.episode_log.count + 1, steps)
+            episode = summarize(trajectory, self.episode_log.count + 1, steps, self.reward_terms)
             self.episode_log.add(episode)
         rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
         self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
@@ -147,6 +149,7 @@ class EpisodeTrainer:
             "minutes": self.seconds / 60,
             **{f"rate_{name}": rate for name, rate in rates.items()},
             "return": mean_return,
+            **{f"return_{name}": mean for name, mean in self.episode_log.mean_terms().items()},
             "episodes": self.episode_log.count,
         }
         for part in (self.stepper, self.backward_reward, self.experience):

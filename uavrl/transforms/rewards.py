@@ -1,7 +1,7 @@
 """The thesis's two reward functions, each a sum of named terms, as pure functions and as TorchRL transforms."""
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from typing import Any, Literal
 
@@ -9,10 +9,11 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
-from torchrl.envs.transforms import Transform
+from torchrl.envs.transforms import Transform, TransformedEnv
 
 from uavrl.ranges import NonNegative, Positive
 
+RewardTerms = Callable[[TensorDictBase, TensorDictBase], dict[str, Tensor]]  # as :meth:`SumOfTerms.terms`
 AltitudeTerm = Literal["absolute", "literal"]
 
 
@@ -191,6 +192,22 @@ class SumOfTerms(Transform):
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
         """The reward is one unbounded float per environment."""
         return with_reward(reward_spec, self.out_keys[0])
+
+
+def terms_of(env: TransformedEnv) -> RewardTerms | None:
+    """What gives the named terms of an environment's reward; None where it names none, or keeps not what they read.
+
+    Examples:
+        >>> from uavrl.envs import NavigationEnv
+        >>> env = TransformedEnv(NavigationEnv(num_uavs=2), TraditionalReward())
+        >>> steps = env.rollout(3)
+        >>> list(terms_of(env)(steps, steps["next"]))
+        ['progress', 'arrival', 'collision']
+    """
+    kept = {key for spec in (env.observation_spec, env.full_done_spec) for key in spec.keys(True, True)}
+    having = (part for part in env.transform.modules() if hasattr(part, "terms"))
+    part = next(having, None)
+    return part.terms if part is not None and kept.issuperset(part.in_keys) else None
 
 
 def with_reward(reward_spec: TensorSpec, key: NestedKey) -> TensorSpec:

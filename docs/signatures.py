@@ -1,0 +1,66 @@
+"""What the API pages show of a constructor's arguments: names, defaults, and types with their ranges in words."""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Callable
+from typing import Annotated, Any, Union
+
+from uavrl.ranges import Range
+
+
+class MadeAnew:
+    """Stands for a default that each object gets of its own, or that is code."""
+
+    def __repr__(self) -> str:
+        return "..."
+
+
+def signature_of(thing: Callable[..., Any]) -> inspect.Signature:
+    """The signature of a function, or of a class's own constructor, whatever its metaclass takes."""
+    call = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]
+    if getattr(thing, "_is_protocol", False):
+        return inspect.Signature()
+    signature = inspect.signature(call)
+    try:
+        hints = typing.get_type_hints(call, include_extras=True)
+    except NameError:  # of a name that only type checkers import: types stay as they are written
+        hints = {}
+    parameters = list(signature.parameters.values())[isinstance(thing, type) :]
+    shown = [_shown(each, hints.get(each.name, each.annotation)) for each in parameters]
+    returned = signature.empty if isinstance(thing, type) else hints.get("return", signature.return_annotation)
+    return signature.replace(parameters=shown, return_annotation=returned)
+
+
+def _shown(parameter: inspect.Parameter, hint: Any) -> inspect.Parameter:
+    made_anew = callable(parameter.default) or type(parameter.default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
+    default = MadeAnew() if made_anew and parameter.default is not parameter.empty else parameter.default
+    return parameter.replace(annotation=in_words(hint) if has_range(hint) else hint, default=default)
+
+
+def has_range(hint: Any) -> bool:
+    """Whether a type holds a range somewhere."""
+    found = any(isinstance(each, Range) for each in getattr(hint, "__metadata__", ()))
+    return found or any(map(has_range, typing.get_args(hint)))
+
+
+def in_words(hint: Any) -> str:
+    """A type with its ranges: ``float > 0``, ``int ≥ 1 | None``."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        name = in_words(arguments[0])
+        return next((_with_range(name, each.words) for each in arguments[1:] if isinstance(each, Range)), name)
+    if origin in (Union, types.UnionType):
+        return " | ".join(map(in_words, arguments))
+    if origin is not None:
+        return f"{origin.__name__}[{', '.join(map(in_words, arguments))}]"
+    return "None" if hint is type(None) else "..." if hint is Ellipsis else getattr(hint, "__name__", str(hint))
+
+
+def _with_range(name: str, words: str) -> str:
+    for begin, sign in (("above ", " > "), ("at least ", " ≥ "), ("in ", " in ")):
+        if words.startswith(begin):
+            return name + sign + words.removeprefix(begin)
+    return f"{name}, {words}"

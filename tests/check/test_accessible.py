@@ -1,0 +1,76 @@
+"""What axe finds wrong with the pages, in light and in dark: nothing."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.flights import small_recording
+from tests.helpers.folders import several_runs
+from uavrl.reporting.flight_page import make_page
+from uavrl.reporting.page import page
+from uavrl.reporting.report import make_report
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMEDRIVER = shutil.which("chromedriver")
+AXE = find_spec("axe_core_python")
+CHECK = """
+const tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"], done = arguments[arguments.length - 1];
+// WCAG 2.2 has dropped it; plotly names a part of its scene as we name ours
+const rules = {"duplicate-id": {enabled: false}};
+axe.run(document, {runOnly: tags, rules}).then(
+  found => done(found.violations.map(each => [each.id, each.nodes.map(node => node.html.slice(0, 200))])),
+  error => done([["axe failed", String(error)]]));
+"""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    if CHROMIUM is None or CHROMEDRIVER is None:
+        pytest.skip("needs chromium and chromedriver: apt-get install chromium chromium-driver")
+    if AXE is None:
+        pytest.skip("needs axe: pip install axe-core-python")
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: pip install selenium")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    profile = tmp_path_factory.mktemp("browser")
+    flags = "headless no-sandbox disable-gpu no-first-run disable-background-networking disable-component-update "
+    flags += f"use-angle=swiftshader enable-unsafe-swiftshader window-size=1280,720 user-data-dir={profile}"
+    for flag in flags.split():
+        options.add_argument(f"--{flag}")
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(CHROMEDRIVER))
+    driver.set_script_timeout(300)
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pages")
+    (folder / "report.html").write_text(page(make_report(several_runs(folder / "runs"), window=10)), encoding="utf-8")
+    (folder / "flight.html").write_text(make_page(small_recording()), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("name", ["report", "flight"])
+def test_axe_finds_nothing(browser: Any, pages: Path, name: str, theme: str) -> None:
+    wanted = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
+    browser.get((pages / f"{name}.html").as_uri())
+    assert browser.execute_script("return matchMedia('(prefers-color-scheme: dark)').matches") == (theme == "dark")
+    (axe,) = (Path(place) / "axe.min.js" for place in AXE.submodule_search_locations)
+    browser.execute_script(axe.read_text(encoding="utf-8"))
+    assert browser.execute_async_script(CHECK) == []
+
+
+def test_a_report_is_no_wider_than_a_small_window(browser: Any, pages: Path) -> None:
+    size = {"width": 600, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get((pages / "report.html").as_uri())
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 600

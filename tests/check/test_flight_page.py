@@ -1,0 +1,119 @@
+"""A real browser plays the page."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.helpers.flights import small_recording
+from uavrl.reporting.flight_page import write_page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMEDRIVER = shutil.which("chromedriver")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    if CHROMIUM is None or CHROMEDRIVER is None:
+        pytest.skip("needs chromium and chromedriver: apt-get install chromium chromium-driver")
+    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: pip install selenium")
+    folder = tmp_path_factory.mktemp("browser")
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    options.page_load_strategy = "none"
+    flags = "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
+    flags += "disable-component-update disable-sync use-angle=swiftshader enable-unsafe-swiftshader "
+    flags += f"window-size=700,500 user-data-dir={folder / 'profile'}"
+    for flag in flags.split():
+        options.add_argument(f"--{flag}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(CHROMEDRIVER))
+    try:
+        driver.set_script_timeout(900)  # without a graphics card, and on a busy machine
+        driver.command_executor.client_config.timeout = 1000
+        write_page(small_recording(), folder / "page.html")
+        driver.get((folder / "page.html").as_uri())
+        ready = "return document.body && document.body.dataset.ready"
+        until = time.monotonic() + 900
+        while not driver.execute_script(ready):
+            assert time.monotonic() < until, driver.get_log("browser")
+            time.sleep(0.5)
+        yield driver
+    finally:
+        driver.quit()
+
+
+def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
+    flight = small_recording().flights[0]
+    move = """
+        document.getElementById("slider").value = arguments[0];
+        document.getElementById("slider").dispatchEvent(new Event("input"));
+        const gd = document.getElementById("scene"), mark = gd.data[MARK], colours = new Set(gd.data[FACES].facecolor);
+        const scene = gd._fullLayout.scene._scene, places = (trace) => ["x", "y", "z"].map((a) => Array.from(trace[a]));
+        return {uav: [mark.x[0], mark.y[0], mark.z[0]], clock: document.getElementById("clock").textContent,
+                shades: colours.size, points: gd.data[POINTS].x.length, flown: gd.data[FLOWN].x.length,
+                drawn: places(scene.traces[gd._fullData[VEHICLE].uid].data), vehicle: places(gd.data[VEHICLE])};
+    """
+    last = flight.summary.steps
+    for moment in (0, last // 2, last):
+        seen = browser.execute_script(move, moment)
+        np.testing.assert_allclose(seen["uav"], flight.positions[moment], atol=1e-5)
+        assert seen["drawn"] == seen["vehicle"], "what is drawn is what is known"
+        assert np.abs(np.mean(seen["vehicle"], axis=1) - flight.positions[moment]).max() < 0.15
+        assert f"step {moment} / {last}" in seen["clock"]
+        assert seen["flown"] == moment + 1 and seen["points"] > 100 and seen["shades"] > 1
+    assert browser.execute_script("return document.querySelectorAll('#charts svg polyline').length") >= 7
+    panels = browser.execute_script(
+        "return [...document.querySelectorAll('.chart h2')].map((head) => head.firstChild.data)"
+    )
+    assert panels == ["Reward", "Distance to goal", "Clearance", "Altitude", "Speed"], "what was not recorded is absent"
+    assert "0.00" not in browser.find_element("id", "facts").text or flight.summary.outcome == "collided"
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert not errors, errors
+
+
+def test_a_browser_plays_and_steps_by_keys_wherever_the_mouse_has_been(browser: Any) -> None:
+    from selenium.webdriver import ActionChains, Keys
+
+    clock = "return document.getElementById('clock').textContent"
+
+    def step() -> int:
+        return int(browser.execute_script(clock).split("step ")[1].split(" /")[0])
+
+    def press(key: str) -> None:
+        ActionChains(browser).send_keys(key).perform()
+
+    browser.execute_script("play(false); show(3);")
+    browser.find_element("css selector", "#views button").click()
+    press(Keys.ARROW_RIGHT)
+    assert step() == 4
+    browser.execute_script("document.getElementById('slider').focus();")
+    press(Keys.ARROW_LEFT)
+    assert step() == 3, "one step, not two"
+    press(" ")
+    assert browser.execute_script("return playing"), "the slider leaves Space to playing"
+    press(" ")
+    assert not browser.execute_script("return playing")
+
+
+def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
+    flight = small_recording().flights[1]
+    shown = browser.execute_async_script("""
+        const done = arguments[0];
+        choose(1).then(() => {
+          for (const button of document.querySelectorAll("#views button, #layers button")) button.click();
+          const gd = document.getElementById("scene"), mark = gd.data[MARK];
+          done({uav: [mark.x[0], mark.y[0], mark.z[0]], eye: gd.layout.scene.camera.eye,
+                hidden: gd.data[POINTS].visible, task: document.getElementById("facts").textContent});
+        });
+    """)
+    np.testing.assert_allclose(shown["uav"], flight.positions[0], atol=1e-5)
+    assert shown["hidden"] is False and all(np.isfinite(list(shown["eye"].values())))
+    assert f"task{flight.summary.task}" in shown["task"]
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert not errors, errors

@@ -1,0 +1,53 @@
+"""Trainings with a guide."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from tests.helpers.commands import DEFAULT_VALLEY
+from tests.helpers.runs import small_config
+from uavrl.configs.checked import to_dataclass
+from uavrl.losses.imitation import distance_to_guide
+from uavrl.runs.episodes import read_episodes
+from uavrl.training.factory import make_training_env
+from uavrl.training.policies import load_policy
+from uavrl.training.run import create_run, train
+
+EASY = [
+    *DEFAULT_VALLEY,
+    "env.world.goal_radius=14",
+    "env.world.obstacles=0",
+    "env.max_steps=60",
+    "env.world.min_clearance=3",
+]
+
+
+def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_path: Path) -> None:
+    rule = ["trainer.window=3", "trainer.until_success=0.6", "trainer.episodes=30", "logger.interval=1"]
+    config = small_config(tmp_path / "run", "guide=vfh", "algo.random_steps=300", *EASY, *rule)
+    summary = train(config, create_run(config))
+    flights = read_episodes(tmp_path / "run" / "episodes.csv")
+    guided = [flight for flight in flights if flight.total_steps <= 300]
+    assert sum(flight.outcome == "arrived" for flight in guided[:3]) >= 2, "the rule would have ended it"
+    assert summary["episodes"] > len(guided) >= 3
+    (file,) = (tmp_path / "run" / "logs").rglob("optim_steps.csv")
+    first = file.read_text().splitlines()[0]
+    assert int(first.split(",")[0]) < 300, "updates begin with the first flight"
+
+
+def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> None:
+    seen = ["perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true", "algo.n_steps=3"]
+    learn = ["algo.random_steps=64", "trainer.episodes=40", "trainer.updates_per_step=2", "algo.actor_lr=1e-3"]
+    far = {}
+    for weight in (0.0, 100.0):
+        flown = ["guide=vfh", "enhancer=imitation", f"enhancer.weight={weight}", "algo.exploration_noise=0.1"]
+        config = small_config(tmp_path / f"run{weight}", *flown, *seen, *learn, *EASY)
+        train(config, create_run(config))
+        policy = load_policy(tmp_path / f"run{weight}", None, torch.device("cpu"), ())[1]
+        env = make_training_env(to_dataclass(config), seed=0)
+        states = env.rollout(20, policy=policy, break_when_any_done=False)
+        far[weight] = distance_to_guide(states["action"], states["guide_action"], 2.0).mean().item()
+        env.close()
+    assert far[100.0] < 0.5 * far[0.0]

@@ -1,0 +1,203 @@
+"""``-m`` trains one run for each combination of values, each in a folder of its own, and none twice."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from tests.helpers.commands import TINY, content, in_process
+from uavrl.cli import train as train_command
+
+
+def runs_in(folder: Path) -> dict[int, Path]:
+    """The run folders below a folder by their seed."""
+    return {int(OmegaConf.load(path).seed): path.parent for path in folder.glob("*/config.yaml")}
+
+
+def sweep(folder: Path, *arguments: str) -> int:
+    """A sweep below a folder, in this process."""
+    return in_process(
+        train_command.main, "-m", *TINY, f"run_dir={folder / 'run'}", f"hydra.sweep.dir={folder / 'sweep'}", *arguments
+    )
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("swept")
+    assert sweep(folder, "seed=0,1") == 0
+    return folder
+
+
+def test_a_sweep_started_again_trains_what_is_missing_alone(swept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {seed: content(run) for seed, run in runs_in(swept).items() if seed in (0, 1)}
+    capsys.readouterr()
+    assert sweep(swept, "seed=0,1,2") == 0
+    printed = capsys.readouterr().out
+    assert printed.count("Finished: ") == 2
+    assert printed.count("Run folder: ") == 1
+    runs = runs_in(swept)
+    assert sorted(runs) == [0, 1, 2]
+    assert {seed: content(runs[seed]) for seed in (0, 1)} == before
+
+
+def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_checkpoint(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for run in (runs_in(swept)[seed] for seed in (0, 1)):
+        shutil.copytree(run, tmp_path / run.name)
+    runs = runs_in(tmp_path)
+    first_rows = (runs[0] / "episodes.csv").read_text()
+    for path in (*(runs[1] / "checkpoints").glob("*"), runs[1] / "summary.json", runs[1] / "episodes.csv"):
+        path.unlink()
+    (runs[1] / "checkpoints/.checkpoint-000000000000.torchrl.stage-1").touch()  # killed while it saved
+    capsys.readouterr()
+    assert sweep(tmp_path, "seed=0,1", "trainer.episodes=6") == 0
+    printed = capsys.readouterr().out
+    assert f"Resuming {runs[0]}" in printed
+    assert f"Run folder: {runs[1]}" in printed
+    assert runs_in(tmp_path) == runs
+    assert (runs[0] / "episodes.csv").read_text().startswith(first_rows)
+    assert not list(runs[1].glob("checkpoints/.*"))
+    for run in runs.values():
+        assert json.loads((run / "summary.json").read_text())["episodes"] == 6
+        assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 6
+
+
+def test_a_sweep_that_is_asked_for_more_episodes_keeps_the_random_steps_that_it_began_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny = [override for override in TINY if not override.startswith(("algo.random_steps", "trainer.episodes"))]
+    places = [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    written = []
+    for episodes in (4, 12):
+        assert in_process(train_command.main, "-m", *tiny, *places, f"trainer.episodes={episodes}") == 0
+        (run,) = runs_in(tmp_path).values()
+        written.append((run / "episodes.csv").read_text())
+        config = OmegaConf.load(run / "config.yaml")
+        assert (config.trainer.episodes, config.algo.random_steps) == (episodes, 8)
+    assert f"Resuming {run}" in capsys.readouterr().out
+    assert written[1].startswith(written[0]) and len(written[1].splitlines()) == 1 + 12
+    assert in_process(train_command.main, "-m", *tiny, *places, "trainer.episodes=12", "algo.random_steps=4") == 0
+    assert len(list(tmp_path.glob("run_*"))) == 2, "other random steps that are asked for are another run"
+
+
+def test_a_run_that_its_steps_have_ended_is_left_alone_and_goes_on_for_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    longer = ["trainer.episodes=50", "seed=0"]
+    assert [sweep(tmp_path, *longer, f"trainer.steps={steps}") for steps in (30, 30, 60)] == [0, 0, 0]
+    printed = capsys.readouterr().out
+    assert [printed.count(said) for said in ("Run folder: ", "Finished: ", "Resuming ")] == [1, 1, 1]
+
+
+def test_a_run_whose_checkpoints_were_removed_keeps_what_it_has(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Path(shutil.copytree(runs_in(swept)[0], tmp_path / runs_in(swept)[0].name))
+    shutil.rmtree(run / "checkpoints")
+    before = content(run)
+    assert sweep(tmp_path, "seed=0") == 0
+    assert "Finished: " in capsys.readouterr().out
+    assert sweep(tmp_path, "seed=0", "trainer.episodes=6") == 1
+    assert f"{run} holds 4 episodes and no checkpoint to go on from" in capsys.readouterr().err
+    assert content(run) == before
+
+
+def test_a_damaged_summary_is_written_again(swept: Path, tmp_path: Path) -> None:
+    run = runs_in(swept)[0]
+    summary = Path(shutil.copytree(run, tmp_path / run.name)) / "summary.json"
+    whole = summary.read_text()
+    summary.write_text(whole[:20])
+    assert sweep(tmp_path, "seed=0") == 0
+    assert json.loads(summary.read_text())["episodes"] == 4
+
+
+JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+CLUSTER = ["hydra/launcher=submitit_local"]  # submitit's stand-in for a cluster: what a job prints stays in its files
+
+
+@pytest.mark.parametrize(
+    "launcher",
+    [[], pytest.param(JOBLIB, marks=pytest.mark.slow), pytest.param(CLUSTER, marks=pytest.mark.slow)],
+    ids=["basic", "joblib", "submitit_local"],
+)
+def test_the_other_runs_fly_when_one_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], launcher: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert sweep(tmp_path, "backward_reward=abr", "perception.frames=1,2", *launcher) == 1
+    told = capfd.readouterr().err
+    reason = "With backward_reward=abr perception.frames must be at least 2, got 1"
+    assert f"of the sweep failed: {reason}" in told, "the last line has the reason"
+    assert "Traceback" not in told
+    (run,) = runs_in(tmp_path).values()
+    assert json.loads((run / "summary.json").read_text())["episodes"] == 4
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from uavrl.training.claim import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_run_that_another_process_flies_is_left_alone_and_flown_when_that_one_dies(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert sweep(tmp_path, "seed=0,1", "trainer.episodes=2") == 0
+    first = runs_in(tmp_path)[0]
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(first)], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline() == b"held\n"
+        looked: list[float] = []
+
+        def look_again(seconds: float) -> None:
+            assert json.loads((runs_in(tmp_path)[1] / "summary.json").read_text())["episodes"] == 4, "the rest is flown"
+            assert json.loads((first / "summary.json").read_text())["episodes"] < 4
+            looked.append(seconds)
+            other.kill()
+            other.wait()
+
+        monkeypatch.setattr(train_command.time, "sleep", look_again)
+        capfd.readouterr()
+        assert sweep(tmp_path, "seed=0,1") == 0
+    told = capfd.readouterr()
+    assert len(looked) == 1 and f"Another process (process {other.pid} on " in told.err
+    assert json.loads((first / "summary.json").read_text())["episodes"] == 4
+    assert told.out.splitlines()[-3:] == [
+        "The sweep's 2 runs:",
+        *(f"  {runs_in(tmp_path)[seed]}: 4 episodes" for seed in (0, 1)),
+    ]
+
+
+@pytest.mark.slow
+def test_four_processes_share_a_sweep_and_two_of_them_are_killed(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "uavrl.cli.train", "-m", *TINY, "trainer.episodes=12"]
+    command += [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}", "seed=range(12)"]
+    started = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) for _ in range(4)]
+    for victim, enough in zip(started, (2, 5), strict=False):  # killed once so many runs have ended
+        while len(list(tmp_path.glob("run*/summary.json"))) < enough:
+            assert victim.poll() is None
+            time.sleep(0.2)
+        victim.kill()
+    told = [process.communicate(timeout=1800)[0] for process in started]
+    assert [process.returncode for process in started] == [-9, -9, 0, 0], told
+    runs = runs_in(tmp_path)
+    assert sorted(runs) == list(range(12))
+    for run in runs.values():
+        assert json.loads((run / "summary.json").read_text())["episodes"] == 12
+        lines = (run / "episodes.csv").read_text().splitlines()[1:]
+        assert [int(line.split(",")[0]) for line in lines] == list(range(1, 13)), "each episode once"
+    for text in told[2:]:
+        assert "The sweep's 12 runs:" in text and text.count(": 12 episodes") == 12
+    begun = [line for text in told for line in text.splitlines() if line.startswith("Run folder: ")]
+    assert 12 <= len(set(begun)) == len(runs) <= len(begun) <= 14, "flown anew only where a killed process had it"

@@ -1,0 +1,111 @@
+"""``torch.compile`` takes a whole loss, whatever enhances it, in one graph, and what it gives is what the loss says."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from tests.helpers.losses import bipedal, ddpg, episodes, fork, lifeguard, sac, sampler, td3
+from uavrl.losses import ActorCriticLoss, Enhancer, Fork, Imitation, LifeGuard
+
+
+def imitation(base: ActorCriticLoss) -> Imitation:
+    return Imitation(base, limit=2.0)
+
+
+def opening(base: ActorCriticLoss, **kwargs: object) -> Fork:
+    """FORK whose gate opens where the next states are not far off."""
+    return fork(base, threshold=10.0, **kwargs)
+
+
+def mlp_lifeguard(base: ActorCriticLoss) -> LifeGuard:
+    return lifeguard(base, model="mlp")
+
+
+LOSSES: dict[str, Callable[[], ActorCriticLoss]] = {
+    "td3": td3,
+    "ddpg": ddpg,
+    "sac": sac,
+    "fork": lambda: opening(td3()),
+    "fork through its model": lambda: opening(td3(), backprop_through_model=True),
+    "bipedal fork": lambda: bipedal(td3(), threshold=10.0),
+    "lifeguard": lambda: lifeguard(td3()),
+    "lifeguard, mlp": lambda: mlp_lifeguard(td3()),
+    "imitation": lambda: imitation(td3()),
+    "all on td3": lambda: imitation(lifeguard(opening(td3()))),
+    "all on ddpg": lambda: mlp_lifeguard(opening(imitation(ddpg()))),
+    "all on sac": lambda: opening(lifeguard(imitation(sac()))),
+}
+
+
+def told(data: TensorDict, far: float = 1.0) -> TensorDict:
+    """With all that the enhancers read; no model predicts next states that lie a thousand times too far."""
+    data["guide_action"] = 0.5 * data["action"]
+    data["next"].update(
+        {
+            "observation": far * data["observation"].roll(1, 0),
+            "reward": data["observation"][:, :1],
+            "terminated": data["next", "collided"],
+        }
+    )
+    return data
+
+
+def prepared(make: Callable[[], ActorCriticLoss]) -> ActorCriticLoss:
+    """A loss whose enhancers have seen enough for their terms to count."""
+    torch.manual_seed(0)
+    loss, data = make(), told(episodes(10))
+    for _ in range(8):
+        loss.observe(data)
+        for enhancer in loss.enhancers:
+            if isinstance(enhancer, LifeGuard):
+                enhancer.fit(sampler(data), 20, enhancer.make_optimizer())
+    return loss
+
+
+def outcome(forward: Callable[[TensorDict], TensorDict], loss: ActorCriticLoss, far: float) -> dict[str, torch.Tensor]:
+    """The losses of one batch and all gradients of their sum."""
+    torch.manual_seed(1)
+    losses = forward(told(episodes(3), far))
+    loss.zero_grad()
+    sum(value for name, value in losses.items() if name.startswith("loss_")).backward()
+    gradients = {name: value.grad for name, value in loss.named_parameters() if value.grad is not None}
+    return {name: losses[name].detach() for name in loss.out_keys if name.startswith("loss_")} | gradients
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_a_loss_is_one_graph(name: str) -> None:
+    """With FORK's gate closed, opened by the batch, and closed again."""
+    loss = prepared(LOSSES[name])
+    other = copy.deepcopy(loss)
+    torch._dynamo.reset()
+    torch._dynamo.utils.counters.clear()
+    assert other.in_keys  # which TorchRL's losses work out when first asked, after which they are compiled once more
+    compiled = torch.compile(other, backend="eager", fullgraph=True)
+    for far in (1000.0, 1.0, 1000.0):
+        torch.testing.assert_close(outcome(compiled, other, far), outcome(loss, loss, far))
+        gates = [each.active for each in loss.enhancers]
+        assert gates == [each.active for each in other.enhancers] == [is_open(each, far) for each in loss.enhancers]
+        assert other.diagnostics() == pytest.approx(loss.diagnostics(), nan_ok=True)
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 1
+
+
+def is_open(enhancer: Enhancer, far: float) -> bool:
+    return far == 1.0 or not isinstance(enhancer, Fork)
+
+
+def test_a_system_network_that_diverged_harms_no_actor_while_the_gate_is_closed() -> None:
+    """Its loss is NaN, which closes the gate; no gradient is."""
+    loss = fork(td3())
+    for parameter in loss.system_network_params.values(True, True):
+        parameter.data.fill_(float("nan"))
+    actor_loss = torch.compile(loss.actor_loss, backend="eager", fullgraph=True)
+    loss.update_gate(float("nan"))
+    value, _ = actor_loss(told(episodes(1)))
+    value.backward()
+    assert value.isfinite()
+    assert all(p.grad.isfinite().all() for p in loss.actor_network_params.values(True, True))

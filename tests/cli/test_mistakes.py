@@ -1,0 +1,86 @@
+"""A mistake on the command line is answered by what was meant, also with yaml files of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import train as train_command
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A folder with a reward of one's own, which leaves out what its class takes, and with a file that nobody chose."""
+    folder = tmp_path / "my yaml's"
+    (folder / "reward").mkdir(parents=True)
+    (folder / "reward" / "bold.yaml").write_text(
+        "_target_: uavrl.transforms.rewards.TraditionalReward\ncollided_reward: -50.0\nboldness: 1.0\n"
+    )
+    (folder / "reward" / "broken.yaml").write_text("weights: [1.0\n")
+    monkeypatch.chdir(tmp_path)
+    return ["--config-dir", str(folder)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ["reward=bold", "reward.arrived_reward=100"],
+            "bold.yaml has no arrived_reward: add it there, or write +reward.arrived_reward=100",
+        ),
+        (
+            ["reward=traditional", "reward.boldness=2"],
+            "reward.boldness belongs to another choice of reward than the one made: choose reward=bold, or leave it",
+        ),
+        (["reward=traditional", "reward.boldnes=2"], "There is no key 'reward.boldnes': did you mean reward.boldness?"),
+        (["reward=bald"], "got 'bald': did you mean bold?"),
+        (["reward=xyz"], "my yaml's has no reward/xyz.yaml."),
+    ],
+)
+def test_yaml_files_of_ones_own_are_known(
+    arguments: list[str], told: str, own: list[str], refused: Callable[..., str]
+) -> None:
+    assert told in refused(train_command.main, *own, *arguments)
+
+
+@pytest.mark.parametrize("choice", ["reward=bold", "env=corridor", "preset=mine", "learner=mine", "enhancer=calm"])
+def test_without_their_folder_the_option_is_named(choice: str, refused: Callable[..., str]) -> None:
+    group, _, name = choice.partition("=")
+    sentence = refused(train_command.main, choice)
+    assert f"{group} must be one of " in sentence and f"got '{name}'" in sentence
+    assert sentence.endswith("One of your own needs --config-dir FOLDER.")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["env.blind=true"], "static.yaml has no blind: write +env.blind=true"),
+        (
+            ["algo=sac", "algo.actor.log_scale=[1.0,2.0]"],
+            "sac.yaml has no actor.log_scale: write +algo.actor.log_scale",
+        ),
+        (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
+        (["preset=bst"], "got 'bst': did you mean best?"),
+    ],
+)
+def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str]) -> None:
+    assert told in refused(train_command.main, *arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ["policy=bst"],
+            "policy must be one of straight, vfh, best, best_dynamic, dynamic, static, got 'bst': did you",
+        ),
+        (["policy=static", "suite=denze"], "got 'denze': did you mean dense?"),
+        (["policy=static", "env=corridor"], "One of your own needs --config-dir FOLDER."),
+        (["policy=static", "env=bipedal_hardcore"], "The policy and env=bipedal_hardcore do not go together: "),
+    ],
+)
+def test_what_is_evaluated_is_guessed_too(arguments: list[str], told: str, refused: Callable[..., str]) -> None:
+    assert told in refused(evaluate_command.main, *arguments)

@@ -1,0 +1,104 @@
+"""What all commands share: their terminal, their arguments, and what the processes that they start import."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.commands import in_process
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import main as main_command
+from uavrl.cli import train as train_command
+from uavrl.cli.command import explained
+from uavrl.cli.errors import one_sentence, sentence
+from uavrl.cli.process import SAFE_PATH, command_process
+from uavrl.configs.machine import machine_processors
+
+
+@pytest.mark.parametrize("before", [None, "", "1"])
+def test_processes_that_a_command_starts_import_nothing_from_the_working_folder(
+    monkeypatch: pytest.MonkeyPatch, before: str | None
+) -> None:
+    monkeypatch.delenv(SAFE_PATH, raising=False)
+    if before is not None:
+        monkeypatch.setenv(SAFE_PATH, before)
+    with command_process():
+        assert os.environ[SAFE_PATH] == "1"
+    assert os.environ.get(SAFE_PATH) == before
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii", "utf-8"])
+@pytest.mark.parametrize("errors", ["strict", "surrogateescape"])
+def test_every_help_can_be_shown_in_any_encoding(encoding: str, errors: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors=errors)
+    monkeypatch.setattr(sys, "stdout", out)
+    assert in_process(main_command.main, "pretrain", "--help=all") == 0
+    told = out.buffer.getvalue().decode(encoding)  # type: ignore[attr-defined]
+    assert ("ABR⁺" if encoding == "utf-8" else "ABR+") in told
+
+
+def test_an_argument_that_is_no_text_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    told = refused(train_command.main, f"run_dir={tmp_path}/m\udcfcll")
+    assert "/m?ll' holds letters that are no text in the encoding of this terminal (utf-8)" in told
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_override_that_cannot_be_read_is_told_as_it_can(refused: Callable[..., str]) -> None:
+    assert refused(evaluate_command.main, "run=müll").endswith("""type 'run="müll"'.""")
+    assert refused(evaluate_command.main, "run=a=1").endswith("""type 'run="a=1"'.""")
+    assert refused(evaluate_command.main, "tasks=[1").endswith("write KEY=VALUE, and quotes around special characters.")
+
+
+@pytest.mark.parametrize("key", ["run", "output", "checkpoint"])
+def test_a_tilde_is_the_home_folder(
+    key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    from tests.helpers.configs import composed
+    from uavrl.configs import EvaluateConfig, checked
+
+    config = composed("evaluate")
+    config[key] = "~/x"
+    assert getattr(checked(config, EvaluateConfig), key) == str(tmp_path / "home/x")
+    config[key] = "~nobody-is-called-so/x"
+    with pytest.raises(ValueError, match=f"{key} must be a folder, where one that is called so is written ./~nobody"):
+        checked(config, EvaluateConfig)
+
+
+def test_nobody_who_reads_is_no_fault_of_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    monkeypatch.setattr(sys, "stdout", os.fdopen(writer, "w"))
+    with pytest.raises(SystemExit) as ended, one_sentence():
+        sys.stdout.write("told\n")
+        sys.stdout.flush()
+    assert ended.value.code == 141
+    assert sentence(BrokenPipeError(32, "Broken pipe")) == "[Errno 32] Broken pipe"
+
+
+def test_a_process_of_a_sweep_that_was_killed_says_how_to_go_on() -> None:
+    assert "start the same command again" in explained(BrokenProcessPool("A worker process …"), "config")
+
+
+def test_a_sweep_says_where_it_cannot_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").touch()
+    told = refused(train_command.main, "-m", f"run_dir={tmp_path / 'run'}", "seed=0,1")
+    assert "runs/sweeps cannot be written" in told and "hydra.sweep.dir=FOLDER" in told
+
+
+def test_as_many_processors_as_the_process_may_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(6)), raising=False)
+    assert machine_processors(tmp_path / "none") == 6
+    for text, allowed in {"max 100000": 6, "250000 100000": 3, "50000 100000": 1, "900000 100000": 6}.items():
+        (tmp_path / "cpu.max").write_text(text)
+        assert machine_processors(tmp_path / "cpu.max") == allowed

@@ -1,0 +1,230 @@
+"""What a run hands to a constructor, nobody can write: a value that is recorded is a value that was used."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from omegaconf import DictConfig, OmegaConf
+from torch import nn
+
+from tests.helpers.configs import changed, composed
+from tests.helpers.runs import small_config
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import replay as replay_command
+from uavrl.cli import train as train_command
+from uavrl.cli.policies import PACKAGED, packaged_policies
+from uavrl.configs import conf_dir, settings_of_run, to_dataclass
+from uavrl.configs.build import build
+from uavrl.configs.offered import OFFERED, TARGET, offered_to
+from uavrl.configs.parts import PARTS
+from uavrl.configs.signature import signature
+from uavrl.errors import UavrlError
+from uavrl.runs.config import load_config
+from uavrl.training import actor_and_loss, factory, loggers
+from uavrl.training.network_sizes import NetworkSizes
+
+ROOT = Path(__file__).resolve().parents[2]
+CHOICES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml") if path.parent.name in PARTS)
+
+
+def parts_of(part: Any, key: str) -> Iterator[tuple[str, str]]:
+    """The class of a part and those of the parts inside of it, each with its key."""
+    if isinstance(part, dict) and part.get(TARGET) is not None:
+        yield key, part[TARGET]
+        for name in part:
+            yield from parts_of(part[name], f"{key}.{name}")
+
+
+def pairs() -> Iterator[tuple[str, str]]:
+    """A choice, and a key that it could be given on the command line, for each name that a run hands to its classes."""
+    for group, choice in CHOICES:
+        content = yaml.safe_load((conf_dir() / group / f"{choice}.yaml").read_text())
+        walker = ["env=bipedal_hardcore"] if choice == "failure_biased" else []
+        for key, target in parts_of(content.get(group, content), group):  # one without a class has that of another
+            for name in sorted(set(offered_to(key)) & set(signature(target) or {})):
+                yield " ".join([f"{group}={choice}", *walker]), f"{key}.{name}"
+
+
+@pytest.mark.parametrize(("choices", "key"), pairs())
+def test_no_name_that_the_run_hands_over_can_be_written(choices: str, key: str) -> None:
+    config = composed("config", *choices.split())
+    OmegaConf.update(config, key, 1, force_add=True)
+    with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
+        to_dataclass(config)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "key"),
+    [
+        ("fork=on +fork.gamma=0.5", "fork.gamma"),
+        ("fork=on +fork.observations=35", "fork.observations"),
+        ("fork=on +fork.system_network.actions=2", "fork.system_network.actions"),
+        ("lifeguard=linear +lifeguard.stacked=1", "lifeguard.stacked"),
+        ("backward_reward=abr +backward_reward.stacked=1", "backward_reward.stacked"),
+        ("+buffer.frames=1", "buffer.frames"),
+        ("env=bipedal_hardcore buffer=failure_biased +buffer.seed=3", "buffer.seed"),
+        ("+algo.actor.limit=1", "algo.actor.limit"),
+        ("+algo.action_spec=1", "algo.action_spec"),
+        ("+env.seed=7", "env.seed"),
+        ("guide=vfh enhancer=imitation +enhancer.limit=1", "enhancer.limit"),
+        ("+collector.total_frames=5", "collector.total_frames"),
+        ("+logger.log_dir=there", "logger.log_dir"),
+    ],
+)
+def test_what_the_run_sets_itself_is_refused(overrides: str, key: str) -> None:
+    with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
+        to_dataclass(composed("config", *overrides.split()))
+
+
+def test_it_is_refused_before_a_folder_is_made(tmp_path: Path, refused: Callable[..., str]) -> None:
+    sentence = refused(train_command.main, "fork=on", "+fork.gamma=0.5", f"run_dir={tmp_path / 'run'}")
+    assert sentence == "uavrl: fork.gamma is set by the run itself: leave it out."
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("+perception.seed=7", "There is no key 'perception.seed'"),
+        ("+algo.execution=eager", "There is no key 'algo.execution'"),
+        ("+algo.loss=1", "There is no key 'algo.loss'"),
+        ("+perception.max_steps=5", "perception.max_steps and env.max_steps are the same value: leave one of the two"),
+        ("+env.lidar.max_range=2", "perception.lidar and env.lidar are the same value: leave one of the two out"),
+    ],
+)
+def test_nor_does_a_part_take_the_place_of_another(override: str, told: str) -> None:
+    with pytest.raises(UavrlError, match=re.escape(told)):
+        to_dataclass(composed("config", override))
+
+
+def test_the_guard_where_objects_are_made() -> None:
+    network = {TARGET: "uavrl.models.Actor", "limit": 3.0}
+    with pytest.raises(UavrlError, match=r"uavrl\.models\.Actor\.limit is set by the run itself: leave it out"):
+        build(network, nn.Module, observations=6, actions=2, limit=1.0)
+    fork = composed("config", "fork=on").fork
+    OmegaConf.update(fork, "system_network.observations", 3, force_add=True)
+    with pytest.raises(UavrlError, match=r"SystemNet\.observations is set by the run itself"):
+        build(fork, nn.Module, base=None, gamma=0.9, observations=6, actions=2)
+
+
+@pytest.mark.parametrize(
+    ("main", "told"),
+    [(evaluate_command.main, "write num_uavs=N"), (replay_command.main, "a replay flies one vehicle")],
+    ids=["evaluate", "replay"],
+)
+def test_how_many_are_evaluated_at_a_time_is_said_in_one_place(
+    main: Callable[[], None], told: str, refused: Callable[..., str]
+) -> None:
+    for whose in ("policy=straight", "policy=static"):
+        sentence = refused(main, whose, "env.num_uavs=4")
+        assert sentence == f"uavrl: env.num_uavs is set by the command itself: leave it out, {told}."
+
+
+# ---------------------------------------------------------------------- what has been written before
+
+
+def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogCaptureFixture) -> None:
+    config = changed(["fork=on"])
+    before = to_dataclass(config)
+    OmegaConf.set_struct(config, False)
+    config.fork.gamma, config.fork.system_network.actions, config.buffer.frames = 0.5, 9, 1
+    assert settings_of_run(config) == before
+    assert config.fork.gamma == 0.5, "what it was trained with is recognised by all that was recorded"
+    assert "fork.gamma in the run's configuration was never used: it is left out." in caplog.text
+
+
+@pytest.mark.parametrize("name", packaged_policies())
+def test_packaged_policies_are_read_as_they_are(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    config = load_config(PACKAGED / name / "config.yaml")
+    assert settings_of_run(config) == to_dataclass(config)
+    assert not caplog.records
+
+
+def test_runs_in_the_documentation_are_read_as_they_are() -> None:
+    configs = [load_config(path) for path in sorted((ROOT / "docs/data/fast").glob("*/config.yaml"))]
+    assert len(configs) == 2
+    assert all(settings_of_run(config) == to_dataclass(config) for config in configs)
+
+
+# ---------------------------------------------------------------------- one list, in the code and in the docs
+
+
+@pytest.fixture
+def handed_over(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
+    """The names with which ``build`` is called, by the class that is made."""
+    found: dict[str, set[str]] = {}
+
+    def recorded(part: DictConfig, kind: type, *, packages: Any = (), key: str = "", **offered: Any) -> Any:
+        found.setdefault(str(part[TARGET]), set()).update(offered)
+        return build(part, kind, packages=packages, key=key, **offered)
+
+    for module in (factory, actor_and_loss, loggers):
+        monkeypatch.setattr(module, "build", recorded)
+    return found
+
+
+def test_the_list_is_what_a_run_hands_over(
+    handed_over: dict[str, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "guide=vfh", "enhancer=imitation"]
+    settings = to_dataclass(small_config(tmp_path / "run", *chosen))
+    sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
+    monkeypatch.setattr(factory, "_require_keys", lambda *_: None)
+
+    class Env:  # of which the factory only asks what is in it
+        base_env = None
+
+        def append_transform(self, transform: object) -> None:
+            pass
+
+    factory.make_env(settings.env, settings.perception, settings.reward, seed=1, measure_clearance=True).close()
+    factory.build(settings.guide, object)
+    actor = actor_and_loss.make_actor(settings, sizes)
+    actor_and_loss.make_loss(settings, actor, sizes, cpu)
+    factory.make_backward_reward(settings, sizes, tmp_path / "artifact")
+    factory.make_buffer(settings, Env(), sizes, cpu)  # type: ignore[arg-type]
+    loggers.make_logger(settings.logger, tmp_path / "run", "csv")
+    groups = [group for group in PARTS if group not in ("algo", "collector")]
+    assert {group: handed_over[settings_part(settings, group)] for group in groups} == {
+        group: set(OFFERED.get(group, ())) for group in groups
+    }
+    assert handed_over[settings.algo.actor[TARGET]] == set(offered_to("algo.actor"))
+
+
+def settings_part(settings: Any, group: str) -> str:
+    return str(getattr(settings, group)[TARGET])
+
+
+def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = to_dataclass(small_config(tmp_path / "run"))
+    sizes = NetworkSizes(state=105, frames=3, actions=4, limit=2.0)
+
+    class Collector:
+        flies_elsewhere = True
+
+        def __init__(self, create_env_fn: object, **kwargs: object) -> None:
+            self.got = {"create_env_fn", *kwargs}
+
+    monkeypatch.setattr(factory, "collector_class", lambda settings: Collector)
+    actor = actor_and_loss.make_actor(settings, sizes)
+    made: Any = factory.make_collector(settings, lambda: None, actor, sizes, torch.device("cpu"))  # type: ignore[arg-type,return-value]
+    assert made.got == set(OFFERED["collector"])
+
+
+def test_the_documentation_lists_them_all() -> None:
+    """Each row names the part, the argument and what it is; a row without a part goes on with the one above."""
+    told: dict[str, set[str]] = {}
+    groups: list[str] = []
+    for row in re.findall(r"^\| (.*)\| `(\w+)` \| \S.* \|$", (ROOT / "docs/own_parts.md").read_text(), re.MULTILINE):
+        named = re.findall(r"`([a-z_.]+)[`=]", row[0])
+        groups = named or groups
+        for group in groups:
+            told.setdefault(group, set()).add(row[1])
+    networks = {key: set(offered_to(key)) for key in ("algo.actor", "algo.critic")}
+    assert told == {group: set(names) for group, names in OFFERED.items()} | networks

@@ -1,0 +1,317 @@
+"""Whole updates of the library against a plain PyTorch implementation of the same equations."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.data import Bounded
+from torchrl.modules import ProbabilisticActor, TanhNormal
+
+from tests.helpers import oracle
+from tests.helpers.updates import ACTIONS, FRAME, STATE, batch_number, cast, flights, plain
+from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
+from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
+from uavrl.models.classifiers import LinearClassifier
+from uavrl.training.compiled_updates import Execution
+from uavrl.training.stepper import ActorCriticStepper
+
+CELLS = (64, 48)
+UPDATES, EPISODES_EVERY = 50, 10  # LifeGuard is evaluated whenever episodes are shown
+THRESHOLD = 0.3
+MAX_REWARD = 8.0
+GUARD = {
+    "min_collisions": 4,
+    "min_evaluations": 2,
+    "min_true_negative_rate": 0.5,
+    "batch_size": 20,
+    "evaluation_window": 4,
+    "model_lr": 1e-2,
+}
+HEARD = [False, False, True, True, True]  # one evaluation whenever episodes are shown, more than two are needed
+
+
+# ---------------------------------------------------------------------- a small world
+
+
+# ---------------------------------------------------------------------- both sides, with the same weights
+
+
+@dataclass
+class Case:
+    """One learner: what it is made of, and how large its networks are."""
+
+    algo: str = "td3"
+    fork: float | None = None  # the threshold of its gate
+    guard: str | None = None  # its classifier
+    cells: Sequence[int] = CELLS
+    low: tuple[float, ...] = (-2.0, -2.0)
+    high: tuple[float, ...] = (2.0, 2.0)
+
+    @property
+    def delay(self) -> int:
+        return 1 if self.algo == "ddpg" else 2
+
+
+CASES = {
+    "td3": Case(),
+    "td3_wide": Case(cells=(400, 300)),
+    "td3_uneven_ranges": Case(low=(-3.0, -0.5), high=(1.0, 0.5)),
+    "ddpg": Case("ddpg"),
+    "td3_fork_open": Case(fork=1e9),
+    "td3_fork_switching": Case(fork=THRESHOLD),
+    "td3_lg_linear": Case(guard="linear"),
+    "td3_lg_mlp": Case(guard="mlp"),
+    "ddpg_fork_lg": Case("ddpg", fork=THRESHOLD, guard="mlp"),
+}
+
+
+def wrapped(module: nn.Module, *in_keys: str, out: str) -> TensorDictModule:
+    return TensorDictModule(module, list(in_keys), [out])
+
+
+def stochastic_actor(cells: Sequence[int]) -> ProbabilisticActor:
+    return ProbabilisticActor(
+        TensorDictModule(GaussianActor(STATE, ACTIONS, cells), ["observation"], ["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        spec=Bounded(-2.0, 2.0, (ACTIONS,)),
+        distribution_class=TanhNormal,
+        distribution_kwargs={"low": -2.0, "high": 2.0},
+        return_log_prob=True,
+    )
+
+
+def library(case: Case) -> ActorCriticLoss:
+    """The library's loss, with weights drawn from a fixed seed."""
+    torch.manual_seed(0)
+    low, high = torch.tensor(case.low), torch.tensor(case.high)
+    spec = Bounded(low, high)
+    critics = [wrapped(Critic(STATE, ACTIONS, case.cells), "observation", "action", out="state_action_value")]
+    critics += [wrapped(Critic(STATE, ACTIONS, case.cells), "observation", "action", out="state_action_value")]
+    even = case.low == (-2.0, -2.0)
+    actor = Actor(STATE, ACTIONS, case.cells) if even else oracle.Actor(STATE, case.cells, low, high)
+    loss: ActorCriticLoss
+    if case.algo == "sac":
+        loss = SACLoss(stochastic_actor(case.cells), critics, action_spec=spec)
+    elif case.algo == "ddpg":
+        loss = DDPGLoss(wrapped(actor, "observation", out="action"), critics[0])
+    else:
+        loss = TD3Loss(wrapped(actor, "observation", out="action"), critics, action_spec=spec)
+    if case.fork is not None:
+        loss = Fork(
+            loss,
+            system_network=SystemNet(STATE, ACTIONS, case.cells),
+            reward_network=RewardNet(STATE, ACTIONS, case.cells),
+            observations=STATE,
+            max_reward=MAX_REWARD,
+            threshold=case.fork,
+        )
+    if case.guard is not None:
+        loss = LifeGuard(loss, observations=FRAME, actions=ACTIONS, model=case.guard, **GUARD)
+    return loss.double() if torch.get_default_dtype() == torch.float64 else loss  # some buffers do not ask the default
+
+
+def stepper_of(loss: ActorCriticLoss, case: Case, execution: Execution) -> ActorCriticStepper:
+    return ActorCriticStepper(loss, policy_delay=case.delay, execution=execution)
+
+
+def enhancer(loss: ActorCriticLoss, kind: type) -> LifeGuard | Fork | None:
+    return next((one for one in getattr(loss, "enhancers", []) if isinstance(one, kind)), None)
+
+
+def leaves(params: TensorDictBase, index: int | None = None, *, grad: bool = False) -> list[Tensor]:
+    """Weights and biases layer by layer, or their gradients; `index` picks one of several stacked networks."""
+    found = {tuple(map(str, key[-2:])): value for key, value in params.items(True, True)}
+    layers = sorted({int(layer) for layer, _ in found})
+    values = [found[str(layer), name] for layer in layers for name in ("weight", "bias")]
+    values = [value.grad if grad else value.detach() for value in values]
+    return values if index is None else [value[index] for value in values]
+
+
+def each_critic(params: TensorDictBase, count: int, *, grad: bool = False) -> list[list[Tensor]]:
+    if count == 1:
+        return [leaves(params, grad=grad)]
+    return [leaves(params, index, grad=grad) for index in range(count)]
+
+
+def copy_into(module: nn.Module, values: Sequence[Tensor]) -> None:
+    with torch.no_grad():
+        for parameter, value in zip(module.parameters(), values, strict=True):
+            parameter.copy_(value)
+
+
+def by_hand(case: Case, loss: ActorCriticLoss) -> oracle.DDPG:
+    """The oracle with the library's weights."""
+    low, high = torch.tensor(case.low), torch.tensor(case.high)
+    actor = oracle.Actor(STATE, case.cells, low, high)
+    copy_into(actor, leaves(loss.actor_network_params))
+    critics = [oracle.OfPair(STATE + ACTIONS, case.cells, 1) for _ in range(1 if case.algo == "ddpg" else 2)]
+    for critic, values in zip(critics, each_critic(loss.critic_network_params, len(critics)), strict=True):
+        copy_into(critic, values)
+    enhancers: list[oracle.ActorLoss] = []
+    if (fork := enhancer(loss, Fork)) is not None:
+        system = oracle.OfPair(STATE + ACTIONS, case.cells, STATE)
+        reward = oracle.OfPair(2 * STATE + ACTIONS, case.cells, 1)
+        copy_into(system, leaves(fork.system_network_params))
+        copy_into(reward, leaves(fork.reward_network_params))
+        enhancers.append(oracle.Fork(system, reward, lr=3e-4, threshold=case.fork, max_reward=MAX_REWARD))
+    if case.guard is not None:
+        enhancers.append(oracle.LifeGuard(lambda x: x[..., 0], last=FRAME))
+    learner = {"td3": oracle.TD3, "ddpg": oracle.DDPG}[case.algo]
+    return learner(actor, critics, low, high, enhancers)
+
+
+def classifier_of(guard: LifeGuard) -> Callable[[Tensor], Tensor]:
+    """A copy of LifeGuard's classifier as it is now, in plain PyTorch."""
+    model = guard.classifier.model
+    if isinstance(model, LinearClassifier):
+        weight, intercept = model.weight.clone(), model.intercept.clone()
+        return lambda x: torch.mv(x, weight.to(x.dtype)) + intercept.to(x.dtype)
+    values = [value.detach().clone() for value in model.parameters()]
+    network = oracle.relu_network([FRAME + ACTIONS, *(len(bias) for bias in values[1::2])])
+    copy_into(network, values)
+    return lambda x: network(x).squeeze(-1)
+
+
+def show(stepper: ActorCriticStepper, learner: oracle.DDPG, data: TensorDict) -> None:
+    """New episodes, to both."""
+    stepper.observe(data, lambda n: data[torch.randint(len(data), (n,))])
+    done = data["next", "done"].squeeze(-1)
+    lengths = torch.diff(done.nonzero().squeeze(-1), prepend=torch.tensor([-1])).tolist()
+    for one in learner.enhancers:
+        if isinstance(one, oracle.Fork):
+            one.observe(torch.cat([data["observation"], data["next", "observation"]]))
+            one.returns.extend(float(rewards.sum()) for rewards in data["next", "reward"].split(lengths))
+        if isinstance(one, oracle.LifeGuard):
+            guard = enhancer(stepper.loss, LifeGuard)
+            assert isinstance(guard, LifeGuard)
+            arrived = data["next", "arrived"].squeeze(-1)[done]
+            one.observe(data["observation"], data["action"], arrived.tolist())
+            one.logit, one.active = classifier_of(guard), guard.active
+
+
+# ---------------------------------------------------------------------- the comparison
+
+
+def assert_all_close(ours: Sequence[Tensor], expected: Sequence[Tensor], tolerance: float, relative: float) -> None:
+    for one, two in zip(ours, expected, strict=True):
+        torch.testing.assert_close(one, two, atol=tolerance, rtol=relative)
+
+
+def compare_update(result: TensorDictBase, loss: ActorCriticLoss, learner: oracle.DDPG, tolerance: float) -> None:
+    """Losses and gradients of the update that both have just made."""
+    for ours, theirs in (("loss_value", "critic"), ("loss_actor", "actor")):
+        if theirs in learner.losses:
+            assert result[ours].item() == pytest.approx(learner.losses[theirs], rel=tolerance, abs=tolerance), ours
+
+    def compare(name: str, gradients: Sequence[Tensor]) -> None:
+        scale = max(gradient.abs().max().item() for gradient in learner.gradients[name])
+        assert scale > 0, name
+        assert_all_close(gradients, learner.gradients[name], tolerance * max(scale, 1), 10 * tolerance)
+
+    critics = each_critic(loss.critic_network_params, len(learner.critics), grad=True)
+    for index, gradients in enumerate(critics):
+        compare(f"critic{index}", gradients)
+    if "actor" in learner.losses:
+        compare("actor", leaves(loss.actor_network_params, grad=True))
+    if (fork := enhancer(loss, Fork)) is not None:
+        said = fork.diagnostics()
+        assert said["system_loss"] == pytest.approx(learner.losses["system"], rel=tolerance, abs=tolerance)
+        assert said["reward_loss"] == pytest.approx(learner.losses["reward"], rel=tolerance, abs=tolerance)
+        compare("system", leaves(fork.system_network_params, grad=True))
+        compare("reward", leaves(fork.reward_network_params, grad=True))
+
+
+def compare_parameters(loss: ActorCriticLoss, learner: oracle.DDPG, tolerance: float) -> None:
+    """Online and target networks, and FORK's models."""
+    base = loss.unenhanced
+    target_critics = getattr(base, "target_value_network_params", None)
+    target_critics = base.target_qvalue_network_params if target_critics is None else target_critics
+    count = len(learner.critics)
+    pairs: list[tuple[Sequence[Tensor], nn.Module]] = [
+        (leaves(loss.actor_network_params), learner.actor),
+        (leaves(base.target_actor_network_params), learner.target_actor),
+        *zip(each_critic(loss.critic_network_params, count), learner.critics, strict=True),
+        *zip(each_critic(target_critics, count), learner.target_critics, strict=True),
+    ]
+    fork = enhancer(loss, Fork)
+    for one in learner.enhancers:
+        if isinstance(one, oracle.Fork):
+            pairs.append((leaves(fork.system_network_params), one.system))
+            pairs.append((leaves(fork.reward_network_params), one.reward))
+    for ours, module in pairs:
+        assert_all_close(ours, [p.detach() for p in module.parameters()], tolerance, 0.0)
+
+
+def compare_updates(name: str, execution: Execution, dtype: torch.dtype) -> None:
+    """Makes the same updates on both sides, in a precision, and asserts that losses, gradients and networks agree."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(dtype)
+    try:
+        _compare_updates(name, execution, {torch.float32: 1e-5, torch.float64: 1e-10}[dtype])
+    finally:
+        torch.set_default_dtype(before)
+
+
+def _compare_updates(name: str, execution: Execution, tolerance: float) -> None:
+    case = CASES[name]
+    loss = library(case)
+    learner = by_hand(case, loss)
+    stepper = stepper_of(loss, case, execution)
+    compare_parameters(loss, learner, 0.0)
+    heard: list[bool] = []
+    for update in range(UPDATES):
+        if update % EPISODES_EVERY == 0:
+            show(stepper, learner, cast(flights(update)))
+            heard += [one.active for one in learner.enhancers if isinstance(one, oracle.LifeGuard)]
+        data = cast(batch_number(update))
+        batch = plain(data)
+        torch.manual_seed(update)
+        result = stepper.step(None, data)
+        torch.manual_seed(update)
+        learner.update(batch)
+        compare_update(result, loss, learner, tolerance)
+    compare_parameters(loss, learner, tolerance)
+    assert heard == (HEARD if case.guard else [])
+    if case.fork == THRESHOLD:
+        opened = learner.enhancers[0].opened[case.delay - 1 :: case.delay]  # as the actor's updates saw the gate
+        assert 5 < sum(opened) < len(opened) - 5
+        assert sum(one != two for one, two in itertools.pairwise(opened)) > 5
+
+
+# ---------------------------------------------------------------------- recorded updates
+
+
+RECORDED = {
+    "td3": Case(),
+    "ddpg": Case("ddpg"),
+    "sac": Case("sac"),
+    "td3_fork": Case(fork=THRESHOLD),
+    "td3_lg": Case(guard="linear"),
+    "td3_lg_mlp": Case(guard="mlp"),
+}
+
+
+def trained(case: Case, execution: Execution, updates: int = 30) -> dict[str, Tensor]:
+    """Everything in the loss after some updates, drawn from one stream of random numbers."""
+    loss = library(case)
+    stepper = stepper_of(loss, case, execution)
+    torch.manual_seed(5)
+    results: dict[str, Tensor] = {}
+    for update in range(updates):
+        if update % EPISODES_EVERY == 0:
+            data = flights(update)
+            stepper.observe(data, lambda n, data=data: data[torch.randint(len(data), (n,))])
+        batch = batch_number(update)
+        said = stepper.step(None, batch)
+        results |= {f"{key}_{update}": value for key, value in said.items()} | {f"error_{update}": batch["td_error"]}
+    results["random"] = torch.rand(8)
+    return results | {
+        name: value.detach().clone() for name, value in loss.state_dict().items() if isinstance(value, Tensor)
+    }

@@ -1,0 +1,68 @@
+"""What takes long to make and is only looked at is made once, for all tests and workers, while the sources stay."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+from filelock import FileLock
+
+from tests.helpers.commands import in_process
+from uavrl.cli import train as train_command
+from uavrl.envs.world import Valley
+from uavrl.runs.provenance import commit, versions
+
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = ROOT / ".pytest_cache/d/kept"
+DAY = 86_400
+
+
+@cache
+def _folder() -> Path:
+    """What is kept of these sources, of this commit and with these packages; what is older than a day is removed."""
+    packages = sorted((name, found) for name, found in versions().items() if name != "commit")
+    digest = hashlib.sha256(repr((commit(), packages)).encode())
+    sources = (path for name in ("uavrl", "conf", "examples/own_parts") for path in (ROOT / name).rglob("*"))
+    for path in sorted(path for path in sources if path.suffix in (".py", ".yaml")):
+        digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
+    folder = KEPT / digest.hexdigest()[:16]
+    folder.mkdir(parents=True, exist_ok=True)
+    for other in KEPT.iterdir():
+        if other != folder and time.time() - other.stat().st_mtime > DAY:
+            shutil.rmtree(other, ignore_errors=True)
+    return folder
+
+
+@contextmanager
+def _kept(name: str) -> Iterator[tuple[Path, bool]]:
+    """The place of what has a name, and whether it is there; one process at a time makes it."""
+    place = _folder() / hashlib.sha256(name.encode()).hexdigest()[:16]
+    done = place / "done"
+    with FileLock(f"{place}.lock"):
+        if not done.exists():
+            shutil.rmtree(place, ignore_errors=True)
+            place.mkdir()
+        yield place, done.exists()
+        done.touch()
+
+
+def finished_run(copy: Path, *overrides: str) -> Path:
+    """Copies a run that was trained with these overrides to ``copy``, which the caller may change."""
+    with _kept(repr(overrides)) as (place, there):
+        assert there or in_process(train_command.main, *overrides, f"run_dir={place / 'run'}") == 0
+    return Path(shutil.copytree(place / "run", copy))
+
+
+def built_valley(name: str, build: Callable[[], Valley]) -> Valley:
+    """A valley as it was built when it was first asked for by this name."""
+    with _kept(name) as (place, there):
+        if not there:
+            (place / "valley").write_bytes(pickle.dumps(build()))
+        valley: Valley = pickle.loads((place / "valley").read_bytes())
+    return valley

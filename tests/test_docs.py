@@ -1,0 +1,49 @@
+"""The pages' links lead somewhere, and what is kept beside them stays small."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs/tutorials").glob("*.py")])
+MEGABYTE = 1_000_000
+
+
+def anchors(page: Path) -> set[str]:
+    """What the headings of a page are called in links, on GitHub and on the site."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text()):
+        path, _, heading = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), target
+        assert not heading or heading in anchors(found), target
+
+
+def tracked(folder: str) -> list[Path]:
+    """The files below a folder that git keeps."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("needs a git checkout")
+    listed = subprocess.run(["git", "ls-files", "-z", folder], cwd=ROOT, capture_output=True, text=True, check=True)
+    files = [ROOT / name for name in listed.stdout.split("\0") if name]
+    return [file for file in files if file.is_file()]  # not what is being deleted
+
+
+@pytest.mark.parametrize(("folder", "most"), [("docs", 4 * MEGABYTE), (".", 12 * MEGABYTE)])
+def test_a_checkout_stays_small(folder: str, most: int) -> None:
+    assert sum(file.stat().st_size for file in tracked(folder)) <= most
+
+
+def test_pictures_stay_small() -> None:
+    for picture in tracked("docs"):
+        most = {".gif": 600_000, ".png": 150_000, ".svg": 150_000}.get(picture.suffix, MEGABYTE)
+        assert picture.stat().st_size <= most, f"{picture}: quantise it, or draw it smaller"

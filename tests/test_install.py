@@ -1,0 +1,84 @@
+"""What is installed where, which Python `make` takes, and what it says where none fits."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def make(folder: Path, pythons: dict[str, int], *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs make in a new checkout, on a machine with these Pythons and the exit codes of their self-test."""
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, folder)
+    (folder / "bin").mkdir()
+    for name, code in pythons.items():
+        (folder / "bin" / name).write_text(f"#!/bin/sh\nexit {code}\n")
+        (folder / "bin" / name).chmod(0o755)
+    environment = {"PATH": str(folder / "bin")}
+    command = [str(shutil.which("make")), "-C", str(folder), "SHELL=/bin/sh", *arguments]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
+
+
+@needs_make
+@pytest.mark.parametrize(
+    ("pythons", "taken"),
+    [
+        ({"python3.11": 0, "python3.12": 0, "python3": 0}, "python3.12"),
+        ({"python3.13": 127, "python3.11": 0}, "python3.11"),  # a shim for a Python that is not switched on
+        ({"python3.13": 1, "python3": 0}, "python3"),  # Debian's without its venv package
+    ],
+)
+def test_it_takes_the_newest_python_that_fits(pythons: dict[str, int], taken: str, tmp_path: Path) -> None:
+    result = make(tmp_path, pythons, "--dry-run", "setup")
+    assert f"{taken} -m venv .venv" in result.stdout.splitlines(), result
+
+
+@needs_make
+def test_a_python_may_be_named(tmp_path: Path) -> None:
+    result = make(tmp_path, {"python3.12": 0}, "--dry-run", "setup", "PYTHON=/opt/python")
+    assert "/opt/python -m venv .venv" in result.stdout.splitlines(), result
+
+
+@needs_make
+def test_one_sentence_where_none_fits(tmp_path: Path) -> None:
+    result = make(tmp_path, {"python3": 1}, "setup")
+    assert result.returncode != 0
+    sentence = result.stdout.splitlines()[1 if "directory" in result.stdout.splitlines()[0] else 0]
+    assert sentence.startswith("uavrl needs Python 3.11, 3.12 or 3.13 with its venv module"), result
+    assert not (tmp_path / ".venv").exists()
+
+
+def test_the_makefile_asks_for_what_the_package_asks_for() -> None:
+    assert 'requires-python = ">=3.11,<3.14"' in (ROOT / "pyproject.toml").read_text()
+    assert "(3, 11) <= sys.version_info < (3, 14)" in (ROOT / "Makefile").read_text()
+    assert os.access(ROOT / ".ci/check_python", os.X_OK)
+
+
+def test_all_but_the_simulator_installs_where_it_has_no_wheels() -> None:
+    requirements = [
+        Requirement(r) for r in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    ]
+
+    def installed(**environment: str) -> set[str]:
+        return {r.name for r in requirements if r.marker is None or r.marker.evaluate(environment)}
+
+    simulators = {"pybullet", "pybullet-arm64", "embreex"}
+    linux, mac = {"sys_platform": "linux"}, {"sys_platform": "darwin", "platform_machine": "arm64"}
+    for version, bullet in (("3.11", "pybullet"), ("3.12", "pybullet-arm64"), ("3.13", "pybullet-arm64")):
+        pc = installed(**linux, platform_machine="x86_64", python_version=version)
+        assert pc & simulators == {bullet, "embreex"}
+        assert installed(**mac, python_version=version) & simulators == {"pybullet-arm64", "embreex"}
+        jetson = installed(**linux, platform_machine="aarch64", python_version=version)
+        assert not jetson & simulators
+        assert {"torch", "torchrl", "hydra-core"} <= jetson

@@ -1,0 +1,84 @@
+"""The API pages show what a constructor takes: names, types with their ranges, defaults."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from uavrl.buffers import ABR, EpisodeBuffer, PrioritizedBuffer
+from uavrl.buffers.backward_reward import StateClassifier
+from uavrl.configs import EvaluateConfig
+from uavrl.envs import NavigationEnv
+from uavrl.losses import Imitation, TD3Loss
+from uavrl.models import Actor
+from uavrl.ranges import Count, Discount, Fraction, NonNegative, Pairs, Positive, Share, Whole, Widths
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "signatures.py"
+
+
+@pytest.fixture(scope="module")
+def shown() -> Any:
+    spec = importlib.util.spec_from_file_location("signatures", PAGE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("hint", "words"),
+    [
+        (Positive, "float > 0"),
+        (NonNegative, "float ≥ 0"),
+        (Fraction, "float in [0, 1]"),
+        (Discount, "float in [0, 1)"),
+        (Share, "float in (0, 1]"),
+        (Count, "int ≥ 1"),
+        (Whole | None, "int ≥ 0 | None"),
+        (Pairs, "int, an even number from 2"),
+        (Widths, "Sequence[int], one or more widths above 0"),
+        (dict[str, tuple[Positive, ...]], "dict[str, tuple[float > 0, ...]]"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_range_is_told_in_words(hint: Any, words: str, shown: Any) -> None:
+    assert shown.has_range(hint) and shown.in_words(hint) == words
+
+
+def test_what_has_no_range_stays_a_type(shown: Any) -> None:
+    assert not any(map(shown.has_range, (float, Sequence[int], int | None, "Positive")))
+    assert shown.signature_of(TD3Loss).parameters["reduction"].annotation is str
+
+
+@pytest.mark.parametrize(
+    ("kind", "begins"),
+    [
+        (NavigationEnv, "(num_uavs: 'int ≥ 1' = 8, *, world: uavrl.envs.world.WorldConfig | None = None, lidar: "),
+        (Actor, "(observations: int, actions: int, hidden: 'Sequence[int], one or more widths above 0' = (400, 300), "),
+        (ABR, "(multiplier: 'float ≥ 0' = 0.2, threshold: 'float in (0, 1]' = 0.98, max_classes: 'int ≥ 1' = 20000, "),
+        (PrioritizedBuffer, "(capacity: 'int ≥ 1' = 1000000, alpha: 'float in [0, 1]' = 0.6, "),
+        (EpisodeBuffer, "(capacity: 'int ≥ 1' = 1000000, *, frames: int = 1, "),
+        (Imitation, "(base: uavrl.losses.actor_critic.ActorCriticLoss, *, limit: 'float > 0' = 1.0, weight: 'float ≥"),
+    ],
+)
+def test_a_class_is_shown_by_its_own_constructor(kind: type, begins: str, shown: Any) -> None:
+    assert str(shown.signature_of(kind)).startswith(begins)
+    assert list(shown.signature_of(kind).parameters) == list(inspect.signature(kind.__init__).parameters)[1:]  # type: ignore[misc]
+
+
+def test_a_protocol_has_no_arguments_and_what_is_made_anew_is_three_dots(shown: Any) -> None:
+    assert str(shown.signature_of(StateClassifier)) == "()"
+    assert "choices: dict[str, str] = ..., " in str(shown.signature_of(EvaluateConfig))
+    assert shown.signature_of(EvaluateConfig).parameters["episodes"].default == 500
+
+
+def test_a_function_keeps_what_it_returns(shown: Any) -> None:
+    def twice(number: Positive = 1.0) -> float:
+        return 2 * number
+
+    assert str(shown.signature_of(twice)) == "(number: 'float > 0' = 1.0) -> float"
