@@ -183,7 +183,8 @@ def test_the_list_is_what_a_run_hands_over(
         def append_transform(self, transform: object) -> None:
             pass
 
-    factory.make_env(settings.env, settings.perception, settings.reward, seed=1, measure_clearance=True).close()
+    told = {"seed": 1, "measure_clearance": True, "tasks": [0]}
+    factory.make_env(settings.env, settings.perception, settings.reward, **told).close()
     factory.build(settings.guide, object)
     actor = actor_and_loss.make_actor(settings, sizes)
     actor_and_loss.make_loss(settings, actor, sizes, cpu)

@@ -9,6 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from uavrl.cli.policies import named_policy
 from uavrl.errors import UavrlError
 from uavrl.flying.baselines import COSTS, VectorFieldHistogram
+from uavrl.transforms.functional import Statistic
 from uavrl.transforms.reductions import REDUCTIONS, Reduction
 
 
@@ -34,6 +35,20 @@ def test_it_flies_ahead_where_nothing_is_and_turns_from_what_is_there(reduction:
     ahead_and_right = (directions[:, 0] > 0.3) & (directions[:, 1] < 0.2)
     forward, left, _, turn = flown(rule, 3.6 * ahead_and_right.float())
     assert left > 0.1 and turn > 0.5 and forward < 2.0
+
+
+@pytest.mark.parametrize("seen", COSTS)
+@pytest.mark.parametrize("altitude", [1.0, 2.5, 3.5, 4.5, 6.0])
+def test_it_returns_to_the_flight_level_where_nothing_is(seen: tuple[Reduction, Statistic], altitude: float) -> None:
+    """It flies ahead to the goal, within 1 m of the level after 5 s; the way there is 1 m/s steep."""
+    rule, at = VectorFieldHistogram(reduction=seen[0], statistic=seen[1]), torch.tensor([[altitude]])
+    cells = torch.zeros(1, len(REDUCTIONS[seen[0]].directions()))
+    for _ in range(50):
+        state = TensorDict({"faces": cells, "heading_deg": torch.zeros(1, 1), "altitude": at}, [1])
+        (forward, left, up, turn) = rule(state)["action"][0].tolist()
+        assert forward > 1.7 and (left, turn) == pytest.approx((0.0, 0.0), abs=1e-5)
+        at = at + 0.1 * up
+    assert abs(at.item() - 3.5) < 1.0
 
 
 @pytest.mark.parametrize("seen", COSTS)

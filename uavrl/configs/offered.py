@@ -19,7 +19,7 @@ _NETWORK = ("observations", "actions", "limit", "stacked")
 _ENHANCER = ("base", "gamma", *_NETWORK)
 # By the part's name; what each name means stands in docs/own_parts.md.
 OFFERED: Mapping[str, tuple[str, ...]] = {
-    "env": ("seed", "measure_clearance"),
+    "env": ("seed", "measure_clearance", "tasks"),
     "algo": ("actor_network", "qvalue_networks", "value_network", "action_spec"),
     "fork": _ENHANCER,
     "lifeguard": _ENHANCER,
