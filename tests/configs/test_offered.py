@@ -146,12 +146,6 @@ def test_packaged_policies_are_read_as_they_are(name: str, caplog: pytest.LogCap
     assert not caplog.records
 
 
-def test_runs_in_the_documentation_are_read_as_they_are() -> None:
-    configs = [load_config(path) for path in sorted((ROOT / "docs/data/fast").glob("*/config.yaml"))]
-    assert len(configs) == 2
-    assert all(settings_of_run(config) == to_dataclass(config) for config in configs)
-
-
 # ---------------------------------------------------------------------- one list, in the code and in the docs
 
 
