@@ -22,7 +22,7 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.objectives import SoftUpdate
 
 from uavrl.buffers import MultiStep
-from uavrl.envs import NavigationEnv
+from uavrl.envs import NavigationEnv, WorldConfig
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.transforms import Mirror, NavigationReward, NavigationState
@@ -36,28 +36,23 @@ POLICY_DELAY = 2  # updates of the critics for each of the actor and the targets
 STORED = ["observation", "action", *(("next", key) for key in ("observation", "reward", "done", "terminated"))]
 
 
-def make_env(uavs: int, seed: int) -> TransformedEnv:
+def make_env(uavs: int, seed: int, world: WorldConfig | None = None) -> TransformedEnv:
     """Vehicles in one valley: the scan becomes 32 distances, three frames of these and the goal's angles a state."""
     env = TransformedEnv(
-        NavigationEnv(num_uavs=uavs),
+        NavigationEnv(uavs, world=world),
         Compose(NavigationState(), NavigationReward(arrived_reward=200.0)),  # 105 numbers; Eq. 3.6 and a prize
     )
     env.set_seed(seed)
     return env
 
 
-def make_loss(env: TransformedEnv) -> TD3Loss:
+def make_loss(env: TransformedEnv, device: str) -> TD3Loss:
     """The actor, two critics with layer norm, and the loss that trains them."""
-    states = env.observation_spec["observation"].shape[-1]
-    actions = env.action_spec.shape[-1]
-    actor = TensorDictModule(Actor(states, actions, HIDDEN), ["observation"], ["action"])
-    critics = [
-        TensorDictModule(
-            Critic(states, actions, HIDDEN, layer_norm=True), ["observation", "action"], ["state_action_value"]
-        )
-        for _ in range(2)
-    ]
-    return TD3Loss(actor, critics, action_spec=env.action_spec_unbatched, gamma=GAMMA)
+    sizes = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+    actor = TensorDictModule(Actor(*sizes, HIDDEN).to(device), ["observation"], ["action"])
+    critics = [Critic(*sizes, HIDDEN, layer_norm=True).to(device) for _ in range(2)]
+    values = [TensorDictModule(each, ["observation", "action"], ["state_action_value"]) for each in critics]
+    return TD3Loss(actor, values, action_spec=env.action_spec_unbatched.to(device), gamma=GAMMA).to(device)
 
 
 def make_buffer() -> ReplayBuffer:
@@ -67,19 +62,22 @@ def make_buffer() -> ReplayBuffer:
     )
 
 
-def episodes(env: TransformedEnv, actor: TensorDictModule, uavs: int) -> Iterator[TensorDictBase]:
+def episodes(env: TransformedEnv, actor: TensorDictModule, device: str) -> Iterator[TensorDictBase]:
     """Whole episodes ``[T]`` of the policy with exploration noise, the first ones with random actions."""
     noise = AdditiveGaussianModule(
-        env.action_spec, sigma_init=EXPLORATION, sigma_end=EXPLORATION, annealing_num_steps=1
+        env.action_spec.to(device), sigma_init=EXPLORATION, sigma_end=EXPLORATION, annealing_num_steps=1, device=device
     )
     yield from Collector(
         env,
         TensorDictSequential(actor, noise),
-        frames_per_batch=8 * uavs,
+        frames_per_batch=8 * env.batch_size.numel(),
         total_frames=-1,
         init_random_frames=LEARNING_STARTS,
         trajs_per_batch=1,
         traj_format="cat",
+        policy_device=device,
+        env_device="cpu",
+        storing_device="cpu",
         auto_register_policy_transforms=False,
     )
 
@@ -107,14 +105,12 @@ class Learner:
             self.targets.step()
 
 
-def train(steps: int, seed: int = 0, uavs: int = 8, device: str = "cpu") -> float:
-    """Trains for some environment steps; returns the success rate of the last 200 episodes."""
-    torch.manual_seed(seed)
-    env = make_env(uavs, seed)
-    loss = make_loss(env).to(device)
+def train(env: TransformedEnv, steps: int, device: str = "cpu") -> TD3Loss:
+    """Trains for some environment steps; returns the loss with its networks."""
+    loss = make_loss(env, device)
     learner, buffer = Learner(loss), make_buffer()
     seen, outcomes = 0, deque[bool](maxlen=200)
-    for count, episode in enumerate(episodes(env, loss.actor_network, uavs), start=1):
+    for count, episode in enumerate(episodes(env, loss.actor_network, device), start=1):
         seen += len(episode)
         outcomes.append(bool(episode["next", "arrived"][-1]))
         buffer.extend(episode.select(*STORED))
@@ -125,9 +121,7 @@ def train(steps: int, seed: int = 0, uavs: int = 8, device: str = "cpu") -> floa
             print(f"{seen:>8,} steps, {count:>5,} episodes: {sum(outcomes) / len(outcomes):.0%} successful", flush=True)
         if seen >= steps:
             break
-    torch.save(loss.actor_network_params.state_dict(), "td3.pt")
-    env.close()
-    return sum(outcomes) / len(outcomes)
+    return loss
 
 
 if __name__ == "__main__":
@@ -138,4 +132,6 @@ if __name__ == "__main__":
     parser.add_argument("--device", default="cpu")
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # networks as small as these are slower with more
-    train(arguments.steps, arguments.seed, arguments.uavs, arguments.device)
+    torch.manual_seed(arguments.seed)
+    trained = train(make_env(arguments.uavs, arguments.seed), arguments.steps, arguments.device)
+    torch.save(trained.actor_network_params.state_dict(), "td3.pt")

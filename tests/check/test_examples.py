@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+
 from uavrl.cli.policies import PACKAGED
+from uavrl.envs import WorldConfig
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -21,6 +31,29 @@ def said(example: str, *arguments: object) -> str:
 
 def test_the_backward_reward_is_used_outside_the_valley() -> None:
     assert "arrived" in said("backward_reward.py", 600)
+
+
+def test_one_file_trains_td3_with_torchrls_collector_and_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+    example = runpy.run_path(str(EXAMPLES / "td3_in_150_lines.py"))
+    train = example["train"]
+    monkeypatch.setitem(train.__globals__, "LEARNING_STARTS", 64)
+    world = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0)
+    env = example["make_env"](uavs=2, seed=0, world=world)
+    flown: list[Tensor] = []
+    monkeypatch.setitem(train.__globals__, "print", lambda *_, **__: None)
+    episodes = train.__globals__["episodes"]
+
+    def watched(env: TransformedEnv, actor: TensorDictModule, device: str) -> Iterator[TensorDictBase]:
+        for episode in episodes(env, actor, device):
+            flown.append(actor.get_submodule("module.net.0").weight.detach().clone())
+            yield episode
+
+    monkeypatch.setitem(train.__globals__, "episodes", watched)
+    loss = train(env, 1000)  # no episode has more than 300
+    trained = loss.actor_network_params["module", "net", "0", "weight"]
+    assert len(flown) > 2 and not torch.equal(flown[0], flown[-1]), "the policy that flies is the one that learns"
+    assert not torch.equal(trained, flown[0])
+    env.close()
 
 
 def test_forks_threshold_is_measured_on_a_run(finished: Path) -> None:

@@ -48,7 +48,7 @@ def commands(run_dir: Path, tmp_path: Path) -> list[tuple[Callable[[], None], li
     return [
         (evaluate_command.main, [f"run={run_dir}", f"output={tmp_path / 'e.json'}", *SMALL_EVALUATION]),
         (replay_command.main, replayed),
-        (export_command.main, [str(run_dir), "--output", str(tmp_path / "policy")]),
+        (export_command.main, [f"run={run_dir}", f"output={tmp_path / 'policy'}"]),
         (train_command.main, [f"resume={run_dir}", "trainer.episodes=5"]),
         (pretrain_command.main, [f"run={run_dir}", f"output={tmp_path / 'artifact'}", "progress=false"]),
     ]
@@ -61,7 +61,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def policy(finished: Path, tmp_path: Path) -> Path:
-    assert in_process(export_command.main, str(finished), "--output", str(tmp_path / "given")) == 0
+    assert in_process(export_command.main, f"run={finished}", f"output={tmp_path / 'given'}") == 0
     return tmp_path / "given"
 
 

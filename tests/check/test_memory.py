@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +15,9 @@ from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.world import WorldConfig
 
 SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0)
-PAGE = 4096  # bytes
+PAGE = os.sysconf("SC_PAGE_SIZE")  # bytes
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads what Linux tells of a process")
 
 
 def resident() -> float:

@@ -47,6 +47,12 @@ def test_a_complex_action_is_refused(env: NavigationEnv) -> None:
         env.step(state)
 
 
+@pytest.mark.parametrize("tasks", [[], 3])
+def test_tasks_are_a_list_of_some(tasks: object) -> None:
+    with pytest.raises(UavrlError, match="tasks takes a list of one task or more, or None for any"):
+        NavigationEnv(1, world=SMALL, tasks=tasks)  # type: ignore[arg-type]
+
+
 def test_numpys_numbers_are_taken() -> None:
     whole, real = np.int64, np.float64
     world = WorldConfig(

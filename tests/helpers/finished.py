@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 from filelock import FileLock
@@ -16,7 +18,7 @@ from filelock import FileLock
 from tests.helpers.commands import in_process
 from uavrl.cli import train as train_command
 from uavrl.envs.world import Valley
-from uavrl.runs.provenance import commit, versions
+from uavrl.runs.provenance import processor, versions
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / ".pytest_cache/d/kept"
@@ -26,16 +28,18 @@ DAY = 86_400
 @cache
 def _folder() -> Path:
     """What is kept of these sources, of this commit and with these packages; what is older than a day is removed."""
-    packages = sorted((name, found) for name, found in versions().items() if name != "commit")
-    digest = hashlib.sha256(repr((commit(), packages)).encode())
+    kernels = {key: os.environ.get(key) for key in ("MKL_CBWR", "OPENBLAS_CORETYPE", "ATEN_CPU_CAPABILITY")}
+    packages = {name: version(name) for name in ("tensordict", "scipy", "hydra-core")}
+    digest = hashlib.sha256(repr((versions(), packages, processor(), kernels)).encode())
     sources = (path for name in ("uavrl", "conf", "examples/own_parts") for path in (ROOT / name).rglob("*"))
     for path in sorted(path for path in sources if path.suffix in (".py", ".yaml")):
         digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
     folder = KEPT / digest.hexdigest()[:16]
     folder.mkdir(parents=True, exist_ok=True)
     for other in KEPT.iterdir():
-        if other != folder and time.time() - other.stat().st_mtime > DAY:
-            shutil.rmtree(other, ignore_errors=True)
+        with suppress(FileNotFoundError):  # another worker removes it too
+            if other != folder and time.time() - other.stat().st_mtime > DAY:
+                shutil.rmtree(other, ignore_errors=True)
     return folder
 
 

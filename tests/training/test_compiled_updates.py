@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import logging
 import sys
+import sysconfig
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
@@ -66,8 +69,15 @@ def test_another_execution_is_refused() -> None:
         gradients_of(Noisy(), "fast")  # type: ignore[arg-type]
 
 
-def test_updates_are_compiled_where_there_is_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_updates_are_compiled_where_there_are_a_compiler_and_pythons_headers(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
     monkeypatch.setenv("CXX", sys.executable)
+    assert chosen_execution("auto") == "captured"
+    assert f"{tmp_path / 'Python.h'}, which compiling needs, was not found" in caplog.text
+    (tmp_path / "Python.h").touch()
     assert chosen_execution("auto") == "compiled"
     monkeypatch.setenv("CXX", "no-such-compiler")
     assert chosen_execution("auto") == "captured"

@@ -338,6 +338,24 @@ def test_the_trainer_logs_the_mean_of_each_term(tmp_path: Path) -> None:
     assert float(value) == pytest.approx(sum(episode.terms["progress"] for episode in episodes) / 3, abs=1e-4)
 
 
+def test_a_reward_may_leave_a_term_out_of_an_episode(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    log = EpisodeLog(path)
+    log.add(replace(row(1), terms={"progress": 1.0}))
+    log.add(row(2))
+    assert math.isnan(read_episodes(path)[1].terms["progress"])
+
+
+@pytest.mark.parametrize("terms", [{}, {"progress": 1.0}])
+def test_a_row_of_another_length_is_damage(terms: dict[str, float], tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    EpisodeLog(path).add(replace(row(1), terms=terms))
+    with path.open("a") as file:
+        file.write("2,20,arrived,5.0\n")
+    with pytest.raises(UavrlError, match=r"episodes\.csv is damaged: expected rows of 1\d columns, got 4 in one"):
+        read_episodes(path)
+
+
 def test_the_log_refuses_a_file_that_is_too_short(tmp_path: Path) -> None:
     path = tmp_path / "episodes.csv"
     log = EpisodeLog(path)

@@ -24,7 +24,7 @@ def _reader_left(error: BaseException) -> bool:
     out = sys.stdout.fileno()
     asked = select.poll()
     asked.register(out, 0)
-    left = any(event & select.POLLERR for _, event in asked.poll(0))
+    left = any(event & (select.POLLERR | select.POLLHUP) for _, event in asked.poll(0))
     if left:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, out)  # for what Python flushes at its end

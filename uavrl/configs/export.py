@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from uavrl.configs.checks import require
+from uavrl.ranges import Folder
 
 
 @dataclass
@@ -10,10 +11,10 @@ class ExportConfig:
     """conf/export.yaml: one policy on its own."""
 
     packages: tuple[str, ...] = ()
-    run: str | None = None
+    run: Folder | None = None
     policy: str | None = None
-    checkpoint: str | None = None
-    output: str | None = None
+    checkpoint: Folder | None = None
+    output: Folder | None = None
 
     def __post_init__(self) -> None:
         """Checks that there is a place to write to."""

@@ -63,7 +63,7 @@ class NavigationEnv(EnvBase):
             is cast then.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
-        tasks: the only tasks that will begin: valleys that none of them needs are not built. None: any task.
+        tasks: the tasks that will begin: valleys that none of these needs are not built. None: any task.
         seed: seed of tasks, traffic, gusts and sensor noise.
         device: where the outputs go. The simulation itself runs on the CPU.
 
@@ -107,6 +107,8 @@ class NavigationEnv(EnvBase):
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
+        if tasks is not None and not (np.iterable(tasks) and len(tasks)):
+            raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
         self._world_config = world or WorldConfig()
         self.airframe = airframe or Airframe()

@@ -194,8 +194,7 @@ def _episodes(path: Path) -> list[Episode]:
     episodes = read_episodes(path)
     steps = [e.total_steps for e in episodes]
     grows = all(earlier < later for earlier, later in zip([0, *steps], [*steps, _MOST_STEPS], strict=True))
-    numbers = all(isfinite(number) for e in episodes for number in (e.episode_return, *e.terms.values()))
-    if not (episodes and grows and numbers):
+    if not (episodes and grows and all(isfinite(e.episode_return) for e in episodes)):
         raise ValueError("Expected one episode or more, steps that grow, and returns that are numbers.")
     return episodes
 

@@ -54,11 +54,13 @@ class Episode:
 
     def row(self, terms: Sequence[str] = ()) -> list[Any]:
         """The values of the columns of :meth:`header`."""
-        return [getattr(self, name) for name in Episode.header()] + [self.terms[name] for name in terms]
+        return [getattr(self, name) for name in Episode.header()] + [self.terms.get(name, math.nan) for name in terms]
 
     @staticmethod
     def from_row(row: list[str], terms: Sequence[str] = ()) -> Episode:
         """Reads one row of ``episodes.csv``."""
+        if len(row) != len(Episode.header(terms)):
+            raise ValueError(f"expected rows of {len(Episode.header(terms))} columns, got {len(row)} in one")
         kinds = {"int": int, "float": float, "str": str}
         values = [kinds[str(each.type)](value) for each, value in zip(fields(Episode)[:-1], row, strict=False)]
         added = dict(zip(terms, map(float, row[len(values) :]), strict=True))
