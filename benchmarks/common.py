@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TextIO
 
 import numpy as np
 
@@ -64,3 +65,10 @@ def named_folder(pair: str) -> tuple[str, Path]:
         if sign == "=" and (folder := Path(pair[place + 1 :])).is_dir():
             return pair[:place], folder
     raise UavrlError(f"Expected NAME=FOLDER with a folder that exists, got {pair!r}: write the folder's path.")
+
+
+def opened(path: Path, mode: Literal["rt", "wt"]) -> TextIO:
+    """A text file, which is compressed where its name ends in .gz."""
+    if path.suffix == ".gz":
+        return gzip.open(path, mode, newline="", encoding="utf-8")
+    return path.open(mode, newline="", encoding="utf-8")

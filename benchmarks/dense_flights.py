@@ -12,13 +12,11 @@ from __future__ import annotations
 
 import argparse
 import csv
-import gzip
 import re
 from pathlib import Path
-from typing import Literal, TextIO
 
 import numpy as np
-from common import named_folder
+from common import named_folder, opened
 from matplotlib.figure import Figure
 
 from uavrl.cli.errors import one_sentence
@@ -28,13 +26,6 @@ from uavrl.runs.episodes import read_episodes, wilson
 COLUMNS = ("run", "total_steps", "outcome", "world_seed")
 FEWEST = 20  # flights of which a share is told
 Rows = list[tuple[str, int, str, int]]
-
-
-def opened(path: Path, mode: Literal["rt", "wt"]) -> TextIO:
-    """A text file, which is compressed where its name ends in .gz."""
-    if path.suffix == ".gz":
-        return gzip.open(path, mode, newline="", encoding="utf-8")
-    return path.open(mode, newline="", encoding="utf-8")
 
 
 def read(path: Path) -> Rows:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from common import named_folder
+from common import named_folder, opened
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
 from scipy.stats import trim_mean
@@ -226,9 +226,10 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     parser.add_argument("--plot", type=Path, metavar="PNG", help="also draw arrivals over steps")
     args = parser.parse_args()
-    kept: dict[str, list[dict[str, Any]]] = (
-        json.loads(args.file.read_text(encoding="utf-8")) if args.file.is_file() else {}
-    )
+    kept: dict[str, list[dict[str, Any]]] = {}
+    if args.file.is_file():
+        with opened(args.file, "rt") as file:
+            kept = json.load(file)
     for pair in args.add:
         method, folder = named_folder(pair)
         run = read(folder)
@@ -237,7 +238,8 @@ def main() -> None:
     if args.add:
         lines = ",\n".join(f"{json.dumps(name)}: [\n{_rows(seeds)}\n]" for name, seeds in kept.items())
         args.file.parent.mkdir(parents=True, exist_ok=True)
-        args.file.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
+        with opened(args.file, "wt") as file:
+            file.write(f"{{\n{lines}\n}}\n")
     pools: dict[str, list[dict[str, Any]]] = {}
     for pair in args.pool:
         name, sign, method = pair.partition("=")

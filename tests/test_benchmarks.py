@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import sys
 from dataclasses import asdict, replace
@@ -101,7 +102,7 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
             create_run(with_run_dir(run, f"seed={seed}", f"algo.gamma={0.9 if method == 'good' else 0.99}"))
             write_episodes(run / "episodes.csv", episodes(ends))
             folders.append(f"{method}={run}")
-    arguments = ["methods.py", str(tmp_path / "kept.json"), "--window", "4", "--json", str(tmp_path / "told.json")]
+    arguments = ["methods.py", str(tmp_path / "kept.json.gz"), "--window", "4", "--json", str(tmp_path / "told.json")]
     monkeypatch.setattr(sys, "argv", [*arguments, "--add", *folders[:5], "--add", *folders[5:], "--baseline", "poor"])
     methods.main()
     told = json.loads((tmp_path / "told.json").read_text())["good"]
@@ -109,7 +110,7 @@ def test_methods_are_compared_by_what_is_kept_of_their_runs(
     assert (told["seeds"], last["iqm"], steps["iqm"]) == pytest.approx((5, 100.0, 0.1))
     assert last["difference"] == [75.0, 75.0, 75.0]
     assert "good against poor, arrived, last: +75.0 (+75.0 to +75.0)" in capsys.readouterr().out
-    kept = json.loads((tmp_path / "kept.json").read_text())
+    kept = json.loads(gzip.decompress((tmp_path / "kept.json.gz").read_bytes()))
     assert [run["settings"] for run in kept["poor"]] == [{}] * 5
     assert [run["settings"]["algo.gamma"] for run in kept["good"]] == [0.9] * 5
     monkeypatch.setattr(sys, "argv", [*arguments, "--flights", "5", "--plot", str(tmp_path / "curves.png")])
