@@ -126,15 +126,21 @@ def test_a_model_that_saw_normalized_observations_takes_their_statistics(name: s
     assert np.abs(model.predict(states.numpy(), deterministic=True)[0] - expected).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", packaged_policies())
-def test_states_of_the_valley_are_told_from_normalized_ones(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "last_action"), [*((name, False) for name in packaged_policies()), ("static", True), ("dynamic", True)]
+)
+def test_states_of_the_valley_are_told_from_normalized_ones(name: str, last_action: bool) -> None:
     """Each of some hundreds of recorded states, as if it were the last one of a training."""
     pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.running_mean_std import RunningMeanStd
 
     from uavrl.flying.stable_baselines import NEGATIVE, _untouched
 
-    states = recorded(name)["observation"].double().numpy()
+    flown = recorded(name)
+    states = flown["observation"].double().numpy()
+    if last_action:  # that of three frames of 32 faces, altitude and goal angles; two in a row are much alike
+        acted = flown["action"].double().numpy()[:, None].repeat(3, 1) / 2
+        states = np.concatenate([states.reshape(-1, 3, 35), acted], -1).reshape(len(states), -1)
     normalizer: Any = SimpleNamespace(rms=RunningMeanStd(shape=states.shape[1:]))
     normalizer.rms.update(states)
     normalizer.normalize_obs = lambda seen: (seen - normalizer.rms.mean) / np.sqrt(normalizer.rms.var + 1e-8)

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from uavrl.errors import FolderTaken
+from tests.helpers.commands import TINY, in_process
+from uavrl.cli import train as train_command
+from uavrl.errors import FolderTaken, UavrlError
 from uavrl.training import claim
 from uavrl.training.claim import GONE, HOLDER, LOCK, locked
 
@@ -51,3 +53,29 @@ def test_whoever_holds_a_folder_shows_signs_of_life(tmp_path: Path, monkeypatch:
         while (tmp_path / HOLDER).stat().st_mtime < 1 and time.monotonic() < until:
             time.sleep(0.01)
         assert (tmp_path / HOLDER).stat().st_mtime > 1
+
+
+@pytest.mark.parametrize("name", [LOCK, HOLDER])
+def test_nothing_is_written_through_a_planted_link(name: str, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("untouched")
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / name).symlink_to(tmp_path / "mine")
+    with pytest.raises(UavrlError, match=rf"/{name} is a link that leads out of"), locked(run):
+        pass
+    assert (tmp_path / "mine").read_text() == "untouched"
+    assert [path.name for path in run.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("mode", [[], ["-m"]])
+def test_a_training_is_refused_before_it_writes_through_a_link(
+    mode: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine").write_text("untouched")
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / HOLDER).symlink_to(tmp_path / "mine")
+    monkeypatch.setattr("uavrl.training.sweep.run_folder", lambda _: run)
+    assert in_process(train_command.main, *mode, *TINY, f"run_dir={run}", f"hydra.sweep.dir={tmp_path / 'sweep'}") == 1
+    assert "is a link that leads out of" in capfd.readouterr().err
+    assert (tmp_path / "mine").read_text() == "untouched"

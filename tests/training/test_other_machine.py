@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import logging
+import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
+from torchrl.checkpoint import Checkpoint
 
 from tests.helpers.commands import in_process
 from tests.helpers.configs import changed, with_run_dir
-from tests.helpers.runs import SMALL, small_config
+from tests.helpers.foreign import change_json, rewrite
+from tests.helpers.runs import SMALL, assert_same_run, small_config
 from uavrl.cli import train as train_command
 from uavrl.errors import UavrlError
-from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, fingerprints, free_keys, read_config
+from uavrl.runs.checkpoint import rotation
+from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, free_keys, read_config
 from uavrl.training import arithmetic
-from uavrl.training.run import create_run, resume_config
+from uavrl.training.resuming import checkpoint_to_resume
+from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sweep import run_folder
 
 OTHER = {"device": "cuda", "trainer.execution": "eager", "trainer.threads": 2, "trainer.products": "onednn"}
@@ -89,10 +95,48 @@ def test_a_sweep_keeps_what_a_run_has_chosen_by_itself() -> None:
     assert {"device", "trainer.execution", "trainer.threads", "trainer.episodes"} <= set(keys)
 
 
-def test_checkpoints_from_before_that_was_so_are_known(tmp_path: Path) -> None:
-    config = small_config(tmp_path / "run")
-    assert fingerprints(config) == (fingerprint(config), fingerprint(config, FREE_KEYS))
-    assert len(set(fingerprints(config))) == 2
+def as_before_that_was_so(run_dir: Path, **machine: str | int) -> Path:
+    """Makes a run what an older uavrl left on another machine, whose keys counted."""
+    config = read_config(run_dir)
+    config.trainer.update(machine)
+    (run_dir / "config.yaml").write_text(OmegaConf.to_yaml(config))
+    about = {"fingerprint": fingerprint(config, FREE_KEYS)}
+    for path in rotation(run_dir).checkpoints():
+        metadata = {**Checkpoint.manifest(path)["metadata"], **about}
+        rewrite(path, partial(change_json, name="manifest.json", metadata=metadata))
+    return run_dir
+
+
+def more_of(run_dir: Path, *changed_keys: str) -> DictConfig:
+    return resume_config(run_dir, small_config(run_dir, "trainer.episodes=8"), ["trainer.episodes", *changed_keys])
+
+
+def test_a_run_from_before_that_was_so_goes_on_as_any_other(run_dir: Path, tmp_path: Path) -> None:
+    older = Path(shutil.copytree(run_dir, tmp_path / "older/run"))
+    as_before_that_was_so(older, products="bf16", threads=2)
+    train(more_of(run_dir), run_dir, resume=True)
+    train(more_of(older, "trainer.products", "trainer.threads"), older, resume=True)
+    assert read_config(older).trainer == read_config(run_dir).trainer
+    assert_same_run(run_dir, older)
+
+
+@pytest.mark.parametrize(("killed_in", "threads"), [("run._write", 2), ("trainer.EpisodeTrainer.train", 1)])
+def test_it_goes_on_again_wherever_it_was_killed(
+    killed_in: str, threads: int, run_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_before_that_was_so(run_dir, threads=2)
+    monkeypatch.setattr(f"uavrl.training.{killed_in}", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        train(more_of(run_dir, "trainer.threads"), run_dir, resume=True)
+    assert read_config(run_dir).trainer.threads == threads
+    assert checkpoint_to_resume(run_dir, read_config(run_dir)) == rotation(run_dir).latest()
+
+
+def test_a_run_goes_on_with_its_own_configuration_alone(run_dir: Path) -> None:
+    other = read_config(run_dir)
+    other.algo.gamma = 0.9
+    with pytest.raises(UavrlError, match="was flown under another configuration than the one given"):
+        train(other, run_dir, resume=True)
 
 
 @pytest.mark.parametrize("mode", [[], ["-m"]])

@@ -48,7 +48,10 @@ def fingerprint(config: DictConfig, without: Iterable[str] = (*FREE_KEYS, *MACHI
 
 
 def fingerprints(config: DictConfig) -> tuple[str, ...]:
-    """Under which a checkpoint of the configuration may have been written: until 0.1.0 the machine's keys counted."""
+    """Under which a checkpoint of a recorded configuration may have been written.
+
+    Until 0.1.0 the machine's keys counted, as they are recorded: give what the run folder holds, with nothing changed.
+    """
     return fingerprint(config), fingerprint(config, FREE_KEYS)
 
 

@@ -12,6 +12,7 @@ from filelock import FileLock, Timeout
 
 from uavrl.errors import FolderTaken, UavrlError
 from uavrl.runs.names import HOLDER, LOCK
+from uavrl.trust import check_links
 
 BEAT = 15.0  # s between two signs of life
 GONE = 120.0  # s without one after which a holder on another machine is taken for dead
@@ -24,6 +25,7 @@ def locked(run_dir: Path) -> Iterator[None]:
     The lock of the file system tells on one machine, and there it ends with the process. Not every shared folder hands
     it on to other machines, so whoever holds it also gives a sign of life there every ``BEAT`` seconds.
     """
+    check_links(run_dir, (LOCK, HOLDER))  # the first that are written: callers look at the rest of the folder later
     lock = FileLock(run_dir / LOCK, blocking=False, is_singleton=True)
     try:
         lock.acquire()

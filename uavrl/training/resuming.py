@@ -9,6 +9,7 @@ from torchrl.checkpoint import Checkpoint
 from uavrl.command_line import command_line
 from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import DamagedCheckpoint, all_checkpoints, check_checkpoint
+from uavrl.runs.config import fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, BEGUN, EPISODES, SUMMARY
 
@@ -30,13 +31,23 @@ def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:
     """The newest checkpoint that is whole and knows no episode that ``episodes.csv`` has lost.
 
     Newer ones are renamed, so that nothing takes them for the run's, and what happened is logged.
+
+    Args:
+        run_dir: the run's folder.
+        config: to go on with. What it may change of the recorded one does not bear on the checkpoints.
     """
+    recorded = read_config(run_dir)
+    if fingerprint(config) != fingerprint(recorded):
+        raise UavrlError(
+            f"{run_dir} was flown under another configuration than the one given: go on with its own, or start a new "
+            f"run."
+        )
     found = all_checkpoints(run_dir)
     flown = len(read_episodes(run_dir / EPISODES))
     passed_over: dict[Path, str] = {}
     for path in reversed(found):
         try:
-            saved = check_checkpoint(path, config)["episodes"]
+            saved = check_checkpoint(path, recorded)["episodes"]
         except DamagedCheckpoint as error:
             passed_over[path] = str(error)
             continue

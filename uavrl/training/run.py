@@ -196,11 +196,15 @@ def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_
     """Makes trainer and run folder what they were after the barrier of a checkpoint."""
     flown = read_episodes(run_dir / EPISODES)
     _restore(trainer, checkpoint)
-    trainer.seconds_before = Checkpoint.manifest(checkpoint)["metadata"].get("seconds", 0.0)
+    about = Checkpoint.manifest(checkpoint)["metadata"]
+    trainer.seconds_before = about.get("seconds", 0.0)
     truncate_logs(trainer.log.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
-    _write(config, run_dir)
     log.info("Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames)
-    trainer.barrier()
+    if about["fingerprint"] == trainer.metadata["fingerprint"]:
+        trainer.barrier()
+    else:  # an older one, which goes only with the machine's keys that are recorded until now
+        trainer.save()
+    _write(config, run_dir)
 
 
 def _restore(trainer: EpisodeTrainer, path: Path) -> None:
