@@ -139,6 +139,12 @@ def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogC
     assert "fork.gamma in the run's configuration was never used: it is left out." in caplog.text
 
 
+def test_the_policy_of_a_run_with_products_of_before_still_loads() -> None:
+    config = changed(["fork=on"])
+    config.trainer.products = "bf16"
+    assert settings_of_run(config).trainer.products == "mkl"
+
+
 @pytest.mark.parametrize("name", packaged_policies())
 def test_packaged_policies_are_read_as_they_are(name: str, caplog: pytest.LogCaptureFixture) -> None:
     config = load_config(PACKAGED / name / "config.yaml")

@@ -23,8 +23,11 @@ def to_dataclass(config: DictConfig) -> TrainConfig:
 
 
 def settings_of_run(config: DictConfig) -> TrainConfig:
-    """The settings that a run has recorded."""
-    return to_dataclass(without_offered(config))
+    """The settings that a run has recorded; products in bfloat16, which there are no longer, become float32."""
+    recorded = without_offered(config)
+    if OmegaConf.select(recorded, "trainer.products") == "bf16":
+        recorded.trainer.products = "mkl"
+    return to_dataclass(recorded)
 
 
 def checked(config: DictConfig, kind: type[T]) -> T:
