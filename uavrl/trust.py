@@ -86,9 +86,12 @@ def check_links(folder: Path, names: Iterable[str]) -> None:
 
 def _leads_into(link: Path, folder: Path) -> bool:
     try:
-        return link.resolve().is_relative_to(folder)
-    except (OSError, RuntimeError):  # a link to itself
+        link.stat()
+    except FileNotFoundError:
+        pass  # what it names is not there yet
+    except OSError:  # a link to itself
         return False
+    return link.resolve().is_relative_to(folder)
 
 
 def _left_by_wandb(link: Path, folder: Path) -> bool:
