@@ -12,7 +12,7 @@ from common import experiment
 from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase
 
-from uavrl.configs import TrainConfig
+from uavrl.config import TrainConfig
 from uavrl.training.actor_and_loss import make_actor
 from uavrl.training.factory import make_collector, make_env
 from uavrl.training.network_sizes import network_sizes

@@ -24,7 +24,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cli.errors import one_sentence
 from uavrl.cli.policies import policy_folder
-from uavrl.configs import TrainConfig
+from uavrl.config import TrainConfig
 from uavrl.training.policies import load_policy
 
 

@@ -19,8 +19,7 @@ import numpy as np
 from common import experiment, machine
 
 from uavrl.cli.errors import one_sentence
-from uavrl.flying.baselines import COSTS, VectorFieldHistogram
-from uavrl.flying.costs import Costs
+from uavrl.flying.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.flying.flight import fly
 from uavrl.runs.episodes import wilson
 from uavrl.training.factory import make_env
@@ -76,7 +75,7 @@ def main() -> None:
     left, tasks = drawn(args.settings, present), args.tasks
     rounds: list[list[dict[str, Any]]] = []
     while left:
-        rules = [VectorFieldHistogram(*flown, *seen, Costs(**setting)) for setting in left]
+        rules = [VectorFieldHistogram(*flown, *seen, VFHWeights(**setting)) for setting in left]
         found = [(arrivals(environments, rule, tasks), each) for rule, each in zip(rules, left, strict=True)]
         found.sort(key=lambda pair: -pair[0])
         rounds.append([{"setting": setting, **wilson(solved, tasks)} for solved, setting in found])

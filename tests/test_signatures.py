@@ -12,7 +12,7 @@ import pytest
 
 from uavrl.buffers import ABR, EpisodeBuffer, PrioritizedBuffer
 from uavrl.buffers.backward_reward import StateClassifier
-from uavrl.configs import EvaluateConfig
+from uavrl.config import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.losses import Imitation, TD3Loss
 from uavrl.models import Actor

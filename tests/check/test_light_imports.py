@@ -63,10 +63,10 @@ def test_a_report_needs_neither_torch_nor_pybullet(tmp_path: Path) -> None:
 
 def test_all_that_is_checked_is_checked_without_torch() -> None:
     code = (
-        "import sys\nfrom uavrl.configs import compose, to_dataclass\n"
+        "import sys\nfrom uavrl.config import compose, validate\n"
         "for more in ([], ['algo=sac', 'backward_reward=abr', 'buffer=prioritized', 'logger=wandb']):\n"
-        "    to_dataclass(compose('fork=on', 'lifeguard=mlp', *more))\n"
-        "to_dataclass(compose('preset=best'))\n"
+        "    validate(compose('fork=on', 'lifeguard=mlp', *more))\n"
+        "validate(compose('preset=best'))\n"
         "print([name for name in ('torch', 'torchrl', 'tensordict', 'pybullet') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -18,8 +18,8 @@ from tests.helpers.commands import TINY, in_process
 from tests.helpers.configs import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
-from uavrl.configs import to_dataclass
-from uavrl.configs.memory import bytes_needed, require_memory
+from uavrl.config import validate
+from uavrl.config.memory import bytes_needed, require_memory
 from uavrl.envs.gym_env import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
@@ -127,7 +127,7 @@ def test_a_folder_with_something_worth_keeping_stays(tmp_path: Path) -> None:
     ],
 )
 def test_short_runs_begin_with_fewer_random_steps(overrides: list[str], steps: int) -> None:
-    assert to_dataclass(composed("config", *overrides)).algo.random_steps == steps
+    assert validate(composed("config", *overrides)).algo.random_steps == steps
 
 
 @pytest.mark.parametrize(("random_steps", "warned"), [(500, True), (0, False)])
@@ -145,20 +145,20 @@ def test_a_run_that_learns_nothing_says_so_first_and_last(
 
 
 def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does_not() -> None:
-    require_memory(to_dataclass(composed()), memory=1e9)
-    large = to_dataclass(composed("config", "buffer.capacity=10000000"))
+    require_memory(validate(composed()), memory=1e9)
+    large = validate(composed("config", "buffer.capacity=10000000"))
     with pytest.raises(UavrlError, match=r"about 2 GB of memory, 2 GB of it for buffer\.capacity=10000000"):
         require_memory(large, memory=1e9)
 
 
 def test_the_estimate_of_a_buffer_knows_what_is_seen() -> None:
     """Two states of three frames of 72 cells, altitude, two angles and an action, and the guide's action beside."""
-    best = bytes_needed(to_dataclass(composed("config", "preset=best")))["buffer.capacity"]
+    best = bytes_needed(validate(composed("config", "preset=best")))["buffer.capacity"]
     assert 1.0 <= best / (1_000_000 * 4 * (2 * 3 * 79 + 4)) < 1.3
 
 
 def test_the_estimate_of_a_network_is_the_size_of_its_weights() -> None:
-    wide = bytes_needed(to_dataclass(composed("config", "algo.hidden=[1000,3000]")))
+    wide = bytes_needed(validate(composed("config", "algo.hidden=[1000,3000]")))
     actor = 106 * 1000 + 1001 * 3000 + 3001 * 4
     critic = 110 * 1000 + 1001 * 3000 + 3001
     copies = 6  # online, target, gradient, two moments of Adam, one on the way
@@ -238,7 +238,7 @@ def test_wandb_without_a_login_is_one_sentence(
 
 
 def wandb_logger(offline: bool) -> DictConfig:
-    return to_dataclass(composed("config", "logger=wandb", f"logger.offline={offline}")).logger
+    return validate(composed("config", "logger=wandb", f"logger.offline={offline}")).logger
 
 
 def test_wandb_offline_asks_for_no_login(monkeypatch: pytest.MonkeyPatch) -> None:

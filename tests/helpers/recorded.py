@@ -24,8 +24,8 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from uavrl.cli.policies import PACKAGED, packaged_policies, with_overrides
-from uavrl.configs import TrainConfig, compose, to_dataclass
-from uavrl.configs.build import build
+from uavrl.config import TrainConfig, compose, validate
+from uavrl.config.build import build
 from uavrl.flying.flight import Policy, rollout
 from uavrl.training.factory import make_env
 from uavrl.training.policies import load_policy
@@ -48,7 +48,7 @@ def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
     """A packaged policy, and the configuration in which its evaluation was flown."""
     config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
     overrides = evaluation(name)["overrides"]
-    return to_dataclass(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
+    return validate(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
 
 
 def recorded(name: str) -> dict[str, Tensor]:

@@ -6,8 +6,8 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
-from uavrl.configs import checked
-from uavrl.configs.pretrain import PretrainConfig
+from uavrl.config import validate
+from uavrl.pretraining.settings import PretrainConfig
 
 
 @command("pretrain")
@@ -17,7 +17,7 @@ def main(config: DictConfig) -> None:
 
 
 def _pretrain(config: DictConfig) -> None:
-    settings = checked(config, PretrainConfig)
+    settings = validate(config, PretrainConfig)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
     from uavrl.training.arithmetic import multiplied_by

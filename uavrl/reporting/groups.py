@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from uavrl.configs.registry import NONE
+from uavrl.config.yaml_files import NONE
 from uavrl.reporting.runs import LeftOut, Run
 from uavrl.runs.config import HOW_IT_RUNS
 

@@ -6,10 +6,10 @@ import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 
-from uavrl.configs.build import build, options, resolve
-from uavrl.configs.checks import require
-from uavrl.configs.offered import OFFERED, refuse_offered
-from uavrl.configs.train import TrainConfig
+from uavrl.config.build import build, find_class, options
+from uavrl.config.context import CONTEXT, refuse_context
+from uavrl.config.sentences import require
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss, Enhancer
 from uavrl.training.guided import GUIDE_ACTION
@@ -35,10 +35,10 @@ def make_loss(
         )
         for _ in range(loss_class.num_critics)
     ]
-    written = options(settings.algo, packages, **_offered(sizes))
-    refuse_offered("algo", written, OFFERED["algo"])
+    written = options(settings.algo, packages, **_context(sizes))
+    refuse_context("algo", written, CONTEXT["algo"])
     loss = loss_class.of_networks(actor, critics, sizes.action_spec(device), **written)
-    given = {"gamma": settings.algo.gamma, **_offered(sizes)}
+    given = {"gamma": settings.algo.gamma, **_context(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.enhancer):
         enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
         if enhanced is None:
@@ -54,13 +54,13 @@ def make_loss(
 
 def _loss_class(settings: TrainConfig) -> type[ActorCriticLoss]:
     name = str(settings.algo._target_)
-    return resolve(name, ActorCriticLoss, settings.packages)  # type: ignore[type-abstract]
+    return find_class(name, ActorCriticLoss, settings.packages)  # type: ignore[type-abstract]
 
 
 def _network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: NetworkSizes) -> nn.Module:
     """The network of a part of ``algo``, tried once: what takes other inputs would fail in the middle of a flight."""
     part = getattr(settings.algo, role)
-    network = build(part, nn.Module, packages=settings.packages, **_offered(sizes))
+    network = build(part, nn.Module, packages=settings.packages, **_context(sizes))
     if network is None:
         raise UavrlError(f"algo.{role} must name a network, got null: choose another algorithm.")
     inputs = [torch.zeros(2, sizes.state)] + [torch.zeros(2, sizes.actions)] * (role == "critic")
@@ -79,5 +79,5 @@ def _network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: Net
     return network
 
 
-def _offered(sizes: NetworkSizes) -> dict[str, Any]:
+def _context(sizes: NetworkSizes) -> dict[str, Any]:
     return {"observations": sizes.state, "actions": sizes.actions, "limit": sizes.limit, "stacked": sizes.frames}

@@ -3,8 +3,7 @@
 import logging
 import math
 
-from uavrl.configs.registry import expected_steps
-from uavrl.configs.train import TrainConfig
+from uavrl.config.settings import TrainConfig
 
 log = logging.getLogger(__name__)
 
@@ -48,3 +47,8 @@ def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> 
             steps,
             settings.algo.random_steps,
         )
+
+
+def expected_steps(episodes: int, max_steps: int) -> int:
+    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take."""
+    return max(episodes * min(max_steps, 50), episodes * max_steps // 6)

@@ -8,9 +8,9 @@ from omegaconf import DictConfig
 from torchrl.envs import EnvBase
 
 import uavrl
-from uavrl.configs.build import options
-from uavrl.configs.parts import STEPPER, TARGET
-from uavrl.configs.train import TrainConfig
+from uavrl.config.build import TARGET, options
+from uavrl.config.parts import STEPPER
+from uavrl.config.settings import TrainConfig
 from uavrl.runs.checkpoint import rotation
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import EpisodeLog
@@ -49,7 +49,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
     if collector_class(settings).flies_elsewhere:
         env.close()  # another process makes its own
         flown = carried(new_env)
-    taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})
+    taken = options({**settings.algo, TARGET: STEPPER})
     logger = make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages)
     return EpisodeTrainer(
         loss=loss,

@@ -1,20 +1,19 @@
 """Environment, buffer and collector of a configuration."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import torch
-from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import BaseCollector
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
 from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
-from uavrl.configs.build import build, options, resolve
-from uavrl.configs.offered import OFFERED, refuse_offered
-from uavrl.configs.train import TrainConfig
+from uavrl.config.build import build, find_class, options
+from uavrl.config.context import CONTEXT, refuse_context
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.training.collecting import OURS, FlightCollector
 from uavrl.training.guided import GUIDE_ACTION, Guidance, GuidedEnv
@@ -41,21 +40,21 @@ def make_device(name: str) -> torch.device:
 
 
 def make_env(
-    env: DictConfig,
-    perception: DictConfig,
-    reward: DictConfig | None = None,
+    env: Mapping[str, Any],
+    perception: Mapping[str, Any],
+    reward: Mapping[str, Any] | None = None,
     *,
     packages: Iterable[str] = (),
     num_uavs: int | None = None,
     keep_cloud: bool = False,
     kind: type[TransformedEnv] = TransformedEnv,
-    **offered: Any,
+    **context: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read."""
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of those that a run flies
-    own = {str(key): value for part in (perception, env) for key, value in part.items()}
-    own = {key: value for key, value in own.items() if key in env or key not in OFFERED["env"]} | several
-    base = build(own, EnvBase, packages=packages, key="env", **offered)
+    seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
+    own = {**seen, **env, **several}
+    base = build(own, EnvBase, packages=packages, key="env", **context)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
@@ -166,7 +165,7 @@ def make_noise(settings: TrainConfig, sizes: NetworkSizes, device: torch.device)
 
 def collector_class(settings: TrainConfig) -> type[FlightCollector]:
     """The class of the run's collector."""
-    found = resolve(str(settings.collector._target_), BaseCollector, settings.packages)
+    found = find_class(str(settings.collector._target_), BaseCollector, settings.packages)
     if missing := [name for name in OURS if not hasattr(found, name)]:
         raise UavrlError(
             f"collector must have what uavrl's collectors have, and {found.__name__} lacks {', '.join(missing)}: "
@@ -202,5 +201,5 @@ def make_collector(
     if found.flies_elsewhere:
         kwargs["num_threads"] = settings.trainer.threads
     own = options(settings.collector)
-    refuse_offered("collector", own, OFFERED["collector"])
+    refuse_context("collector", own, CONTEXT["collector"])
     return found(env, **kwargs, **own)

@@ -11,8 +11,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint
 
-from uavrl.configs import settings_of_run
-from uavrl.configs.train import TrainConfig
+from uavrl.config import validate_run
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import LifeGuard
 from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
@@ -33,7 +33,7 @@ def load_actor(
     """Configuration, policy and origin: of the checkpoint named, else of a policy on its own, else the newest."""
     config = read_config(folder)
     config.packages = list(packages)
-    settings = settings_of_run(config)
+    settings = validate_run(config)
     actor = make_actor(settings, _sizes(settings), device)
     if checkpoint is None and POLICY.is_in(folder):
         about, weights = POLICY.load(folder)

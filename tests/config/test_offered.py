@@ -12,6 +12,7 @@ import torch
 import yaml
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
+from uavrl.config.signature import signature
 
 from tests.helpers.configs import changed, composed
 from tests.helpers.runs import small_config
@@ -19,11 +20,10 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
 from uavrl.cli.policies import PACKAGED, packaged_policies
-from uavrl.configs import conf_dir, settings_of_run, to_dataclass
-from uavrl.configs.build import build
-from uavrl.configs.offered import OFFERED, TARGET, offered_to
-from uavrl.configs.parts import PARTS
-from uavrl.configs.signature import signature
+from uavrl.config import conf_dir, validate, validate_run
+from uavrl.config.build import build
+from uavrl.config.context import CONTEXT, TARGET, context_of
+from uavrl.config.parts import PARTS
 from uavrl.errors import UavrlError
 from uavrl.runs.config import load_config
 from uavrl.training import actor_and_loss, factory, loggers
@@ -47,7 +47,7 @@ def pairs() -> Iterator[tuple[str, str]]:
         content = yaml.safe_load((conf_dir() / group / f"{choice}.yaml").read_text())
         walker = ["env=bipedal_hardcore"] if choice == "failure_biased" else []
         for key, target in parts_of(content.get(group, content), group):  # one without a class has that of another
-            for name in sorted(set(offered_to(key)) & set(signature(target) or {})):
+            for name in sorted(set(context_of(key)) & set(signature(target) or {})):
                 yield " ".join([f"{group}={choice}", *walker]), f"{key}.{name}"
 
 
@@ -56,7 +56,7 @@ def test_no_name_that_the_run_hands_over_can_be_written(choices: str, key: str) 
     config = composed("config", *choices.split())
     OmegaConf.update(config, key, 1, force_add=True)
     with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
-        to_dataclass(config)
+        validate(config)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_no_name_that_the_run_hands_over_can_be_written(choices: str, key: str) 
 )
 def test_what_the_run_sets_itself_is_refused(overrides: str, key: str) -> None:
     with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
-        to_dataclass(composed("config", *overrides.split()))
+        validate(composed("config", *overrides.split()))
 
 
 def test_it_is_refused_before_a_folder_is_made(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -100,7 +100,7 @@ def test_it_is_refused_before_a_folder_is_made(tmp_path: Path, refused: Callable
 )
 def test_nor_does_a_part_take_the_place_of_another(override: str, told: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(told)):
-        to_dataclass(composed("config", override))
+        validate(composed("config", override))
 
 
 def test_the_guard_where_objects_are_made() -> None:
@@ -131,10 +131,10 @@ def test_how_many_are_evaluated_at_a_time_is_said_in_one_place(
 
 def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogCaptureFixture) -> None:
     config = changed(["fork=on"])
-    before = to_dataclass(config)
+    before = validate(config)
     OmegaConf.set_struct(config, False)
     config.fork.gamma, config.fork.system_network.actions, config.buffer.frames = 0.5, 9, 1
-    assert settings_of_run(config) == before
+    assert validate_run(config) == before
     assert config.fork.gamma == 0.5, "what it was trained with is recognised by all that was recorded"
     assert "fork.gamma in the run's configuration was never used: it is left out." in caplog.text
 
@@ -142,13 +142,13 @@ def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogC
 def test_the_policy_of_a_run_with_products_of_before_still_loads() -> None:
     config = changed(["fork=on"])
     config.trainer.products = "bf16"
-    assert settings_of_run(config).trainer.products == "mkl"
+    assert validate_run(config).trainer.products == "mkl"
 
 
 @pytest.mark.parametrize("name", packaged_policies())
 def test_packaged_policies_are_read_as_they_are(name: str, caplog: pytest.LogCaptureFixture) -> None:
     config = load_config(PACKAGED / name / "config.yaml")
-    assert settings_of_run(config) == to_dataclass(config)
+    assert validate_run(config) == validate(config)
     assert not caplog.records
 
 
@@ -173,7 +173,7 @@ def test_the_list_is_what_a_run_hands_over(
     handed_over: dict[str, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "guide=vfh", "enhancer=imitation"]
-    settings = to_dataclass(small_config(tmp_path / "run", *chosen))
+    settings = validate(small_config(tmp_path / "run", *chosen))
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
     monkeypatch.setattr(factory, "_require_keys", lambda *_: None)
 
@@ -193,9 +193,9 @@ def test_the_list_is_what_a_run_hands_over(
     loggers.make_logger(settings.logger, tmp_path / "run", "csv")
     groups = [group for group in PARTS if group not in ("algo", "collector")]
     assert {group: handed_over[settings_part(settings, group)] for group in groups} == {
-        group: set(OFFERED.get(group, ())) for group in groups
+        group: set(CONTEXT.get(group, ())) for group in groups
     }
-    assert handed_over[settings.algo.actor[TARGET]] == set(offered_to("algo.actor"))
+    assert handed_over[settings.algo.actor[TARGET]] == set(context_of("algo.actor"))
 
 
 def settings_part(settings: Any, group: str) -> str:
@@ -203,7 +203,7 @@ def settings_part(settings: Any, group: str) -> str:
 
 
 def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = to_dataclass(small_config(tmp_path / "run"))
+    settings = validate(small_config(tmp_path / "run"))
     sizes = NetworkSizes(state=105, frames=3, actions=4, limit=2.0)
 
     class Collector:
@@ -215,7 +215,7 @@ def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(factory, "collector_class", lambda settings: Collector)
     actor = actor_and_loss.make_actor(settings, sizes)
     made: Any = factory.make_collector(settings, lambda: None, actor, sizes, torch.device("cpu"))  # type: ignore[arg-type,return-value]
-    assert made.got == set(OFFERED["collector"])
+    assert made.got == set(CONTEXT["collector"])
 
 
 def test_the_documentation_lists_them_all() -> None:
@@ -227,5 +227,5 @@ def test_the_documentation_lists_them_all() -> None:
         groups = named or groups
         for group in groups:
             told.setdefault(group, set()).add(row[1])
-    networks = {key: set(offered_to(key)) for key in ("algo.actor", "algo.critic")}
-    assert told == {group: set(names) for group, names in OFFERED.items()} | networks
+    networks = {key: set(context_of(key)) for key in ("algo.actor", "algo.critic")}
+    assert told == {group: set(names) for group, names in CONTEXT.items()} | networks

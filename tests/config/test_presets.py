@@ -11,7 +11,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from uavrl.buffers import ABRPlus
-from uavrl.configs import compose
+from uavrl.config import compose
 from uavrl.errors import UavrlError
 from uavrl.models.trajectory_classifier import packaged_artifact
 

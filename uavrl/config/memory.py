@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from uavrl.configs.train import TrainConfig
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 
 NUMBER = 4  # bytes of a float32

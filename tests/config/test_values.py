@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 from omegaconf import OmegaConf
+from uavrl.config.limits import MOST
 
 from tests.helpers.configs import changed, composed
-from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner_name, to_dataclass
-from uavrl.configs.choices import known_keys
-from uavrl.configs.limits import MOST
-from uavrl.configs.memory import bytes_needed
-from uavrl.configs.parts import PARTS
+from uavrl.config import EvaluateConfig, TrainConfig, conf_dir, learner_name, resolve, validate
+from uavrl.config.keys import known_keys
+from uavrl.config.memory import bytes_needed
+from uavrl.config.parts import PARTS
 from uavrl.envs.limits import LARGEST
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
@@ -28,7 +28,7 @@ YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
 
 def settings(*overrides: str) -> TrainConfig:
-    return to_dataclass(composed("config", *overrides))
+    return validate(composed("config", *overrides))
 
 
 def plain(node: Any) -> Any:
@@ -52,7 +52,7 @@ def test_every_choice_composes_for_training_and_says_so(group: str, name: str) -
 
 @pytest.mark.parametrize("name", ["static", "dynamic", "bipedal_hardcore"])
 def test_every_environment_composes_for_evaluation(name: str) -> None:
-    config = checked(composed("evaluate", f"env={name}"), EvaluateConfig)
+    config = validate(composed("evaluate", f"env={name}"), EvaluateConfig)
     assert config.choices["env"] == name
     assert (config.perception._target_ is None) == (name == "bipedal_hardcore")
 
@@ -60,17 +60,17 @@ def test_every_environment_composes_for_evaluation(name: str) -> None:
 @pytest.mark.parametrize("algo", ["td3", "ddpg", "sac"])
 @pytest.mark.parametrize("enhancers", [[], ["fork=on", "lifeguard=mlp"]], ids=["bare", "enhanced"])
 def test_what_a_run_writes_is_read_as_it_was(algo: str, enhancers: list[str], tmp_path: Path) -> None:
-    config = complete(composed("config", f"algo={algo}", "run_dir=here", "env=dynamic", *enhancers))
+    config = resolve(composed("config", f"algo={algo}", "run_dir=here", "env=dynamic", *enhancers))
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     again = OmegaConf.load(tmp_path / "config.yaml")
-    assert complete(again) == config
-    assert to_dataclass(again) == to_dataclass(config)
+    assert resolve(again) == config
+    assert validate(again) == validate(config)
 
 
 def test_a_configuration_that_names_no_classes_is_of_an_older_uavrl() -> None:
     old = OmegaConf.create({"algo": {"name": "td3", "gamma": 0.99}, "env": {"name": "static"}, "seed": 0})
     with pytest.raises(UavrlError, match=r"older uavrl, which named no classes: start a new run"):
-        to_dataclass(old)
+        validate(old)
 
 
 @pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
@@ -270,7 +270,7 @@ NOT_FINITE = ["algo.gamma", "algo.actor_lr", "trainer.updates_per_step", "env.wo
 def test_values_out_of_range_are_refused_by_name(override: str) -> None:
     name = override.partition("=")[0].rpartition(".")[2]
     with pytest.raises(UavrlError, match=rf"(?i)\b{name}\b"):
-        to_dataclass(changed([], override))
+        validate(changed([], override))
 
 
 @pytest.mark.parametrize(
@@ -279,14 +279,14 @@ def test_values_out_of_range_are_refused_by_name(override: str) -> None:
 )
 def test_values_of_choices_out_of_range_are_refused_by_name(choices: str, override: str) -> None:
     with pytest.raises(UavrlError, match=rf"{re.escape(override.partition('=')[0])} must be"):
-        to_dataclass(changed(choices.split(), override))
+        validate(changed(choices.split(), override))
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize("key", NOT_FINITE)
 def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be a finite number"):
-        to_dataclass(changed([], f"{key}={value}"))
+        validate(changed([], f"{key}={value}"))
 
 
 OUT_OF_RANGE_OF_EVALUATION = """
@@ -297,14 +297,14 @@ OUT_OF_RANGE_OF_EVALUATION = """
 @pytest.mark.parametrize("override", OUT_OF_RANGE_OF_EVALUATION.split())
 def test_evaluation_refuses_values_out_of_range_by_name(override: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(override.partition("=")[0])):
-        checked(changed([], override, name="evaluate"), EvaluateConfig)
+        validate(changed([], override, name="evaluate"), EvaluateConfig)
 
 
 def test_a_part_left_out_is_refused_by_name() -> None:
     config = composed()
     del config.reward
     with pytest.raises(UavrlError, match="reward is not in the configuration: choose one with reward=NAME"):
-        to_dataclass(config)
+        validate(config)
 
 
 def test_a_missing_value_is_refused_by_name() -> None:
@@ -328,11 +328,11 @@ def test_a_missing_value_is_refused_by_name() -> None:
 )
 def test_values_of_another_type_are_refused_by_name(key: str, value: str, said: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(said)):
-        to_dataclass(changed(["lifeguard=linear"], f"{key}={value}"))
+        validate(changed(["lifeguard=linear"], f"{key}={value}"))
 
 
 def test_whole_numbers_are_numbers() -> None:
-    assert isinstance(to_dataclass(changed([], "algo.tau=1")).algo.tau, float)
+    assert isinstance(validate(changed([], "algo.tau=1")).algo.tau, float)
 
 
 @pytest.mark.parametrize(
@@ -349,13 +349,13 @@ def test_keys_that_nothing_takes_are_refused(where: str, key: str, said: str) ->
     OmegaConf.set_struct(config, False)
     OmegaConf.update(config, f"{where}.{key}", 1)
     with pytest.raises(UavrlError, match=re.escape(said)):
-        to_dataclass(config)
+        validate(config)
 
 
 def test_every_part_names_a_class_and_every_value_a_plain_one() -> None:
     def leaves(node: Any) -> list[Any]:
         return [leaf for child in node.values() for leaf in leaves(child)] if isinstance(node, Mapping) else [node]
 
-    config = plain(complete(composed("config", "fork=on", "lifeguard=mlp")))
+    config = plain(resolve(composed("config", "fork=on", "lifeguard=mlp")))
     assert all("_target_" in config[group] for group in PARTS)
     assert all(isinstance(leaf, bool | int | float | str | list | None) for leaf in leaves(config))

@@ -8,11 +8,11 @@ import pytest
 from torch import nn
 from torchrl.envs import EnvBase, Transform
 from torchrl.record.loggers import Logger
+from uavrl.config.signature import signature
 
 from tests.helpers.configs import changed, composed
-from uavrl.configs import conf_dir, to_dataclass
-from uavrl.configs.build import build, resolve
-from uavrl.configs.signature import signature
+from uavrl.config import conf_dir, validate
+from uavrl.config.build import build, find_class
 from uavrl.errors import UavrlError
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor
@@ -46,7 +46,7 @@ def test_what_is_not_trusted_is_refused_before_it_is_imported(target: str, said:
     config = composed()
     config.reward._target_ = target
     with pytest.raises(UavrlError) as told:
-        to_dataclass(config)
+        validate(config)
     assert said in str(told.value) and "reward._target_" in str(told.value)
 
 
@@ -65,16 +65,16 @@ def test_what_is_not_trusted_is_refused_before_it_is_imported(target: str, said:
 )
 def test_what_is_of_another_kind_or_from_elsewhere_is_refused(target: str, kind: type) -> None:
     with pytest.raises(UavrlError):
-        resolve(target, kind)
+        find_class(target, kind)
 
 
 def test_a_class_that_ours_only_import_is_refused() -> None:
     with pytest.raises(UavrlError, match="torch is no package that you have listed"):
-        resolve("uavrl.training.compiled_updates.Tensor", object)
+        find_class("uavrl.training.compiled_updates.Tensor", object)
 
 
 def test_a_package_that_the_user_lists_is_trusted() -> None:
-    assert resolve("torch.nn.Linear", nn.Module, ["torch"]) is nn.Linear
+    assert find_class("torch.nn.Linear", nn.Module, ["torch"]) is nn.Linear
 
 
 def test_an_object_gets_what_is_written_and_what_it_names_of_what_is_offered() -> None:
@@ -119,10 +119,10 @@ def test_a_subclass_takes_what_its_base_takes(tmp_path: Path, monkeypatch: pytes
         assert found is not None and {"bonus", "arrived_reward", "out_key"} <= set(found)
     config = changed(["reward=traditional"])
     config.reward._target_, config.packages = "own_rewards.Paid", ["own_rewards"]
-    assert to_dataclass(config).reward.arrived_reward == 50.0
+    assert validate(config).reward.arrived_reward == 50.0
     config.reward.arrived_reward = "much"
     with pytest.raises(UavrlError, match=r"reward\.arrived_reward must be a number"):
-        to_dataclass(config)
+        validate(config)
 
 
 def test_an_environment_that_is_not_trusted_is_refused_before_it_is_read(
@@ -138,7 +138,7 @@ def test_an_environment_that_is_not_trusted_is_refused_before_it_is_read(
     config = changed([])
     config.env._target_ = "stranger.Env"
     with pytest.raises(UavrlError, match=r"env\._target_ names stranger\.Env, and stranger is no package"):
-        to_dataclass(config)
+        validate(config)
 
 
 def test_every_class_that_our_yaml_names_can_be_read() -> None:
