@@ -15,7 +15,7 @@ FLOORS = [
     {"flying"},
     {"buffers", "envs", "losses"},
     {"models", "transforms"},
-    {"configs", "runs"},
+    {"config", "runs"},
     {"trust", "upstream"},
     {"errors", "ranges", "command_line"},
 ]

@@ -75,5 +75,5 @@ def _require_sane(value: Any, key: str) -> None:
         for name, child in value.items():
             _require_sane(child, f"{key}.{name}")
     for number in value if isinstance(value, list) else [value]:
-        large = isinstance(number, int | float) and abs(number) > MOST
-        require(not large, key, f"between -{MOST:g} and {MOST:g}", number)
+        if isinstance(number, int | float) and abs(number) > MOST:
+            require(False, key, f"at most {MOST:g}" if number > 0 else f"at least {-MOST:g}", number)
