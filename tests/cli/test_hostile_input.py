@@ -87,7 +87,9 @@ def test_evaluation_names_the_nearest_key_too(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert "did you mean episodes?" in refused(evaluate_command.main, "policy=straight", "episode=3")
-    assert "num_uavs must be in [1, 512], got 1000000" in refused(evaluate_command.main, "policy=straight", "num_uavs=1000000")
+    assert "num_uavs must be in [1, 512], got 1000000" in refused(
+        evaluate_command.main, "policy=straight", "num_uavs=1000000"
+    )
     assert "There is no key 'algo.gamma': --help=all lists" in refused(
         evaluate_command.main, "policy=straight", "algo.gamma=0.9"
     )

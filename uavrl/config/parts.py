@@ -129,6 +129,6 @@ def _validated(part: Any, key: str, packages: tuple[str, ...], extra: Mapping[st
     require_known(values, {**extra, **hints}, key)
     inner = {name: value for name, value in values.items() if is_part(value)}
     others = {name: value for name, value in values.items() if name not in inner}
-    made = {name: _validated(value, f"{key}.{name}", packages, {}) for name, value in inner.items()}
-    found = made | validated(others, {**extra, **hints}, key)
+    found = validated(others, {**extra, **hints}, key)
+    found |= {name: _validated(value, f"{key}.{name}", packages, {}) for name, value in inner.items()}
     return Part({TARGET: part[TARGET], **{name: found[name] for name in values}})

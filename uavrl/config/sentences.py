@@ -47,7 +47,11 @@ def require_known(given: Iterable[Any], known: Iterable[str], key: str) -> None:
     names = [f"{prefix}{name}" for name in known]
     for name in (f"{prefix}{name}" for name in given):
         if name not in names:
-            raise UavrlError(f"There is no key {name!r}" + did_you_mean(name, names, ": ", "leave it out."))
+            raise UavrlError(_no_key(name, names))
+
+
+def _no_key(name: str, known: Iterable[str]) -> str:
+    return f"There is no key {name!r}" + did_you_mean(name, known, ": ", "leave it out.")
 
 
 def below(key: str, said: str, names: Iterable[str]) -> str:
@@ -74,9 +78,11 @@ def explained(error: ValidationError, values: Mapping[str, Any], hints: Mapping[
     place, first = next((place, each) for place, each in placed if each is complaints[0])
     names = [step for step in place if isinstance(step, str)]
     where = ".".join(filter(None, [key, *names]))
-    types = list(_types(hints[names[0]], names[1:]))
-    fields = [name for kind in types if isinstance(kind, type) and is_dataclass(kind) for name in get_type_hints(kind)]
     kind, given = first["type"], first["input"]
+    types = list(_types(hints[names[0]], names[1:-1] if kind == "unexpected_keyword_argument" else names[1:]))
+    fields = [name for each in types if isinstance(each, type) and is_dataclass(each) for name in get_type_hints(each)]
+    if kind == "unexpected_keyword_argument":
+        return UavrlError(_no_key(where, [f"{where.rpartition('.')[0]}.{name}" for name in fields]))
     if kind == "value_error":  # what a class says of itself
         return UavrlError(below(where, str(first["ctx"]["error"]), fields))
     if kind == "missing" and isinstance(given, Mapping):

@@ -31,7 +31,7 @@ def validated(values: Mapping[str, Any], hints: Mapping[str, Any], key: str = ""
         UavrlError: naming the key that is unknown, of another type or out of range.
     """
     require_known(values, hints, key)
-    known = {name: _accepted(hints[name]) for name in values}
+    known = {name: _texts(hints[name]) for name in values}
     try:
         found: dict[str, Any] = _adapter(known).validate_json(json.dumps(values))
     except ValidationError as error:
@@ -50,24 +50,31 @@ def to_plain(value: Any) -> Any:
     return [to_plain(child) for child in value] if isinstance(value, list | tuple) else value
 
 
-def _accepted(hint: Any) -> Any:
-    """A type as a configuration has it: a number may be a text, and of a type that pydantic does not know any value."""
-    if hint is str:
-        return Text
+def _texts(hint: Any) -> Any:
+    """The type, with a number for a text."""
     if get_origin(hint) in (Union, types.UnionType):
-        return Union[tuple(map(_accepted, get_args(hint)))]  # noqa: UP007
-    try:
-        TypeAdapter(tuple[hint])
-    except (PydanticUserError, NameError):
-        return Any
-    return hint
+        return Union[tuple(map(_texts, get_args(hint)))]  # noqa: UP007
+    return Text if hint is str else hint
 
 
 def _adapter(hints: Mapping[str, Any]) -> TypeAdapter[dict[str, Any]]:
     typed_dict: Any = TypedDict
     kind = typed_dict("Values", dict(hints))
     kind.__pydantic_config__ = _STRICT
-    return TypeAdapter(kind)
+    try:
+        return TypeAdapter(kind)
+    except (PydanticUserError, NameError):
+        return _adapter({name: hint if _is_known(hint) else Any for name, hint in hints.items()})
+
+
+def _is_known(hint: Any) -> bool:
+    """Whether pydantic knows a type; what has another one may be anything."""
+    listed: Any = types.GenericAlias(tuple, (hint,))  # of its own a dataclass takes no configuration
+    try:
+        TypeAdapter(listed, config=_STRICT)
+    except (PydanticUserError, NameError):
+        return False
+    return True
 
 
 def _require_sane(value: Any, key: str) -> None:

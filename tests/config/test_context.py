@@ -12,7 +12,6 @@ import torch
 import yaml
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
-from uavrl.config.signature import signature
 
 from tests.helpers.configs import changed, composed
 from tests.helpers.runs import small_config
@@ -21,8 +20,8 @@ from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
 from uavrl.cli.policies import PACKAGED, packaged_policies
 from uavrl.config import conf_dir, validate, validate_run
-from uavrl.config.build import build
-from uavrl.config.context import CONTEXT, TARGET, context_of
+from uavrl.config.build import TARGET, arguments, build, find_class
+from uavrl.config.context import CONTEXT, context_of
 from uavrl.config.parts import PARTS
 from uavrl.errors import UavrlError
 from uavrl.runs.config import load_config
@@ -47,7 +46,7 @@ def pairs() -> Iterator[tuple[str, str]]:
         content = yaml.safe_load((conf_dir() / group / f"{choice}.yaml").read_text())
         walker = ["env=bipedal_hardcore"] if choice == "failure_biased" else []
         for key, target in parts_of(content.get(group, content), group):  # one without a class has that of another
-            for name in sorted(set(context_of(key)) & set(signature(target) or {})):
+            for name in sorted(set(context_of(key)) & set(arguments(find_class(target, object)))):
                 yield " ".join([f"{group}={choice}", *walker]), f"{key}.{name}"
 
 
@@ -107,8 +106,8 @@ def test_the_guard_where_objects_are_made() -> None:
     network = {TARGET: "uavrl.models.Actor", "limit": 3.0}
     with pytest.raises(UavrlError, match=r"uavrl\.models\.Actor\.limit is set by the run itself: leave it out"):
         build(network, nn.Module, observations=6, actions=2, limit=1.0)
-    fork = composed("config", "fork=on").fork
-    OmegaConf.update(fork, "system_network.observations", 3, force_add=True)
+    fork = validate(composed("config", "fork=on")).fork
+    fork.system_network["observations"] = 3
     with pytest.raises(UavrlError, match=r"SystemNet\.observations is set by the run itself"):
         build(fork, nn.Module, base=None, gamma=0.9, observations=6, actions=2)
 
@@ -160,9 +159,9 @@ def handed_over(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
     """The names with which ``build`` is called, by the class that is made."""
     found: dict[str, set[str]] = {}
 
-    def recorded(part: DictConfig, kind: type, *, packages: Any = (), key: str = "", **offered: Any) -> Any:
-        found.setdefault(str(part[TARGET]), set()).update(offered)
-        return build(part, kind, packages=packages, key=key, **offered)
+    def recorded(part: DictConfig, kind: type, *, packages: Any = (), key: str = "", **context: Any) -> Any:
+        found.setdefault(str(part[TARGET]), set()).update(context)
+        return build(part, kind, packages=packages, key=key, **context)
 
     for module in (factory, actor_and_loss, loggers):
         monkeypatch.setattr(module, "build", recorded)
