@@ -110,6 +110,9 @@ def explained(error: Exception, name: str) -> str:
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         return _no_such_key(first.split("'")[-2].split("@")[0], name)
+    deleted = [override[1:] for override in _command_line()[1] if override.startswith("~")]
+    if first.startswith("Error resolving interpolation") and deleted:
+        return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
     if isinstance(error, AssertionError):
         return "An override changes something below a key that has nothing below it: --help=all lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""

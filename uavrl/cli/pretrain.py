@@ -7,7 +7,6 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
 from uavrl.config import validate
-from uavrl.pretraining.settings import PretrainConfig
 
 
 @command("pretrain")
@@ -17,11 +16,12 @@ def main(config: DictConfig) -> None:
 
 
 def _pretrain(config: DictConfig) -> None:
-    settings = validate(config, PretrainConfig)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
-    from uavrl.training.arithmetic import multiplied_by
+    from uavrl.pretraining.settings import PretrainConfig
+        from uavrl.training.arithmetic import multiplied_by
 
+    settings = validate(config, PretrainConfig)
     with multiplied_by(settings.products, settings.threads):
         about = pretrain(settings)
     source, learned, elbow = about["source"], about["classifier"], about["sse"]["elbow"]

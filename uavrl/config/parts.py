@@ -48,6 +48,10 @@ STEPPER = "uavrl.training.stepper.ActorCriticStepper"  # takes its part of algo
 TO_STEPPER = ("loss", "execution")  # what the run hands to it
 
 
+class MissingValue(UavrlError, AttributeError):
+    """A value is asked for that a part does not hold."""
+
+
 class Part(dict[str, Any]):
     """The class of a part and its validated values, which are attributes, too.
 
@@ -61,7 +65,7 @@ class Part(dict[str, Any]):
         try:
             return self[name]
         except KeyError:
-            raise AttributeError(name) from None
+            raise MissingValue(f"The run needs {name}, which {self.get(TARGET)} is not given: add it.") from None
 
 
 def validated_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str, Part]:
@@ -79,7 +83,8 @@ def names_taken(parts: Mapping[str, Any], key: str, packages: Iterable[str]) -> 
     for name in key.split("."):
         part = part.get(name, {}) if isinstance(part, Mapping) else {}
     own = _arguments(part, key, packages) if is_part(part) else {}
-    return {*_without(context_of(key), own), *_extra_keys(parts, packages).get(key, {})}
+    readers = {name: parts[name] for name in {"algo": ["algo"], "perception": ["env", "perception"]}.get(key, [])}
+    return {*_without(context_of(key), own), *_extra_keys(readers, packages).get(key, {})}
 
 
 def _targets(node: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from uavrl.config.parts import Part
 from uavrl.config.sentences import require
-from uavrl.ranges import Count, Folder, Rule, Seed, Share
+from uavrl.ranges import Count, Folder, Rule, Seed, Share, Text
 
 NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
 Execution = Literal["eager", "captured", "compiled", "auto"]
@@ -58,7 +58,7 @@ class TrainConfig:
     trainer: TrainerConfig
     guide: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
-    packages: tuple[str, ...] = ()
+    packages: tuple[Text, ...] = ()
     seed: Seed = 0
     device: str = "cpu"
     run_dir: Folder = "runs"
@@ -89,7 +89,7 @@ class FlyingConfig:
     perception: Part
     reward: Part
     choices: dict[str, str] = field(default_factory=dict)
-    packages: tuple[str, ...] = ()
+    packages: tuple[Text, ...] = ()
     run: Folder | None = None
     policy: str | None = None
     checkpoint: Folder | None = None
@@ -107,5 +107,5 @@ class EvaluateConfig(FlyingConfig):
     """conf/evaluate.yaml: one evaluation."""
 
     episodes: Count = 500
-    suite: str | tuple[str, ...] | None = None
+    suite: str | tuple[Text, ...] | None = None
     num_uavs: Annotated[int, Field(ge=1, le=512)] = 8
