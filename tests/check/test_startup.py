@@ -1,4 +1,4 @@
-"""Help and what is mistyped are answered without loading torch, which takes seconds; a value out of range soon after."""
+"""Help and mistyped names are answered without loading torch, which takes seconds; a value out of range soon after."""
 
 from __future__ import annotations
 

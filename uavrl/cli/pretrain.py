@@ -19,7 +19,7 @@ def _pretrain(config: DictConfig) -> None:
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
     from uavrl.pretraining.settings import PretrainConfig
-        from uavrl.training.arithmetic import multiplied_by
+    from uavrl.training.matmul import multiplied_by
 
     settings = validate(config, PretrainConfig)
     with multiplied_by(settings.products, settings.threads):

@@ -44,7 +44,7 @@ LOOP: Mapping[str, Mapping[str, Any]] = {
     "collector": {"steps_per_batch": Annotated[int, Field(ge=1, le=10_000)]},
     "logger": {"interval": Count},
 }
-STEPPER = "uavrl.training.stepper.ActorCriticStepper"  # takes its part of algo
+STEPPER = "uavrl.training.update.ActorCriticStepper"  # takes its part of algo
 TO_STEPPER = ("loss", "execution")  # what the run hands to it
 
 

@@ -18,7 +18,13 @@ from uavrl.errors import UavrlError
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
-MOVED: Mapping[str, str] = {}  # where a class lies today that a recorded configuration names by its former place
+# Where a class lies today that a recorded configuration names by its former place.
+MOVED = {
+    "uavrl.flying.baselines.VectorFieldHistogram": "uavrl.rollout.baselines.VectorFieldHistogram",
+    "uavrl.training.async_collector.AsyncCollector": "uavrl.collectors.async_.AsyncCollector",
+    "uavrl.training.ray_collector.RayCollector": "uavrl.collectors.ray.RayCollector",
+    "uavrl.training.sync_collector.SyncCollector": "uavrl.collectors.sync.SyncCollector",
+}
 
 
 @overload
