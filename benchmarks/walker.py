@@ -32,6 +32,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
 
     configure_logging()
     from uavrl.envs.bipedal import BipedalEnv
+
     from uavrl.training import run
     from uavrl.training.stepper import ActorCriticStepper
     from uavrl.training.trainer import EpisodeTrainer

@@ -130,7 +130,6 @@ def test_half_of_the_successes_are_stored_and_the_coin_goes_on_where_it_was() ->
 
 
 class TestBipedalFork(ActorCriticLossContract):
-    compiled: ClassVar[tuple[str, ...]] = ("actor_loss", "model_loss")
     methods: ClassVar[dict[str, str]] = {
         "value_loss": "critic",
         "actor_loss": "actor",

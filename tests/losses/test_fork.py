@@ -12,7 +12,18 @@ from torch import Tensor, nn
 
 from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.losses import (
-    SPEC, Scale, ddpg, episodes, fork, lifeguard, sac, sampler, small_td3, states, td3, trained,
+    SPEC,
+    Scale,
+    ddpg,
+    episodes,
+    fork,
+    lifeguard,
+    sac,
+    sampler,
+    small_td3,
+    states,
+    td3,
+    trained,
 )  # fmt: skip
 from uavrl.losses import DDPGLoss, Enhancer, Fork, TD3Loss
 from uavrl.models import Actor, Critic, SystemNet

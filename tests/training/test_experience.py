@@ -39,7 +39,7 @@ def filtering() -> Experience:
 
 def episode(steps: int) -> TensorDict:
     last = torch.arange(steps)[:, None] == steps - 1
-    flags = {key: last for key in ("done", "terminated", "arrived", "collided")}
+    flags = dict.fromkeys(("done", "terminated", "arrived", "collided"), last)
     after = {"observation": torch.zeros(steps, 2), "reward": torch.zeros(steps, 1), **flags, "wind": last}
     return TensorDict({"observation": torch.zeros(steps, 2), "action": torch.zeros(steps, 1), "next": after}, [steps])
 
