@@ -80,7 +80,10 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
         ),
         (["policy=static", "suite=denze"], "got 'denze': did you mean dense?"),
         (["policy=static", "env=corridor"], "One of your own needs --config-dir FOLDER."),
-        ([*CONFIG_DIR, TRUSTED, "policy=static", "env=corridor"], "The policy and env=corridor do not go together: "),
+        (
+            [*CONFIG_DIR, TRUSTED, "policy=static", "env=corridor", "reward=hurry"],
+            "The policy and env=corridor do not go",
+        ),
     ],
 )
 def test_what_is_evaluated_is_guessed_too(arguments: list[str], told: str, refused: Callable[..., str]) -> None:
