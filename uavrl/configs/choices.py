@@ -73,7 +73,7 @@ def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -
     for row in ROWS:
         paths = (folder / row / f"{choices.get(row)}.yaml" for folder in (conf_dir(), *own))
         path = next(filter(Path.is_file, paths), None)
-        for entry in OmegaConf.load(path).get("defaults", []) if path else []:
+        for entry in _content(path).get("defaults", []) if path else []:
             for override, chosen in entry.items() if not isinstance(entry, str) else []:
                 group = str(override).removeprefix("override /")
                 if choices.get(group) != chosen:
