@@ -25,7 +25,7 @@ from passes import TIMES, moments
 from torch import nn
 
 from uavrl.cli.errors import one_sentence
-from uavrl.flying.baselines import VectorFieldHistogram
+from uavrl.rollout.baselines import VectorFieldHistogram
 
 TAUGHT = 0.75  # share of the steps, from the first on
 QUESTIONS = {"above or below": (2, 0.2), "left or right": (1, 0.3)}  # the axis, and m beside the middle that count

@@ -14,7 +14,7 @@ import torch
 from tensordict import TensorDict
 
 from uavrl.pretraining import read_states
-from uavrl.training.policies import load_policy
+from uavrl.rollout.saved import load_policy
 
 ACTIONS = ("forward", "sideways", "up", "turn")
 

@@ -16,9 +16,9 @@ from tests.helpers.flights import unpack
 from tests.helpers.own_parts import CHOSEN, CONFIG_DIR, SMALL, TRUSTED
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
-from uavrl.flying.recording import RecordedFlight, load_recording
-from uavrl.reporting.flight_page import page_data
+from uavrl.rollout.recording import RecordedFlight, load_recording
 from uavrl.runs.checkpoint import restore, rotation
+from uavrl.viewer.flight_page import page_data
 
 
 def test_a_reduction_that_uavrl_knows_nothing_of_is_flown_with_and_replayed(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from uavrl.reporting.report import make_report
 from uavrl.runs.checkpoint import rotation
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, train
-from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.update import ActorCriticStepper
 
 LEARNERS = sorted(path.stem for path in (EXAMPLE / "conf/learner").glob("*.yaml"))
 
