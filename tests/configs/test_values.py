@@ -219,7 +219,7 @@ def test_every_key_that_has_a_most_or_takes_memory_is_one() -> None:
 
 OUT_OF_RANGE = """
     seed=-1
-    env.num_uavs=0 env.max_steps=0 env.goal_angle=yaw
+    env.num_uavs=0 env.max_steps=0
     env.world.seeds=[] env.world.seeds=[-1] env.world.size=[40.0,0.0] env.world.obstacles=-1
     env.world.obstacles=[] env.world.obstacles=[45,-1]
     env.world.obstacle_scale=0 env.world.flight_level=-1 env.world.ceiling=-8 env.world.goal_radius=0
