@@ -16,10 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 
+from tests.helpers.commands import TINY, in_process
 from tests.helpers.configs import with_run_dir
 from tests.helpers.folders import episodes, evaluation, write_episodes
+from uavrl.buffers import backward_reward
+from uavrl.cli.train import main as train
 from uavrl.errors import UavrlError
 from uavrl.runs.provenance import commit
 from uavrl.training.run import create_run
@@ -336,6 +340,50 @@ def test_forks_threshold_is_measured_on_a_run(said: Said, finished: Path) -> Non
 
 def test_saturation_is_told_of_each_action(said: Said, finished: Path) -> None:
     assert said("saturation", finished).count("mean ") == 4
+
+
+# ---------------------------------------------------------------------- parts that lost
+
+
+@pytest.fixture
+def lost(monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.syspath_prepend(STUDIES / "lost_parts")
+    return STUDIES / "lost_parts"
+
+
+@pytest.mark.parametrize("rule", ["ircr", "abr_centred"])
+def test_a_lost_rule_is_trained_with_through_the_open_door(rule: str, lost: Path, tmp_path: Path) -> None:
+    door = ["--config-dir", str(lost / "conf"), "packages=[lost_parts]"]
+    assert in_process(train, *door, *TINY, f"backward_reward={rule}", f"run_dir={tmp_path / 'run'}") == 0
+    written = OmegaConf.load(tmp_path / "run/config.yaml")
+    assert written.backward_reward["_target_"].startswith("lost_parts.")
+    assert in_process(train, f"resume={tmp_path / 'run'}", door[2], "trainer.episodes=7") == 0
+
+
+def test_centred_pays_the_place_among_the_last_sums(lost: Path) -> None:
+    """Sums 3, 6, 0 and 3 of one class: 0, 1/2, -2/3, 0; what comes over and over is in the middle."""
+    from lost_parts.centred import CentredABR, RecentSums
+
+    assert CentredABR(window=7).history.window == 7
+    raw = torch.tensor([1.0] * 3 + [2.0] * 3 + [0.0] * 3 + [1.0] * 3)
+    new = backward_reward(raw, torch.zeros(4, dtype=torch.int64), RecentSums(), multiplier=1.0)
+    torch.testing.assert_close(new - raw, torch.tensor([0.0, 0.5, -2 / 3, 0.0]).repeat_interleave(3))
+    recent, other = RecentSums(window=100), RecentSums(window=100)
+    assert np.mean([recent.insert_and_rank(0, k % 50) for k in range(2000)][1000:]) == pytest.approx(0.0, abs=0.02)
+    other.load_state_dict(recent.state_dict())
+    assert other.values(0) == recent.values(0) and other.insert_and_rank(0, 7.5) == recent.insert_and_rank(0, 7.5)
+
+
+def test_ircr_pays_every_step_of_a_flight_that_arrived_and_goes_on_from_a_checkpoint(lost: Path) -> None:
+    from lost_parts.ircr import IRCR
+
+    done, lost_flight = torch.tensor([False, True]), torch.zeros(2, dtype=torch.bool)
+    rule, other = IRCR(multiplier=2.0), IRCR(multiplier=2.0)
+    rule.relabel(torch.zeros(2, 1), torch.tensor([3.0, 1.0]), lost_flight, done)  # paid nothing, the highest return
+    rule.relabel(torch.zeros(2, 1), torch.tensor([0.0, 0.0]), done, done)
+    other.load_state_dict(rule.state_dict())
+    paid = other.relabel(torch.zeros(2, 1), torch.tensor([1.0, 0.0]), done, done)
+    assert paid.tolist() == [1.5, 0.5]  # a quarter of the way, twice
 
 
 # ---------------------------------------------------------------------- speed
