@@ -24,7 +24,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from uavrl.cli.policies import PACKAGED, packaged_policies, with_overrides
-from uavrl.configs import TrainConfig, compose, to_dataclass
+from uavrl.configs import TrainConfig, compose, settings_of_run
 from uavrl.configs.build import build
 from uavrl.flying.flight import Policy, rollout
 from uavrl.training.factory import make_env
@@ -48,7 +48,7 @@ def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
     """A packaged policy, and the configuration in which its evaluation was flown."""
     config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
     overrides = evaluation(name)["overrides"]
-    return to_dataclass(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
+    return settings_of_run(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
 
 
 def recorded(name: str) -> dict[str, Tensor]:
