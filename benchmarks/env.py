@@ -31,7 +31,7 @@ from uavrl.envs.lidar import Lidar
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.vlp16 import NUM_RAYS
-from uavrl.training.factory import make_env
+from uavrl.rollout.environment import make_env
 from uavrl.transforms import NavigationObservation, NavigationReward, PointCloudReduction
 
 PHYSICS, RAYS = "bare PyBullet physics", "bare Embree rays"

@@ -13,9 +13,9 @@ from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase
 
 from uavrl.configs import TrainConfig
-from uavrl.training.actor_and_loss import make_actor
-from uavrl.training.factory import make_collector, make_env
-from uavrl.training.network_sizes import network_sizes
+from uavrl.rollout.actor import make_actor
+from uavrl.rollout.environment import make_env, network_sizes
+from uavrl.training.build import make_collector
 
 CPU = torch.device("cpu")
 ALWAYS_RANDOM = 2**40  # steps

@@ -34,9 +34,9 @@ from torchrl.objectives import TD3Loss as StockTD3Loss
 from uavrl.cli.errors import one_sentence
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
-from uavrl.training.arithmetic import Products, multiplied_by, multiply_by
-from uavrl.training.compiled_updates import Execution
-from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.compiled import Execution
+from uavrl.training.matmul import Products, multiplied_by, multiply_by
+from uavrl.training.update import ActorCriticStepper
 
 STATE, ACTION, BATCH, HIDDEN = 105, 4, 100, (400, 300)
 Row = Callable[[], object]

@@ -25,7 +25,7 @@ from torch import nn
 
 from uavrl.cli.errors import one_sentence
 from uavrl.configs import compose, to_dataclass
-from uavrl.flying.baselines import VectorFieldHistogram
+from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.runs.provenance import versions
 
 TAUGHT = 0.75  # share of the steps, from the first on

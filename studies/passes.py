@@ -14,7 +14,7 @@ from torchrl.envs.utils import step_mdp
 from uavrl.configs import TrainConfig
 from uavrl.envs import NavigationEnv
 from uavrl.errors import UavrlError
-from uavrl.training.factory import make_env
+from uavrl.rollout.environment import make_env
 from uavrl.transforms.functional import truncated_icosahedron
 
 VEHICLES, SEED = 16, 20_000

@@ -20,15 +20,15 @@ import numpy as np
 from tensordict import TensorDictBase
 
 from uavrl.cli.errors import one_sentence
-from uavrl.cli.policies import policy_folder
 from uavrl.configs import compose, to_dataclass
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
-from uavrl.flying.flight import fly
+from uavrl.rollout.environment import make_env
+from uavrl.rollout.policies import policy_folder
+from uavrl.rollout.rollout import fly
+from uavrl.rollout.saved import load_policy
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
-from uavrl.training.factory import make_env
-from uavrl.training.policies import load_policy
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 ROOM = 0.5  # m between hull and plane, along z, that the reflex wants

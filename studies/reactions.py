@@ -22,9 +22,9 @@ from passes import TIMES, moments
 from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cli.errors import one_sentence
-from uavrl.cli.policies import policy_folder
 from uavrl.configs import TrainConfig, compose, to_dataclass
-from uavrl.training.policies import load_policy
+from uavrl.rollout.policies import policy_folder
+from uavrl.rollout.saved import load_policy
 
 
 @torch.no_grad()

@@ -24,10 +24,10 @@ from torch import Tensor
 from uavrl.cli.errors import one_sentence
 from uavrl.configs import compose, to_dataclass
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
-from uavrl.flying.baselines import VectorFieldHistogram
-from uavrl.flying.flight import fly
+from uavrl.rollout.baselines import VectorFieldHistogram
+from uavrl.rollout.environment import make_env
+from uavrl.rollout.rollout import fly
 from uavrl.runs.episodes import difference_of_rates, wilson
-from uavrl.training.factory import make_env
 
 Known = Literal["nothing", "in view, straight on", "all, straight on", "all, as they will fly"]
 KNOWN: tuple[Known, ...] = ("nothing", "in view, straight on", "all, straight on", "all, as they will fly")

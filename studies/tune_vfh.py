@@ -19,12 +19,12 @@ import numpy as np
 
 from uavrl.cli.errors import one_sentence
 from uavrl.configs import compose, to_dataclass
-from uavrl.flying.baselines import COSTS, VectorFieldHistogram
-from uavrl.flying.costs import Costs
-from uavrl.flying.flight import fly
+from uavrl.rollout.baselines import COSTS, VectorFieldHistogram
+from uavrl.rollout.costs import Costs
+from uavrl.rollout.environment import make_env
+from uavrl.rollout.rollout import fly
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
-from uavrl.training.factory import make_env
 
 VALLEYS = list(range(200, 210))
 OBSTACLES = (45, 90)

@@ -35,8 +35,8 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     configure_logging()
     from uavrl.envs.bipedal import BipedalEnv
     from uavrl.training import run
-    from uavrl.training.stepper import ActorCriticStepper
     from uavrl.training.trainer import EpisodeTrainer
+    from uavrl.training.update import ActorCriticStepper
 
     watch = Stopwatch("collector, policy, bookkeeping")
     marks: list[tuple[int, float]] = []

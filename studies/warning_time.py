@@ -23,14 +23,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
 from uavrl.cli.errors import one_sentence
-from uavrl.cli.policies import policy_folder
 from uavrl.configs import compose, to_dataclass
 from uavrl.losses import LifeGuard, TD3Loss
 from uavrl.models import Critic
+from uavrl.rollout.environment import make_env, network_sizes
+from uavrl.rollout.policies import policy_folder
+from uavrl.rollout.saved import load_actor
 from uavrl.runs.provenance import versions
-from uavrl.training.factory import make_collector, make_env
-from uavrl.training.network_sizes import network_sizes
-from uavrl.training.policies import load_actor
+from uavrl.training.build import make_collector
 
 FORMS: dict[str, dict[str, Any]] = {"linear (the thesis)": {"model": "linear"}, "mlp": {"model": "mlp"}}
 BEFORE = range(16)  # steps

@@ -90,9 +90,9 @@ def wire() -> dict[str, float]:
     import torch
     from tensordict import TensorDict
 
-    from uavrl.training.actor_and_loss import make_actor
-    from uavrl.training.factory import make_collector, make_env
-    from uavrl.training.network_sizes import network_sizes
+    from uavrl.rollout.actor import make_actor
+    from uavrl.rollout.environment import make_env, network_sizes
+    from uavrl.training.build import make_collector
 
     settings = experiment("env.num_uavs=1", "collector=sync")
     env = make_env(settings.env, settings.perception, settings.reward, seed=0)

@@ -16,7 +16,8 @@ from tensordict import TensorDict
 from torchrl.checkpoint import StateDictCheckpointAdapter
 
 import uavrl
-from uavrl import trust, upstream
+from uavrl import upstream
+from uavrl.runs import trust
 
 THEIRS = ("torch", "torchrl", "tensordict")
 PUBLIC = {"_asdict", "_target_"}  # of named tuples and of Hydra

@@ -87,7 +87,7 @@ sh(
 # One command makes a page of all runs below a folder. In the terminal it says who is ahead.
 
 # %%
-sh(f"uavrl-report {folder / 'runs'} --window {FLIGHTS // 3} --output {folder / 'report.html'}")
+sh(f"uavrl-report runs={folder / 'runs'} window={FLIGHTS // 3} output={folder / 'report.html'}")
 
 # %% [markdown]
 # The page opens with a table of groups, best first. The same facts can be had in Python, and here they are.

@@ -13,8 +13,8 @@ import torch
 from safetensors.torch import load_file
 from shell import sh, size
 
-from uavrl.cli.policies import PACKAGED
-from uavrl.flying.recording import load_recording
+from uavrl.rollout.policies import PACKAGED
+from uavrl.rollout.recording import load_recording
 from uavrl.transforms.functional import truncated_icosahedron
 
 folder = Path(tempfile.mkdtemp())

@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 
 from uavrl.buffers import FailureBias, FailureBiasedBuffer, is_admitted
-from uavrl.training.experience import Experience
+from uavrl.training.replay import Experience
 
 
 def walk(fell: bool, value: float, steps: int = 4) -> TensorDict:

@@ -11,7 +11,7 @@ from torchrl.data import Bounded, ReplayBuffer
 from uavrl.buffers import BackwardReward, FrameStorage, MultiStep, multi_step_returns
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
-from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.update import ActorCriticStepper
 
 # Two episodes: four steps to a collision, two to a time-out.
 REWARD = [1.0, 2.0, 4.0, -8.0, 3.0, 5.0]

@@ -12,9 +12,9 @@ import pytest
 
 from tests.helpers.flights import small_recording
 from tests.helpers.folders import several_runs
-from uavrl.reporting.flight_page import make_page
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
+from uavrl.viewer.flight_page import make_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.helpers.any_network import CRITICS, compare_updates
-from uavrl.training.compiled_updates import Execution
+from uavrl.training.compiled import Execution
 
 # Captured updates are eager ones bit for bit, as test_oracle.py holds; the compiled ones take long.
 QUICK = [("td3", "TorchRL's", execution, torch.float32) for execution in ("eager", "compiled")]

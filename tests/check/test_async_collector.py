@@ -18,9 +18,9 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from tests.helpers.runs import small_config
+from uavrl.collectors.async_ import AsyncCollector
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import read_episodes
-from uavrl.training.async_collector import AsyncCollector
 from uavrl.training.run import create_run, train
 
 

@@ -15,8 +15,8 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from uavrl.cli.policies import PACKAGED
 from uavrl.envs import WorldConfig
+from uavrl.rollout.policies import PACKAGED
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.flights import small_recording
-from uavrl.reporting.flight_page import write_page
+from uavrl.viewer.flight_page import write_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")

@@ -1,4 +1,4 @@
-"""What somebody else made runs nothing, whichever command is given it; tests/test_trust.py has every place and form."""
+"""What somebody else made runs nothing, whichever command is given it; runs/test_trust.py has every place and form."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from uavrl.cli import export as export_command
 from uavrl.cli import pretrain as pretrain_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
-from uavrl.flying import recording
 from uavrl.models.trajectory_classifier import packaged_artifact
-from uavrl.trust import check_archive
+from uavrl.rollout import recording
+from uavrl.runs.trust import check_archive
 
 
 def commands(run_dir: Path, tmp_path: Path) -> list[tuple[Callable[[], None], list[str]]]:

@@ -10,9 +10,9 @@ from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import small_config
 from uavrl.configs.checked import to_dataclass
 from uavrl.losses.imitation import distance_to_guide
+from uavrl.rollout.saved import load_policy
 from uavrl.runs.episodes import read_episodes
-from uavrl.training.factory import make_training_env
-from uavrl.training.policies import load_policy
+from uavrl.training.build import make_training_env
 from uavrl.training.run import create_run, train
 
 EASY = [

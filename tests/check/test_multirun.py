@@ -144,7 +144,7 @@ def test_the_other_runs_fly_when_one_fails(
 HOLD = """
 import sys, time
 from pathlib import Path
-from uavrl.training.claim import locked
+from uavrl.runs.lock import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

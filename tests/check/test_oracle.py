@@ -7,7 +7,7 @@ import torch
 import torch._inductor.config
 
 from tests.helpers.against_oracle import CASES, RECORDED, compare_updates, trained
-from uavrl.training.compiled_updates import Execution
+from uavrl.training.compiled import Execution
 
 # The wide one would hold to 3e-6, too close to the limit for every machine.
 SINGLE = [name for name in CASES if name != "td3_wide"]

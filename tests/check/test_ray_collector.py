@@ -20,10 +20,10 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from tests.helpers.runs import SMALL, small_config
+from uavrl.collectors.ray import RayCollector
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.runs.episodes import read_episodes
 from uavrl.training import run, trainer
-from uavrl.training.ray_collector import RayCollector
 
 ray = pytest.importorskip("ray")
 

@@ -14,9 +14,9 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from tests.helpers.runs import small_config, walker_config
+from uavrl.collectors.sync import SyncCollector
 from uavrl.runs.episodes import Episode, read_episodes
 from uavrl.training.run import create_run, train
-from uavrl.training.sync_collector import SyncCollector
 
 UAVS, SHORT, LONG = 8, 4, 30
 LATE = 0.3  # of the flights are long

@@ -13,7 +13,7 @@ from uavrl.buffers import FailureBias
 from uavrl.runs.checkpoint import rotation
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, train
-from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.update import ActorCriticStepper
 
 
 def test_a_resumed_run_with_both_enhancers_is_bit_identical(tmp_path: Path) -> None:

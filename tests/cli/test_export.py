@@ -13,8 +13,8 @@ from tests.helpers.commands import SMALL_EVALUATION, content, in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import replay as replay_command
-from uavrl.cli.policies import PACKAGED
 from uavrl.configs import settings_of_run
+from uavrl.rollout.policies import PACKAGED
 from uavrl.runs.config import load_config
 
 

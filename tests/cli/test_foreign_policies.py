@@ -21,10 +21,10 @@ from tests.helpers.commands import in_process
 from tests.helpers.configs import composed
 from tests.helpers.recorded import recorded
 from uavrl.cli import evaluate as evaluate_command
-from uavrl.cli.policies import file_of_policy, packaged_policies
 from uavrl.cli.suite import _changed
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.errors import UavrlError
+from uavrl.rollout.policies import file_of_policy, packaged_policies
 
 SHORT = ["episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
 CLIMBER = '''
@@ -82,7 +82,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_model_of_stable_baselines_acts_as_in_its_own_library(models: dict[str, Path], name: str) -> None:
     import stable_baselines3 as sb3
 
-    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+    from uavrl.rollout.sb3 import StableBaselinesPolicy
 
     states = torch.randn(5, 105)
     acted = StableBaselinesPolicy(models[name])(TensorDict({"observation": states}, [5]))["action"]
@@ -112,7 +112,7 @@ def learned(
 @pytest.mark.parametrize(("name", "file"), [("TD3", "vecnormalize.pkl"), ("PPO", "m_vecnormalize_64_steps.pkl")])
 def test_a_model_that_saw_normalized_observations_takes_their_statistics(name: str, file: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+    from uavrl.rollout.sb3 import StableBaselinesPolicy
 
     path = tmp_path / "m_64_steps.zip"
     model, env = learned(name, path)
@@ -134,7 +134,7 @@ def test_states_of_the_valley_are_told_from_normalized_ones(name: str, last_acti
     pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.running_mean_std import RunningMeanStd
 
-    from uavrl.flying.stable_baselines import NEGATIVE, _untouched
+    from uavrl.rollout.sb3 import NEGATIVE, _untouched
 
     flown = recorded(name)
     states = flown["observation"].double().numpy()
@@ -170,7 +170,7 @@ def test_statistics_are_opened_once_the_model_is_trusted(
 def test_statistics_of_another_model_are_left_out(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """One that has learned from observations as they are. One that has not learned at all takes what lies beside it."""
     pytest.importorskip("stable_baselines3")
-    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+    from uavrl.rollout.sb3 import StableBaselinesPolicy
 
     _, env = learned(name, tmp_path / "other.zip")
     env.save(str(tmp_path / "vec_normalize.pkl"))
@@ -186,7 +186,7 @@ def test_statistics_of_another_model_are_left_out(name: str, tmp_path: Path, cap
 
 def test_rewards_that_were_normalized_need_no_statistics(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+    from uavrl.rollout.sb3 import StableBaselinesPolicy
 
     model, _ = learned("PPO", tmp_path / "model.zip", norm_obs=False)
     states = torch.rand(5, 105)
@@ -200,7 +200,7 @@ def test_rewards_that_were_normalized_need_no_statistics(tmp_path: Path) -> None
 )
 def test_statistics_of_something_else_are_named(content: bytes | None, told: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+    from uavrl.rollout.sb3 import StableBaselinesPolicy
 
     _, env = learned("TD3", tmp_path / "model.zip")
     if content is None:
@@ -234,7 +234,7 @@ def test_a_model_of_other_versions_names_them_where_it_cannot_be_opened(
 ) -> None:
     import stable_baselines3 as sb3
 
-    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+    from uavrl.rollout.sb3 import StableBaselinesPolicy
 
     older = "- OS: Linux-5.15 # 66\n- Python: 3.8.10\n- Stable-Baselines3: 1.6.2\n- Numpy: 1.21.0\n"
     changes = {"data": pickled_elsewhere("observation_space"), "system_info.txt": lambda _: older}
@@ -250,7 +250,7 @@ def test_a_model_of_other_versions_names_them_where_it_cannot_be_opened(
 
 def test_what_flying_does_not_need_of_a_model_is_not_unpickled(models: dict[str, Path], tmp_path: Path) -> None:
     """Schedules are what breaks between versions of Python."""
-    from uavrl.flying.stable_baselines import StableBaselinesPolicy
+    from uavrl.rollout.sb3 import StableBaselinesPolicy
 
     path = rewritten(models["PPO"], tmp_path / "m.zip", {"data": pickled_elsewhere("lr_schedule")})
     states = TensorDict({"observation": torch.randn(5, 105)}, [5])

@@ -18,6 +18,7 @@ from tests.helpers.commands import TINY, in_process
 from tests.helpers.configs import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
+from uavrl.collectors.stall_notice import Silence
 from uavrl.configs import to_dataclass
 from uavrl.configs.memory import require_memory
 from uavrl.envs.gym_env import ValleyEnv
@@ -27,7 +28,6 @@ from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.runs.files import made_folder
 from uavrl.training.loggers import require_login
-from uavrl.training.silence import Silence
 from uavrl.transforms import TruncatedIcosahedron
 from uavrl.transforms.functional import truncated_icosahedron
 

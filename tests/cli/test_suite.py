@@ -14,7 +14,7 @@ from tests.helpers.folders import evaluation
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.configs import EvaluateConfig, checked
 from uavrl.errors import UavrlError
-from uavrl.flying.suite import scenarios
+from uavrl.rollout.suite import scenarios
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
 

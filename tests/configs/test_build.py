@@ -70,7 +70,7 @@ def test_what_is_of_another_kind_or_from_elsewhere_is_refused(target: str, kind:
 
 def test_a_class_that_ours_only_import_is_refused() -> None:
     with pytest.raises(UavrlError, match="torch is no package that you have listed"):
-        resolve("uavrl.training.compiled_updates.Tensor", object)
+        resolve("uavrl.training.compiled.Tensor", object)
 
 
 def test_a_package_that_the_user_lists_is_trusted() -> None:

@@ -18,7 +18,6 @@ from tests.helpers.runs import small_config
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
-from uavrl.cli.policies import PACKAGED, packaged_policies
 from uavrl.configs import conf_dir, settings_of_run, to_dataclass
 from uavrl.configs.build import build
 from uavrl.configs.offered import OFFERED, TARGET, offered_to
@@ -26,9 +25,13 @@ from uavrl.configs.parts import PARTS
 from uavrl.configs.recorded import GONE, without_gone
 from uavrl.configs.signature import signature
 from uavrl.errors import UavrlError
+from uavrl.rollout import actor as actor_module
+from uavrl.rollout import environment
+from uavrl.rollout.environment import NetworkSizes
+from uavrl.rollout.policies import PACKAGED, packaged_policies
 from uavrl.runs.config import load_config
-from uavrl.training import actor_and_loss, factory, loggers
-from uavrl.training.network_sizes import NetworkSizes
+from uavrl.training import build as build_module
+from uavrl.training import loggers
 
 ROOT = Path(__file__).resolve().parents[2]
 CHOICES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml") if path.parent.name in PARTS)
@@ -194,7 +197,7 @@ def handed_over(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
         found.setdefault(str(part[TARGET]), set()).update(offered)
         return build(part, kind, packages=packages, key=key, **offered)
 
-    for module in (factory, actor_and_loss, loggers):
+    for module in (environment, actor_module, build_module, loggers):
         monkeypatch.setattr(module, "build", recorded)
     return found
 
@@ -205,7 +208,8 @@ def test_the_list_is_what_a_run_hands_over(
     chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "guide=vfh", "enhancer=imitation"]
     settings = to_dataclass(small_config(tmp_path / "run", *chosen))
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
-    monkeypatch.setattr(factory, "_require_keys", lambda *_: None)
+    for module in (environment, build_module):
+        monkeypatch.setattr(module, "require_keys", lambda *_: None)
 
     class Env:  # of which the factory only asks what is in it
         base_env = None
@@ -214,12 +218,12 @@ def test_the_list_is_what_a_run_hands_over(
             pass
 
     told = {"seed": 1, "measure_clearance": True, "tasks": [0]}
-    factory.make_env(settings.env, settings.perception, settings.reward, **told).close()
-    factory.build(settings.guide, object)
-    actor = actor_and_loss.make_actor(settings, sizes)
-    actor_and_loss.make_loss(settings, actor, sizes, cpu)
-    factory.make_backward_reward(settings, sizes, tmp_path / "artifact")
-    factory.make_buffer(settings, Env(), sizes, cpu)  # type: ignore[arg-type]
+    environment.make_env(settings.env, settings.perception, settings.reward, **told).close()
+    build_module.build(settings.guide, object)
+    actor = actor_module.make_actor(settings, sizes)
+    build_module.make_loss(settings, actor, sizes, cpu)
+    build_module.make_backward_reward(settings, sizes, tmp_path / "artifact")
+    build_module.make_buffer(settings, Env(), sizes, cpu)  # type: ignore[arg-type]
     loggers.make_logger(settings.logger, tmp_path / "run", "csv")
     groups = [group for group in PARTS if group not in ("algo", "collector")]
     assert {group: handed_over[settings_part(settings, group)] for group in groups} == {
@@ -242,9 +246,9 @@ def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.M
         def __init__(self, create_env_fn: object, **kwargs: object) -> None:
             self.got = {"create_env_fn", *kwargs}
 
-    monkeypatch.setattr(factory, "collector_class", lambda settings: Collector)
-    actor = actor_and_loss.make_actor(settings, sizes)
-    made: Any = factory.make_collector(settings, lambda: None, actor, sizes, torch.device("cpu"))  # type: ignore[arg-type,return-value]
+    monkeypatch.setattr(build_module, "collector_class", lambda settings: Collector)
+    actor = actor_module.make_actor(settings, sizes)
+    made: Any = build_module.make_collector(settings, lambda: None, actor, sizes, torch.device("cpu"))  # type: ignore[arg-type,return-value]
     assert made.got == set(OFFERED["collector"])
 
 

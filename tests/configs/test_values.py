@@ -16,8 +16,7 @@ from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_d
 from uavrl.configs.choices import known_keys
 from uavrl.configs.limits import MOST
 from uavrl.configs.parts import PARTS
-from uavrl.envs.limits import LARGEST
-from uavrl.envs.world import WorldConfig
+from uavrl.envs.world import LARGEST, WorldConfig
 from uavrl.errors import UavrlError
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))

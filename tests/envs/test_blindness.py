@@ -15,7 +15,7 @@ from uavrl.configs import to_dataclass
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.world import WorldConfig
-from uavrl.training.factory import make_env
+from uavrl.rollout.environment import make_env
 
 STAY = torch.zeros(1, 4)
 FACES = 32

@@ -19,8 +19,8 @@ from tests.helpers.updates import ACTIONS, FRAME, STATE, batch_number, cast, fli
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
 from uavrl.models.classifiers import LinearClassifier
-from uavrl.training.compiled_updates import Execution
-from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.compiled import Execution
+from uavrl.training.update import ActorCriticStepper
 
 CELLS = (64, 48)
 UPDATES, EPISODES_EVERY = 50, 10  # LifeGuard is evaluated whenever episodes are shown

@@ -19,8 +19,8 @@ from tests.helpers import oracle
 from tests.helpers.updates import ACTIONS, STATE, batch_number, cast, plain
 from uavrl.losses import ActorCriticLoss, SACLoss, TD3Loss
 from uavrl.models import Critic
-from uavrl.training.compiled_updates import Execution
-from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.compiled import Execution
+from uavrl.training.update import ActorCriticStepper
 
 UPDATES = 30
 

@@ -12,10 +12,10 @@ from torchrl.envs import TransformedEnv
 
 from tests.helpers.configs import composed
 from uavrl.configs import to_dataclass
-from uavrl.flying.baselines import StraightPolicy
-from uavrl.flying.record import record_flights
-from uavrl.flying.recording import Recording
-from uavrl.training.factory import make_env
+from uavrl.rollout.baselines import StraightPolicy
+from uavrl.rollout.environment import make_env
+from uavrl.rollout.record import record_flights
+from uavrl.rollout.recording import Recording
 
 STEPS = 12
 SEED = 20_000

@@ -22,13 +22,13 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
+from uavrl.training.factory import make_env
 
-from uavrl.cli.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.configs import TrainConfig, compose, settings_of_run
 from uavrl.configs.build import build
-from uavrl.flying.flight import Policy, rollout
-from uavrl.training.factory import make_env
-from uavrl.training.policies import load_policy
+from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
+from uavrl.rollout.rollout import Policy, rollout
+from uavrl.rollout.saved import load_policy
 from uavrl.transforms.functional import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 

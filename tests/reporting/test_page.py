@@ -12,6 +12,7 @@ import pytest
 from tests.helpers.commands import in_process
 from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder
 from uavrl.cli.report import main
+from uavrl.command_line import override
 from uavrl.reporting.figures import plotly_script
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
@@ -163,8 +164,8 @@ def test_more_groups_than_colours(tmp_path: Path) -> None:
 
 @pytest.fixture
 def report(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = in_process(main, *map(str, arguments))
+    def run(runs: object, **values: object) -> tuple[int, str, str]:
+        code = in_process(main, *(override(key, value) for key, value in {"runs": runs, **values}.items()))
         return code, *capsys.readouterr()
 
     return run
@@ -174,41 +175,47 @@ def test_the_command_writes_page_and_facts(
     runs: Path, tmp_path: Path, report: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, out, err = report(runs, "--window", 2)
+    code, out, err = report(runs, window=2)
     assert code == 0
     told = out.splitlines()[-1]
-    assert told.startswith("Best: TD3, prize, 100.0 % of the last flights arrived (")
+    assert told.startswith("Best: TD3, prize, success rate 100.0 % over the last episodes (")
     assert told.endswith("Open report.html in a browser; report.json holds the facts.")
     assert "uavrl: bad is left out. episodes.csv is missing" in err
     assert json.loads((tmp_path / "report.json").read_text())["window"] == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["report.html", "report.json", "runs"]
-    assert report(runs, "--output", "deep/a.html", "--json", "deep/b.json")[0] == 0
+    assert report(runs, output="deep/a.html", json="deep/b.json")[0] == 0
     assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["a.html", "b.json"]
+    monkeypatch.chdir(runs)
+    one, *_ = sorted(path.name for path in runs.iterdir() if path.name != "bad")
+    for chosen in (f"{one[:-1]}?", [one]):
+        assert report(chosen, output="one.html")[0] == 0
+        assert one in json.loads((runs / "one.json").read_text())["runs"][0]["name"]
 
 
 def test_the_command_ends_in_one_sentence(
     runs: Path, tmp_path: Path, report: Callable[..., tuple[int, str, str]]
 ) -> None:
     output = tmp_path / "page.html"
-    for arguments, expected in (
-        ([tmp_path / "nowhere"], "There is nothing to report"),
-        ([runs, "--threshold", "78"], "The threshold must be a rate"),
-        ([runs, "--window", "0"], "The window must be at least 1"),
-        ([runs, "--json", output], "cannot both go to"),
-        ([runs, "--json", runs], "cannot be written"),
-        ([runs, "--json", "."], ". cannot be written (it is a folder): choose another with --json FILE."),
+    for values, expected in (
+        ({"runs": tmp_path / "nowhere"}, "There is nothing to report"),
+        ({"runs": tmp_path / "nowhere*"}, "There is nothing to report"),
+        ({"threshold": 78}, "threshold must be in (0, 1], got 78"),
+        ({"window": 0}, "window must be at least 1, got 0"),
+        ({"json": output}, "json must be another file than output"),
+        ({"json": runs}, "cannot be written"),
+        ({"json": Path()}, ". cannot be written (it is a folder): choose another with json=FILE."),
     ):
-        code, _, err = report(*arguments, "--output", output)
+        code, _, err = report(**{"runs": runs, "output": output, **values})
         assert code == 1 and expected in err.splitlines()[-1] and "Traceback" not in err
         assert not output.exists()
 
 
-@pytest.mark.parametrize("output", [".", "/", "", ".."])
+@pytest.mark.parametrize("output", [".", "/", ".."])
 def test_a_page_that_would_be_a_folder_is_told(
     output: str, runs: Path, report: Callable[..., tuple[int, str, str]]
 ) -> None:
-    code, _, err = report(runs, "--output", output)
-    expected = f"uavrl: {output or '.'} cannot be written (it is a folder): choose another with --output FILE."
+    code, _, err = report(runs, output=Path(output))
+    expected = f"uavrl: {output} cannot be written (it is a folder): choose another with output=FILE."
     assert (code, err.splitlines()) == (1, [expected])
 
 

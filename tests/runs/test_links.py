@@ -8,7 +8,7 @@ import pytest
 
 from uavrl.errors import UavrlError
 from uavrl.runs.names import TRAINING
-from uavrl.trust import check_links
+from uavrl.runs.trust import check_links
 
 
 def linked(run: Path, name: str, target: Path) -> None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from uavrl.errors import UavrlError
-from uavrl.training.compiled_updates import FusedAdam
+from uavrl.training.compiled import FusedAdam
 
 
 def parameters() -> list[nn.Parameter]:

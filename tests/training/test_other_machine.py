@@ -19,8 +19,8 @@ from uavrl.cli import train as train_command
 from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import rotation
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, free_keys, read_config
-from uavrl.training import arithmetic
-from uavrl.training.resuming import checkpoint_to_resume
+from uavrl.runs.resume import checkpoint_to_resume
+from uavrl.training import matmul as arithmetic
 from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sweep import run_folder
 

@@ -19,9 +19,9 @@ from uavrl.configs import to_dataclass
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.losses import LifeGuard
+from uavrl.rollout.saved import load_actor
 from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.build import build_trainer
-from uavrl.training.policies import load_actor
 from uavrl.training.run import create_run, seed_everything, train
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 

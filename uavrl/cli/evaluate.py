@@ -8,10 +8,10 @@ from typing import Any
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder, require_fit
 from uavrl.cli.suite import evaluate_suite
 from uavrl.command_line import command_line
 from uavrl.configs import EvaluateConfig, checked
+from uavrl.rollout.policies import choose, distinguishing, name_of_output, policy_folder, require_fit
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.provenance import processor, versions
 
@@ -25,12 +25,12 @@ def main(config: DictConfig) -> None:
         return
     output = _output(settings, given_overrides())
     result = evaluate(config, given_overrides(), output)
-    from uavrl.flying.summary import reached, table
+    from uavrl.rollout.summary import reached, table
 
     print(table(result))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
     who |= {"packages": settings.packages} if settings.packages else {}
-    watch, report = command_line("uavrl-replay", **who), command_line("uavrl-report", Path(str(settings.run)))
+    watch, report = command_line("uavrl-replay", **who), command_line("uavrl-report", runs=settings.run)
     then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
     print(f"{reached(result)} Written to {output}. {then}")
 
@@ -43,11 +43,11 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     import torch
 
     from uavrl.envs.navigation import NavigationEnv
-    from uavrl.flying.flight import fly
-    from uavrl.flying.summary import summarize
-    from uavrl.flying.whereabouts import Whereabouts
-    from uavrl.training.arithmetic import multiplied_by
-    from uavrl.training.factory import make_device, make_env
+    from uavrl.rollout.environment import make_device, make_env
+    from uavrl.rollout.position_stats import Whereabouts
+    from uavrl.rollout.rollout import fly
+    from uavrl.rollout.summary import summarize
+    from uavrl.training.matmul import multiplied_by
 
     torch.set_num_threads(settings.threads)
     chosen = choose(settings, config, overrides, folder, make_device(settings.device))

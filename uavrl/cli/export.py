@@ -5,12 +5,12 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
-from uavrl.cli.policies import packaged_policies, policy_folder
 from uavrl.command_line import command_line
 from uavrl.configs import checked
 from uavrl.configs.checks import did_you_mean
 from uavrl.configs.export import ExportConfig
 from uavrl.errors import UavrlError
+from uavrl.rollout.policies import packaged_policies, policy_folder
 
 
 @command("export")
@@ -26,7 +26,7 @@ def _export(settings: ExportConfig) -> None:
         near = did_you_mean(str(settings.policy), names, ": ", "to export your own give run=RUN_FOLDER.")
         raise UavrlError(f"policy must be one of {', '.join(names)}, got {settings.policy!r}{near}")
     # Imported here: --help and a mistyped key answer without loading torch.
-    from uavrl.training.policies import TOLD, export_policy, load_actor
+    from uavrl.rollout.saved import TOLD, export_policy, load_actor
 
     config, actor, known = load_actor(folder, settings.checkpoint, "cpu", settings.packages)
     about = {key: known[key] for key in ("run", *TOLD) if key in known}

@@ -14,6 +14,7 @@ ABOUT = {
     "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),
     "evaluate": ("uavrl-evaluate", "Flies fixed tasks without noise and tells how often they are solved."),
     "replay": ("uavrl-replay", "Flies a few tasks and writes a page that plays them back."),
+    "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
     "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
@@ -21,6 +22,7 @@ EXAMPLES = {
     "config": ["preset=fast", "env=dynamic algo=sac seed=1", "-m seed=0,1,2 algo.gamma=0.98,0.99", "resume=RUN_FOLDER"],
     "evaluate": ["policy=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
     "replay": ["policy=static tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
+    "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
     "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
@@ -42,6 +44,7 @@ MOST_USED = {
     ],
     "evaluate": ["run", "policy", "episodes", "suite", "valleys", "output", "seed", "checkpoint", "num_uavs"],
     "replay": ["run", "policy", "task", "tasks", "output", "checkpoint"],
+    "report": ["runs", "output", "window", "threshold", "title"],
     "export": ["run", "policy", "output", "checkpoint"],
     "pretrain": ["run", "output", "seed"],
 }

@@ -20,7 +20,7 @@ def _pretrain(config: DictConfig) -> None:
     settings = checked(config, PretrainConfig)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
-    from uavrl.training.arithmetic import multiplied_by
+    from uavrl.training.matmul import multiplied_by
 
     with multiplied_by(settings.products, settings.threads):
         about = pretrain(settings)

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.cli.policies import choose, distinguishing, name_of_output, policy_folder
 from uavrl.command_line import command_line
 from uavrl.configs import checked
 from uavrl.configs.replay import ReplayConfig
 from uavrl.errors import UavrlError
+from uavrl.rollout.policies import choose, distinguishing, name_of_output, policy_folder
 from uavrl.runs.files import writable
 from uavrl.runs.weights import POLICY
 
 if TYPE_CHECKING:
-    from uavrl.flying.recording import Recording
+    from uavrl.rollout.recording import Recording
 
 
 @command("replay")
@@ -32,10 +32,10 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
         raise UavrlError("Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz, and no two of them.")
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
-    from uavrl.flying.recording import load_recording, save_recording
-    from uavrl.flying.whereabouts import whereabouts_lines
-    from uavrl.reporting.flight_page import needs_plotly, write_page
-    from uavrl.training.arithmetic import multiplied_by
+    from uavrl.rollout.position_stats import whereabouts_lines
+    from uavrl.rollout.recording import load_recording, save_recording
+    from uavrl.training.matmul import multiplied_by
+    from uavrl.viewer.flight_page import needs_plotly, write_page
 
     needs_plotly()
     # All that can be wrong with the input is found before a folder is made or anything is flown.
@@ -72,9 +72,10 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     """Loads what flies; the call that it returns flies it."""
     import torch
 
-    from uavrl.flying.record import record_flights
-    from uavrl.training.factory import make_device, make_env
-    from uavrl.training.policies import checkpoint_path, load_risk
+    from uavrl.rollout.environment import make_device, make_env
+    from uavrl.rollout.record import record_flights
+    from uavrl.rollout.saved import checkpoint_path
+    from uavrl.training.build import load_risk
 
     torch.set_num_threads(settings.threads)
     device = make_device(settings.device)

@@ -17,16 +17,16 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uavrl.cli.errors import configure_logging
-from uavrl.cli.policies import distinguishing, file_of_policy, name_of_output, policy_folder
 from uavrl.configs import EvaluateConfig
 from uavrl.configs.machine import machine_processors
 from uavrl.configs.registry import compose_again
 from uavrl.errors import UavrlError, was_interrupted
+from uavrl.rollout.policies import distinguishing, file_of_policy, name_of_output, policy_folder
 from uavrl.runs.episodes import outcomes_of
 from uavrl.runs.files import replacing, writable
+from uavrl.runs.interrupts import interrupts_held_back
+from uavrl.runs.trust import check_links
 from uavrl.runs.weights import POLICY
-from uavrl.training.stopping import interrupts_held_back
-from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
@@ -39,8 +39,8 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     Each is an evaluation of its own in a file of its own; one that is there already, of the same policy and tasks, is
     not flown again.
     """
-    from uavrl.flying.suite import scenarios, suite_table
-    from uavrl.flying.summary import reached
+    from uavrl.rollout.suite import scenarios, suite_table
+    from uavrl.rollout.summary import reached
 
     kept = distinguishing(overrides, OWN)
     for override in kept:
@@ -155,6 +155,6 @@ def _changed(settings: EvaluateConfig) -> float:
         return 0.0 if named is None else named.stat().st_mtime
     if settings.checkpoint is None and POLICY.is_in(folder):
         return (folder / POLICY.json).stat().st_mtime
-    from uavrl.training.policies import checkpoint_path
+    from uavrl.rollout.saved import checkpoint_path
 
     return checkpoint_path(folder, settings.checkpoint).stat().st_mtime

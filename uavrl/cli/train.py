@@ -80,7 +80,7 @@ def _train(config: DictConfig) -> None:
     _check(to_dataclass(config))
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
     config = complete(config)
-    from uavrl.training.claim import locked
+    from uavrl.runs.lock import locked
     from uavrl.training.run import create_run, resume_config
 
     if config.resume is None:
@@ -125,8 +125,8 @@ def _check(settings: TrainConfig) -> None:
 
 def _check_machine(config: DictConfig) -> None:
     """Finds what this machine has not, before a folder is made."""
-    from uavrl.training.arithmetic import chosen_products
-    from uavrl.training.factory import make_device
+    from uavrl.rollout.environment import make_device
+    from uavrl.training.matmul import chosen_products
 
     make_device(config.device)
     if "products" in config.trainer and config.trainer.products != "auto":
@@ -142,7 +142,7 @@ def _train_in_sweep(config: DictConfig) -> None:
             "command is started again."
         )
     from uavrl.runs.config import free_keys
-    from uavrl.training.claim import locked
+    from uavrl.runs.lock import locked
     from uavrl.training.run import create_run, resume_config
     from uavrl.training.sweep import is_begun, is_finished, run_folder
 

@@ -75,7 +75,7 @@ class Logging:
 
 
 _LOOP = {"algo": Learning, "buffer": Storing, "collector": Collecting, "logger": Logging}
-STEPPER = "uavrl.training.stepper.ActorCriticStepper"  # takes its part of algo
+STEPPER = "uavrl.training.update.ActorCriticStepper"  # takes its part of algo
 TO_STEPPER = ("loss", "execution")  # what the run hands to it
 
 

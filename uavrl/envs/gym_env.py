@@ -12,11 +12,12 @@ from torchrl.envs import Compose, TransformedEnv
 from uavrl.envs.camera import Camera
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.limits import whole
-from uavrl.envs.navigation import ACTION_LIMIT, CONTROL_RATE, NavigationEnv
+from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.reductions import Reduction
+from uavrl.transforms.state import ACTION_LIMIT
 
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
 

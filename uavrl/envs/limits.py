@@ -1,30 +1,11 @@
-"""Which numbers environments take, the largest world that is built, and the largest vehicle that fits into it."""
-
-from __future__ import annotations
+"""Which numbers environments take."""
 
 import math
 from collections.abc import Iterable
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from uavrl.errors import UavrlError
-
-if TYPE_CHECKING:
-    from uavrl.envs.quadrotor import Airframe
-    from uavrl.envs.world import WorldConfig
-
-LARGEST_VALLEY = 200_000.0  # m³ up to the ceiling: building it takes 2.4 GB, and some 20 s
-LARGEST_WORLD = 500_000.0  # m³ of all valleys together
-MOST_OBSTACLES = 2000.0  # of a valley, each counted by its surface at scale 1
-LARGEST = {
-    "ceiling": 100.0,
-    "goal_radius": 100.0,
-    "min_clearance": 100.0,
-    "uav_radius": 10.0,
-    "planes": 100,
-    "plane_speed": 100.0,
-    "plane_wingspan": 20.0,
-}
 
 
 def in_turn(counts: Iterable[int] | int) -> tuple[int, ...]:
@@ -32,37 +13,13 @@ def in_turn(counts: Iterable[int] | int) -> tuple[int, ...]:
     return (counts,) if isinstance(counts, int) else tuple(counts)
 
 
-def check_world_size(world: WorldConfig) -> None:
-    """Refuses worlds that would take many minutes to build, or more memory than there is."""
-    for name, most in LARGEST.items():
-        value = getattr(world, name)
-        if (max(value) if isinstance(value, tuple) else value) > most:
-            raise UavrlError(f"{name} must be at most {most:g}, got {value}; lower it.")
-    valley = world.size[0] * world.size[1] * max(world.ceiling, 1.0)
-    for volume, most, of in (
-        (valley, LARGEST_VALLEY, "a valley"),
-        (valley * len(world.seeds), LARGEST_WORLD, f"{len(world.seeds)} valleys together"),
-    ):
-        if volume > most:
-            raise UavrlError(
-                f"size and ceiling must make at most {most:,.0f} m³ of {of}, got {volume:,.0f} m³; lower size or "
-                "ceiling, or give fewer seeds."
-            )
-    obstacles = max(in_turn(world.obstacles)) * max(1.0, world.obstacle_scale**2)
-    if obstacles > MOST_OBSTACLES:
-        raise UavrlError(
-            f"obstacles must be at most {MOST_OBSTACLES:,.0f} in a valley, each counted obstacle_scale² times, got "
-            f"{obstacles:,.0f}; lower obstacles or obstacle_scale."
-        )
-
-
-def check_hull(airframe: Airframe, world: WorldConfig) -> None:
-    """Refuses vehicles that touch something wherever they start."""
-    reach = max(airframe.collision_radius, airframe.collision_height / 2)
-    if reach > max(world.min_clearance, world.uav_radius):
+def check_hull(radius: float, height: float, clearance: float) -> None:
+    """Refuses vehicles that touch something wherever they start: a hull that reaches farther than starts keep off."""
+    reach = max(radius, height / 2)
+    if reach > clearance:
         raise UavrlError(
             f"airframe.collision_radius and half of airframe.collision_height must be at most world.min_clearance, "
-            f"{world.min_clearance} m, which starts keep from geometry, got {reach} m; lower them or raise that."
+            f"{clearance} m, which starts keep from geometry, got {reach} m; lower them or raise that."
         )
 
 

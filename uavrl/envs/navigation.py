@@ -22,11 +22,11 @@ from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count
+from uavrl.transforms.state import ACTION_LIMIT
 
 Hidden = Literal["planes"]
 CONTROL_RATE = 10  # Hz
 PHYSICS_RATE = 240  # Hz
-ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1)
 
 
 class NavigationEnv(EnvBase):
@@ -107,7 +107,8 @@ class NavigationEnv(EnvBase):
         self._world_config = world or WorldConfig()
         self.airframe = airframe or Airframe()
         self.aerodynamics = aerodynamics or Aerodynamics()
-        check_hull(self.airframe, self._world_config)
+        world, hull = self._world_config, self.airframe
+        check_hull(hull.collision_radius, hull.collision_height, max(world.min_clearance, world.uav_radius))
         self._lidar_config = lidar or LidarConfig()
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None

@@ -6,7 +6,7 @@ from itertools import cycle
 
 import numpy as np
 
-from uavrl.envs.limits import check_world_size, in_turn, require_finite, whole
+from uavrl.envs.limits import in_turn, require_finite, whole
 from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
@@ -16,6 +16,18 @@ from uavrl.errors import UavrlError
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 ROUTES = 12  # ways of planes through a valley
+LARGEST_VALLEY = 200_000.0  # m³ up to the ceiling: building it takes 2.4 GB, and some 20 s
+LARGEST_WORLD = 500_000.0  # m³ of all valleys together
+MOST_OBSTACLES = 2000.0  # of a valley, each counted by its surface at scale 1
+LARGEST = {
+    "ceiling": 100.0,
+    "goal_radius": 100.0,
+    "min_clearance": 100.0,
+    "uav_radius": 10.0,
+    "planes": 100,
+    "plane_speed": 100.0,
+    "plane_wingspan": 20.0,
+}
 
 
 @dataclass
@@ -90,7 +102,31 @@ class WorldConfig:
             raise ValueError(
                 f"flight_level must be below the ceiling of {self.ceiling} m, got {self.flight_level} m; raise ceiling."
             )
-        check_world_size(self)
+        _check_size(self)
+
+
+def _check_size(world: WorldConfig) -> None:
+    """Refuses worlds that would take many minutes to build, or more memory than there is."""
+    for name, most in LARGEST.items():
+        value = getattr(world, name)
+        if (max(value) if isinstance(value, tuple) else value) > most:
+            raise UavrlError(f"{name} must be at most {most:g}, got {value}; lower it.")
+    valley = world.size[0] * world.size[1] * max(world.ceiling, 1.0)
+    for volume, most, of in (
+        (valley, LARGEST_VALLEY, "a valley"),
+        (valley * len(world.seeds), LARGEST_WORLD, f"{len(world.seeds)} valleys together"),
+    ):
+        if volume > most:
+            raise UavrlError(
+                f"size and ceiling must make at most {most:,.0f} m³ of {of}, got {volume:,.0f} m³; lower size or "
+                "ceiling, or give fewer seeds."
+            )
+    obstacles = max(in_turn(world.obstacles)) * max(1.0, world.obstacle_scale**2)
+    if obstacles > MOST_OBSTACLES:
+        raise UavrlError(
+            f"obstacles must be at most {MOST_OBSTACLES:,.0f} in a valley, each counted obstacle_scale² times, got "
+            f"{obstacles:,.0f}; lower obstacles or obstacle_scale."
+        )
 
 
 @dataclass(frozen=True)

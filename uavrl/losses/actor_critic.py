@@ -15,8 +15,6 @@ from torchrl.data import Bounded
 # which would hide that of the loss it is mixed into.
 if TYPE_CHECKING:
     from torchrl.objectives import LossModule as _LossModule
-
-    from uavrl.losses.enhancer import Enhancer
 else:
     _LossModule = ABC
 
@@ -66,7 +64,7 @@ class ActorCriticLoss(_LossModule):
         return self
 
     @property
-    def enhancers(self) -> list[Enhancer]:
+    def enhancers(self) -> list[ActorCriticLoss]:
         """The enhancers around the loss, the outermost first; here there are none."""
         return []
 

@@ -153,7 +153,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         super().reset_parameters_recursive()
 
     @property
-    def enhancers(self) -> list[Enhancer]:
+    def enhancers(self) -> list[ActorCriticLoss]:
         """This enhancer and those below it, the outermost first."""
         return [self, *self.base.enhancers]
 

@@ -97,7 +97,7 @@ class Imitation(Enhancer):
         if told is None:
             raise KeyError(
                 f"Imitation reads {key!r}, and the batch has only {sorted(map(str, acted.keys(True, True)))}: "
-                "write it where the states are flown, see uavrl.training.guided.Guidance."
+                "write it where the states are flown, see uavrl.transforms.guidance.Guidance."
             )
         distance = distance_to_guide(acted.get(self.tensor_keys.action), told, self.limit)
         return self.weight * distance, {"guide_distance": distance.detach()}

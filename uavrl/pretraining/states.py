@@ -18,7 +18,7 @@ from uavrl.models.trajectory_classifier import form_of_states
 from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.names import CHECKPOINTS, CONFIG, PRETRAINED
-from uavrl.trust import check_links
+from uavrl.runs.trust import check_links
 
 _PART = 100_000  # states that are read at a time
 

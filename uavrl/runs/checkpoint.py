@@ -12,8 +12,8 @@ from torchrl.data import ReplayBuffer
 from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprints, require_folder
 from uavrl.runs.names import ANY_CHECKPOINT, CHECKPOINTS, CONFIG
+from uavrl.runs.trust import check_archive
 from uavrl.runs.without_pickles import StateDictWithoutPickles
-from uavrl.trust import check_archive
 
 
 class BufferState:

@@ -3,35 +3,43 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any, cast
 
+import torch
 from omegaconf import DictConfig
-from torchrl.envs import EnvBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from torch import Tensor
+from torchrl.checkpoint import Checkpoint
+from torchrl.collectors import BaseCollector
+from torchrl.envs import Compose, EnvBase, TransformedEnv
+from torchrl.modules import AdditiveGaussianModule
 
 import uavrl
-from uavrl.configs.build import options
+from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
+from uavrl.collectors.base import OURS, FlightCollector
+from uavrl.configs.build import build, options, resolve
+from uavrl.configs.checks import require
+from uavrl.configs.offered import OFFERED, refuse_offered
 from uavrl.configs.parts import STEPPER, TARGET
 from uavrl.configs.train import TrainConfig
-from uavrl.runs.checkpoint import rotation
+from uavrl.errors import UavrlError
+from uavrl.losses import ActorCriticLoss, Enhancer, LifeGuard
+from uavrl.rollout.actor import loss_class, make_actor, make_network, network_context
+from uavrl.rollout.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
+from uavrl.rollout.saved import saved_sizes
+from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import EpisodeLog
 from uavrl.runs.names import ARTIFACT, EPISODES
 from uavrl.runs.provenance import commit
-from uavrl.training.actor_and_loss import make_actor, make_loss
-from uavrl.training.arithmetic import carried
-from uavrl.training.compiled_updates import chosen_execution
-from uavrl.training.experience import Experience
-from uavrl.training.factory import (
-    collector_class,
-    make_backward_reward,
-    make_buffer,
-    make_collector,
-    make_device,
-    make_training_env,
-)
+from uavrl.training.compiled import chosen_execution
 from uavrl.training.loggers import IntervalLog, make_logger
-from uavrl.training.network_sizes import network_sizes
-from uavrl.training.stepper import ActorCriticStepper
+from uavrl.training.matmul import carried
+from uavrl.training.replay import Experience
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
+from uavrl.training.update import ActorCriticStepper
+from uavrl.transforms import Mirror
+from uavrl.transforms.guidance import GUIDE_ACTION, Guidance, GuidedEnv
 from uavrl.transforms.rewards import terms_of
 
 
@@ -71,3 +79,174 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         log=IntervalLog(logger, settings.logger.interval),
         collector=make_collector(settings, flown, actor, sizes, device),  # last: it may have begun a process
     )
+
+
+def make_loss(
+    settings: TrainConfig, actor: TensorDictModuleBase, sizes: NetworkSizes, device: torch.device
+) -> ActorCriticLoss:
+    """The loss of the algorithm with critics of its own, and the enhancers around it: FORK first, LifeGuard next."""
+    loss_type, packages = loss_class(settings), settings.packages
+    critics = [
+        TensorDictModule(
+            make_network("critic", settings, sizes).to(device),
+            in_keys=["observation", "action"],
+            out_keys=["state_action_value"],
+        )
+        for _ in range(loss_type.num_critics)
+    ]
+    written = options(settings.algo, packages, **network_context(sizes))
+    refuse_offered("algo", written, OFFERED["algo"])
+    loss = loss_type.of_networks(actor, critics, sizes.action_spec(device), **written)
+    given = {"gamma": settings.algo.gamma, **network_context(sizes)}
+    for part in (settings.fork, settings.lifeguard, settings.enhancer):
+        enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
+        if enhanced is None:
+            continue
+        steps = settings.algo.get("n_steps", 1)
+        single = enhanced.learns_from_single_steps
+        require(steps == 1 or not single, "algo.n_steps", f"1: {part._target_} learns from single steps", steps)
+        told = settings.guided or GUIDE_ACTION not in enhanced.in_keys
+        require(told, "guide", f"a guide's name, such as vfh: {part._target_} learns what it would do", None)
+        loss = enhanced
+    return loss.to(device)
+
+
+def load_risk(
+    settings: TrainConfig, checkpoint: Path, device: torch.device
+) -> Callable[[Tensor, Tensor], Tensor] | None:
+    """What the LifeGuard of a run has learned, or None where the run has none."""
+    if settings.lifeguard._target_ is None:
+        return None
+    sizes = saved_sizes(settings)
+    loss = make_loss(settings, make_actor(settings, sizes, device), sizes, device)
+    restore(Checkpoint(loss_module=loss), checkpoint, ["loss_module"])
+    guard = next((part for part in getattr(loss, "enhancers", []) if isinstance(part, LifeGuard)), None)
+    if guard is None:
+        return None
+
+    def risk(observations: Tensor, actions: Tensor) -> Tensor:
+        features = torch.cat([observations[..., -guard.observations :], actions], -1).to(device)
+        with torch.no_grad():
+            return guard.classifier(features).sigmoid().cpu()
+
+    return risk
+
+
+def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
+    """The environment that a run flies in; a guide's, where one flies its first steps."""
+    parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
+    anything_that_is_called: Any = Callable
+    guide = build(settings.guide, anything_that_is_called, packages=packages)
+    if guide is None:
+        return make_env(*parts, packages=packages, seed=seed)
+    env = cast(GuidedEnv, make_env(*parts, packages=packages, seed=seed, kind=GuidedEnv))
+    require_keys(env, [(getattr(guide, "in_keys", ()), ())], "guide")
+    sizes = network_sizes(env)
+    env.append_transform(Guidance(guide, getattr(guide, "in_keys", ()), sizes.actions))
+    env.noise = make_noise(settings, sizes, torch.device("cpu"))
+    return env
+
+
+def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path) -> BackwardReward | None:
+    """The write-path transform that pays arriving flights again, or None."""
+    return build(
+        settings.backward_reward,
+        BackwardReward,
+        packages=settings.packages,
+        stacked=sizes.frames,
+        observations=sizes.state,
+        perception=settings.perception,
+        kept=kept,
+    )
+
+
+def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device: torch.device) -> EpisodeBuffer:
+    """The replay buffer of states that stacked frames make.
+
+    The next state of an n-step transition shares no frames with its state: both are kept whole.
+    """
+    algo = settings.algo
+    move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
+    multi_step = MultiStep(algo.n_steps, algo.gamma) if algo.n_steps > 1 else None
+    seen = {key: settings.perception[key] for key in ("last_action", "reduction") if key in settings.perception}
+    actions = ["action", GUIDE_ACTION] if settings.guided else ["action"]
+    mirror = Mirror(actions=actions, **seen) if settings.buffer.get("mirror") else None
+    chain = (multi_step, mirror, move)  # writes pass from the right, samples from the left
+    transforms = [transform for transform in chain if transform is not None]
+    buffer = build(
+        settings.buffer,
+        EpisodeBuffer,
+        packages=settings.packages,
+        frames=sizes.frames if multi_step is None else 1,
+        seed=settings.seed,
+        transform=Compose(*transforms) if transforms else None,
+    )
+    if buffer is None:
+        raise UavrlError("buffer must name a replay buffer, got null: choose one with buffer=NAME.")
+    require_keys(env, [(buffer.reads, [])], "buffer")
+    return buffer
+
+
+def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
+    """What each vehicle's exploration noise is multiplied by: from 1/√ratio to √ratio, evenly in the logarithm.
+
+    As the actors of Ape-X explore (Horgan et al. 2018, arXiv:1803.00933): some try what others would not.
+    """
+    if vehicles == 1 or ratio == 1.0:
+        return 1.0
+    return [[ratio ** (i / (vehicles - 1) - 0.5)] for i in range(vehicles)]
+
+
+def make_noise(settings: TrainConfig, sizes: NetworkSizes, device: torch.device) -> AdditiveGaussianModule:
+    """What is added to actions to explore."""
+    sigma = settings.algo.exploration_noise * sizes.limit
+    return AdditiveGaussianModule(
+        spec=sizes.action_spec(device),
+        sigma_init=sigma,
+        sigma_end=sigma,
+        annealing_num_steps=1,
+        std=spread(settings.env.get("num_uavs", 1), settings.algo.exploration_spread),
+        device=device,
+    )
+
+
+def collector_class(settings: TrainConfig) -> type[FlightCollector]:
+    """The class of the run's collector."""
+    found = resolve(str(settings.collector._target_), BaseCollector, settings.packages)
+    if missing := [name for name in OURS if not hasattr(found, name)]:
+        raise UavrlError(
+            f"collector must have what uavrl's collectors have, and {found.__name__} lacks {', '.join(missing)}: "
+            f"subclass one of them."
+        )
+    return cast(type[FlightCollector], found)
+
+
+def make_collector(
+    settings: TrainConfig,
+    env: EnvBase | Callable[[], EnvBase],
+    actor: TensorDictModuleBase,
+    sizes: NetworkSizes,
+    device: torch.device,
+) -> FlightCollector:
+    """Collects whole episodes, one a batch, with exploration noise after the random steps."""
+    vehicles = settings.env.get("num_uavs", 1)
+    found: Any = collector_class(settings)
+    flier = torch.device("cpu") if getattr(found, "flies_copies", False) else device
+    noise = make_noise(settings, sizes, flier)
+    kwargs: dict[str, Any] = {
+        "policy": TensorDictSequential(actor, noise),
+        "frames_per_batch": vehicles * settings.collector.steps_per_batch,
+        "total_frames": -1,
+        "init_random_frames": settings.algo.random_steps,
+        "trajs_per_batch": 1,
+        "traj_format": "cat",
+        "policy_device": flier,
+        "env_device": "cpu",
+        "storing_device": "cpu",
+        "auto_register_policy_transforms": False,
+    }
+    if found.flies_elsewhere:
+        kwargs["num_threads"] = settings.trainer.threads
+    own = options(settings.collector)
+    refuse_offered("collector", own, OFFERED["collector"])
+    return found(env, **kwargs, **own)

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from tqdm.contrib.logging import logging_redirect_tqdm
 
+from uavrl.collectors.stall_notice import Silence
 from uavrl.command_line import command_line
 from uavrl.configs import learner_name, settings_of_run, to_dataclass
 from uavrl.configs.train import TrainConfig
@@ -23,20 +24,18 @@ from uavrl.runs.checkpoint import restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
+from uavrl.runs.interrupts import Stop, stoppable
+from uavrl.runs.lock import locked
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
 from uavrl.runs.provenance import processor, versions
-from uavrl.training.advice import warn_of_nothing_learned, warn_of_random_steps
-from uavrl.training.arithmetic import chosen_products, denormals_flushed, multiplied_by, products_here
+from uavrl.runs.resume import checkpoint_to_resume, how_to_go_on, never_began
+from uavrl.runs.trust import check_links
 from uavrl.training.build import build_trainer
-from uavrl.training.claim import locked
-from uavrl.training.compiled_updates import chosen_execution
+from uavrl.training.compiled import chosen_execution
 from uavrl.training.loggers import close, truncate_logs
-from uavrl.training.progress import Progress
-from uavrl.training.resuming import checkpoint_to_resume, how_to_go_on, never_began
-from uavrl.training.silence import Silence
-from uavrl.training.stopping import Stop, stoppable
+from uavrl.training.matmul import chosen_products, denormals_flushed, multiplied_by, products_here
+from uavrl.training.progress import Progress, warn_of_nothing_learned, warn_of_random_steps
 from uavrl.training.trainer import EpisodeTrainer
-from uavrl.trust import check_links
 
 log = logging.getLogger(__name__)
 

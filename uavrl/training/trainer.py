@@ -13,18 +13,18 @@ from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
 from uavrl.buffers import BackwardReward
+from uavrl.collectors.base import FlightCollector
+from uavrl.collectors.stall_notice import Silence
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
 from uavrl.runs.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.runs.files import naming, require_room
-from uavrl.training.collecting import FlightCollector
-from uavrl.training.experience import Experience
+from uavrl.runs.interrupts import Stop
 from uavrl.training.loggers import IntervalLog
 from uavrl.training.progress import Progress
-from uavrl.training.silence import Silence
-from uavrl.training.stepper import ActorCriticStepper
-from uavrl.training.stopping import Stop
+from uavrl.training.replay import Experience
+from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms.rewards import RewardTerms
 
 WAITED_FOR = (

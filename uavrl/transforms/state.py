@@ -10,7 +10,7 @@ from uavrl.transforms.last_action import LastAction
 from uavrl.transforms.observation import Angles, NavigationObservation
 from uavrl.transforms.reductions import REDUCTIONS, Reduction
 
-ACTION_LIMIT = 2.0  # m/s and rad/s, which a network reads as 1
+ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1); a network reads it as 1
 
 
 def _with_last_action() -> Iterator[Transform]:

@@ -1,0 +1,71 @@
+"""The rule that learns nothing: it turns from what is near, by what it sees, and says where it has no costs."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from uavrl.errors import UavrlError
+from uavrl.rollout.baselines import COSTS, VectorFieldHistogram
+from uavrl.rollout.policies import named_policy
+from uavrl.transforms.functional import Statistic
+from uavrl.transforms.reductions import REDUCTIONS, Reduction
+
+
+class Told:
+    """A policy from elsewhere, with a radius of its own meaning."""
+
+    def __init__(self, flight_level: float = 1.0, radius: float = 0.1) -> None:
+        self.flight_level, self.radius = flight_level, radius
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict
+
+
+def flown(rule: VectorFieldHistogram, faces: torch.Tensor) -> list[float]:
+    state = {"faces": faces[None], "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}
+    return rule(TensorDict(state, [1]))["action"][0].tolist()
+
+
+@pytest.mark.parametrize("reduction", REDUCTIONS)
+def test_it_flies_ahead_where_nothing_is_and_turns_from_what_is_there(reduction: Reduction) -> None:
+    rule, directions = VectorFieldHistogram(reduction=reduction), REDUCTIONS[reduction].directions()
+    assert flown(rule, torch.zeros(len(directions))) == pytest.approx([2.0, 0.0, 0.0, 0.0], abs=1e-5)
+    ahead_and_right = (directions[:, 0] > 0.3) & (directions[:, 1] < 0.2)
+    forward, left, _, turn = flown(rule, 3.6 * ahead_and_right.float())
+    assert left > 0.1 and turn > 0.5 and forward < 2.0
+
+
+@pytest.mark.parametrize("seen", COSTS)
+@pytest.mark.parametrize("altitude", [1.0, 2.5, 3.5, 4.5, 6.0])
+def test_it_returns_to_the_flight_level_where_nothing_is(seen: tuple[Reduction, Statistic], altitude: float) -> None:
+    """It flies ahead to the goal, within 1 m of the level after 5 s; the way there is 1 m/s steep."""
+    rule, at = VectorFieldHistogram(reduction=seen[0], statistic=seen[1]), torch.tensor([[altitude]])
+    cells = torch.zeros(1, len(REDUCTIONS[seen[0]].directions()))
+    for _ in range(50):
+        state = TensorDict({"faces": cells, "heading_deg": torch.zeros(1, 1), "altitude": at}, [1])
+        (forward, left, up, turn) = rule(state)["action"][0].tolist()
+        assert forward > 1.7 and (left, turn) == pytest.approx((0.0, 0.0), abs=1e-5)
+        at = at + 0.1 * up
+    assert abs(at.item() - 3.5) < 1.0
+
+
+@pytest.mark.parametrize("seen", COSTS)
+def test_policy_vfh_has_the_costs_of_what_it_sees(seen: tuple[Reduction, str]) -> None:
+    reduction, statistic = seen
+    told = {"flight_level": 3.0, "radius": 5.0, "reduction": reduction, "statistic": statistic, "frames": 3}
+    rule = named_policy("vfh", told, ())
+    assert isinstance(rule, VectorFieldHistogram)
+    assert (rule.costs, rule.flight_level, rule.radius) == (COSTS[seen], 3.0, 5.0)  # type: ignore[index]
+
+
+def test_without_costs_it_says_what_to_choose() -> None:
+    told = {"flight_level": 3.5, "radius": 4.0, "reduction": "range_image", "statistic": "range"}
+    with pytest.raises(UavrlError, match=r"none for range_image with range: set perception\.reduction"):
+        named_policy("vfh", told, ())
+
+
+def test_a_class_from_elsewhere_is_told_the_flight_level_alone() -> None:
+    policy = named_policy("tests.rollout.test_baselines.Told", {"flight_level": 3.0, "radius": 4.0}, ("tests",))
+    assert (policy.flight_level, policy.radius) == (3.0, 0.1)  # type: ignore[attr-defined]

@@ -1,0 +1,275 @@
+"""Evaluation flies every task once, without noise, and its numbers are the literal ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+from tests.helpers.commands import in_process
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.envs.bipedal import BipedalEnv
+from uavrl.rollout.baselines import StraightPolicy
+from uavrl.rollout.rollout import Flight, fly
+from uavrl.rollout.summary import summarize, table
+from uavrl.runs.provenance import processor, versions
+
+OUTCOMES = ("arrived", "collided", "timed_out")
+
+
+class StubEnv(EnvBase):
+    """Task ``k`` lasts ``lengths[k]`` steps (later ones 1): three metres along x, then on along y.
+
+    Its outcome is ``OUTCOMES[k % 3]``; ``clearances[k][s]`` is emitted after ``s`` steps.
+    """
+
+    def __init__(self, lengths: list[int], vehicles: int, clearances: dict[int, list[float]] | None = None) -> None:
+        super().__init__(batch_size=torch.Size([vehicles]))
+        self.lengths, self.clearances = lengths, clearances or {}
+        self.steps = torch.zeros(vehicles, dtype=torch.int64)
+        self.task = torch.zeros(vehicles, dtype=torch.int64)
+        self.next_task = 0
+        shape = (vehicles, 1)
+        flag = Binary(1, shape=shape, dtype=torch.bool)
+        count = Unbounded(shape, dtype=torch.int64)
+        self.observation_spec = Composite(
+            position=Unbounded((vehicles, 3)),
+            clearance=Unbounded(shape),
+            arrived=flag.clone(),
+            collided=flag.clone(),
+            task=count.clone(),
+            world_seed=count.clone(),
+            shape=(vehicles,),
+        )
+        self.action_spec = Bounded(-2.0, 2.0, shape=(vehicles, 4))
+        self.reward_spec = Unbounded(shape)
+        self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), shape=(vehicles,))
+
+    def _length(self, task: int) -> int:
+        return self.lengths[task] if task < len(self.lengths) else 1
+
+    def _data(self, ended: torch.Tensor) -> dict[str, torch.Tensor]:
+        kind = self.task % 3
+        clearance = [
+            self.clearances.get(k, [])[s : s + 1] or [9.0]
+            for k, s in zip(self.task.tolist(), self.steps.tolist(), strict=True)
+        ]
+        x, y = self.steps.clamp(max=3), (self.steps - 3).clamp(min=0)
+        return {
+            "position": torch.stack([x + 10 * self.task, y, 0 * x], -1).float(),
+            "clearance": torch.tensor(clearance),
+            "arrived": (ended & (kind == 0))[:, None],
+            "collided": (ended & (kind == 1))[:, None],
+            "task": self.task[:, None].clone(),
+            "world_seed": self.task[:, None] + 100,
+            "done": ended[:, None],
+            "terminated": ended[:, None].clone(),
+        }
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        mask = torch.ones(self.batch_size, dtype=torch.bool)
+        if tensordict is not None and tensordict.get("_reset", None) is not None:
+            mask = tensordict["_reset"].reshape(self.batch_size)
+        for i in mask.nonzero()[:, 0].tolist():
+            self.task[i], self.steps[i] = self.next_task, 0
+            self.next_task += 1
+        return TensorDict(self._data(torch.zeros(self.batch_size, dtype=torch.bool)), self.batch_size)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        self.steps += 1
+        ended = self.steps >= torch.tensor([self._length(k) for k in self.task.tolist()])
+        return TensorDict({**self._data(ended), "reward": torch.zeros(*self.batch_size, 1)}, self.batch_size)
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.next_task = 0
+
+
+def hover(tensordict: TensorDictBase) -> TensorDictBase:
+    return tensordict.set("action", torch.zeros(*tensordict.batch_size, 4))
+
+
+@pytest.mark.parametrize("lengths", [[1, 1, 1, 1, 1, 1, 1], [40, 2, 1, 3, 2, 1, 5], [1, 2, 1, 3, 2, 1, 30]])
+@pytest.mark.parametrize("vehicles", [1, 3, 7])
+def test_every_task_is_flown_once_in_order_also_when_some_are_slow(lengths: list[int], vehicles: int) -> None:
+    flights = fly(StubEnv(lengths, vehicles), hover, len(lengths))
+    assert [f.task for f in flights] == list(range(7))
+    assert [f.steps for f in flights] == lengths
+    assert [f.outcome for f in flights] == [OUTCOMES[k % 3] for k in range(7)]
+    assert [f.world_seed for f in flights] == list(range(100, 107))
+
+
+def test_fewer_tasks_than_vehicles() -> None:
+    assert [f.task for f in fly(StubEnv([5, 1, 1, 1], 4), hover, 2)] == [0, 1]
+
+
+def test_the_policy_is_asked_for_its_deterministic_action_and_without_gradients() -> None:
+    seen: list[Any] = []
+
+    def policy(tensordict: TensorDictBase) -> TensorDictBase:
+        seen.append((exploration_type(), torch.is_grad_enabled()))
+        return hover(tensordict)
+
+    before = exploration_type()
+    fly(StubEnv([2, 3], 2), policy, 2)
+    assert set(seen) == {(ExplorationType.DETERMINISTIC, False)}
+    assert exploration_type() == before
+
+
+def test_path_and_clearance_on_a_known_path() -> None:
+    # Three metres along x, then four along y: 7 m flown, 5 m straight. Task 3 meets its least clearance at its start,
+    # and task 0's small one must not leak into it although one vehicle flies both.
+    clearances = {0: [3.0, 0.4, 2.0], 3: [0.7, 0.8, 0.9, 1.0], 6: [2.0] * 7 + [-0.1]}
+    flights = fly(StubEnv([7, 1, 1, 3, 1, 1, 7], 1, clearances), hover, 7)
+    assert flights[0].flown == pytest.approx(7.0)
+    assert flights[0].straight == pytest.approx(5.0)
+    assert flights[0].path_efficiency == pytest.approx(5 / 7)
+    assert flights[0].clearance == pytest.approx(0.4)
+    assert (flights[3].flown, flights[3].straight) == (3.0, 3.0)
+    assert flights[3].path_efficiency == 1.0
+    assert flights[3].clearance == pytest.approx(0.7)
+    assert flights[6].clearance == 0.0, "a touch is no negative distance"
+
+
+@pytest.mark.parametrize("vehicles", [1, 2, 3])
+def test_the_places_after_every_step_of_the_tasks_that_count_are_watched(vehicles: int) -> None:
+    seen: list[np.ndarray] = []
+    flights = fly(StubEnv([5, 1, 2], vehicles), hover, 3, watch=seen.append)
+    assert sum(flight.steps for flight in flights) == 8
+    expected = [[1, 0, 0], [2, 0, 0], [3, 0, 0], [3, 1, 0], [3, 2, 0], [11, 0, 0], [21, 0, 0], [22, 0, 0]]
+    assert sorted(np.concatenate(seen).tolist()) == expected  # not where tasks 3, 4 … went meanwhile, nor the starts
+
+
+def flights_of(arrived: int, collided: int, timed_out: int) -> list[Flight]:
+    outcomes = ["arrived"] * arrived + ["collided"] * collided + ["timed_out"] * timed_out
+    return [Flight(k, o, 10, 0, 5.0, 10.0, 0.5) for k, o in enumerate(outcomes)]
+
+
+@pytest.mark.parametrize(
+    ("arrived", "total", "low", "high"),
+    [(5, 10, 0.2366, 0.7634), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (450, 500, 0.8706, 0.9233)],
+)
+def test_wilson_interval(arrived: int, total: int, low: float, high: float) -> None:
+    result = summarize(flights_of(arrived, total - arrived, 0))["success"]
+    assert result["rate"] == arrived / total
+    assert (result["low"], result["high"]) == (pytest.approx(low, abs=5e-5), pytest.approx(high, abs=5e-5))
+
+
+@pytest.mark.parametrize("counts", [(3, 2, 2), (0, 0, 4), (1, 0, 0), (0, 7, 3)])
+def test_rates_sum_to_one(counts: tuple[int, int, int]) -> None:
+    result = summarize(flights_of(*counts))
+    rates = [result[name]["rate"] for name in ("success", "collision", "time_out")]
+    assert sum(rates) == pytest.approx(1.0)
+    assert rates == [pytest.approx(c / sum(counts)) for c in counts]
+
+
+def test_summary_takes_path_and_clearance_over_arrivals_alone() -> None:
+    flights = [
+        Flight(0, "arrived", 100, 0, 9.0, 10.0, 0.2),
+        Flight(1, "arrived", 60, 0, 5.0, 10.0, 0.6),
+        Flight(2, "arrived", 80, 0, 10.0, 10.0, 1.0),
+        Flight(3, "collided", 20, 0, 1.0, 10.0, 0.0),
+        Flight(4, "timed_out", 300, 0, 0.0, 10.0, 0.1),
+    ]
+    result = summarize(flights)
+    assert result["path_efficiency"] == pytest.approx(0.8)
+    assert result["median_clearance"] == pytest.approx(0.6)
+    assert result["min_clearance"] == pytest.approx(0.2)
+    assert result["steps_per_arrival"] == 80.0
+    assert result["outcomes"] == "SSSCT"
+    assert result["steps_per_episode"] == 112.0
+
+
+def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
+    result = summarize(flights_of(0, 1, 1))
+    assert result["path_efficiency"] is result["median_clearance"] is result["min_clearance"] is None
+    assert sum(line.rstrip().endswith("–") for line in table(result).splitlines()) == 4
+
+
+def test_flights_in_several_valleys_are_also_counted_valley_by_valley() -> None:
+    ends = {7: "aaac", 9: "accc", 10: "aacc"}
+    flights = [
+        Flight(0, {"a": "arrived", "c": "collided"}[end], 10, v, 5.0, 10.0, 0.5) for v in ends for end in ends[v]
+    ]
+    result = summarize(flights)
+    assert {valley: found["rate"] for valley, found in result["success_by_valley"].items()} == {
+        "7": 0.75,
+        "9": 0.25,
+        "10": 0.5,
+    }
+    lines = [line for line in table(result).splitlines() if line.startswith("success in valley")]
+    assert [line.split()[3:5] for line in lines] == [["7", "75.0%"], ["9", "25.0%"], ["10", "50.0%"]]
+    assert lines[0].endswith("30.1% – 95.4%, 4 flown")
+    assert "success_by_valley" not in summarize(flights[:4])
+
+
+def test_no_flights_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least one flight"):
+        summarize([])
+
+
+@pytest.mark.parametrize(
+    ("heading", "altitude", "action"),
+    [
+        (0.0, 3.5, [2.0, 0.0, 0.0, 0.0]),
+        (90.0, 3.5, [0.0, 0.0, 0.0, 2.0]),
+        (270.0, 3.5, [0.0, 0.0, 0.0, -2.0]),
+        (5.0, 3.0, [2.0, 0.0, 0.5, 0.2617994]),  # 3 · 5° = 0.2618 rad/s; half a metre too low
+        (350.0, 9.0, [0.0, 0.0, -2.0, -0.5235988]),  # -10° lies outside the cone of 0.15 rad = 8.6°
+        (180.0, 0.0, [0.0, 0.0, 2.0, -2.0]),
+    ],
+)
+def test_straight_policy(heading: float, altitude: float, action: list[float]) -> None:
+    state = TensorDict({"heading_deg": torch.tensor([[heading]]), "altitude": torch.tensor([[altitude]])}, [1])
+    torch.testing.assert_close(StraightPolicy()(state)["action"], torch.tensor([action]), atol=1e-5, rtol=0)
+
+
+def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    results = []
+    for name in ("one", "other"):
+        arguments = ["policy=straight", "episodes=6", "num_uavs=2", "env.max_steps=4", "progress=false"]
+        output = tmp_path / f"{name}.json"
+        assert in_process(evaluate_command.main, *arguments, "valleys=[7,9]", f"output={output}") == 0
+        results.append(json.loads(output.read_text()))
+    assert results[0] == results[1]
+    assert results[0]["valleys"] == [7, 9]
+    assert {f["world_seed"] for f in results[0]["flights"]} == {7, 9}
+    assert list(results[0]["success_by_valley"]) == ["7", "9"]
+    assert [f["task"] for f in results[0]["flights"]] == list(range(6))
+    assert all(1 <= f["steps"] <= 4 for f in results[0]["flights"])
+    letters = {"arrived": "S", "collided": "C", "timed_out": "T"}
+    assert results[0]["outcomes"] == "".join(letters[f["outcome"]] for f in results[0]["flights"])
+    assert results[0]["versions"] == versions() and results[0]["processor"] == processor()
+    went = results[0]["whereabouts"]
+    assert went["steps"] == sum(f["steps"] for f in results[0]["flights"])
+    assert 3.3 < went["altitude"]["p5"] <= went["altitude"]["p95"] < 3.7, "it starts at 3.5 m and keeps that height"
+    assert "altitude, 5 / 50 / 95 %" in capfd.readouterr().out
+
+
+def test_an_environment_of_one_without_places_tells_its_returns() -> None:
+    pytest.importorskip("Box2D")
+    env = BipedalEnv(max_steps=30, seed=3)
+    flights = fly(env, lambda state: state.set("action", torch.zeros(4)), 3)
+    assert [flight.task for flight in flights] == [0, 1, 2]
+    assert {flight.steps for flight in flights} == {30} and {flight.outcome for flight in flights} == {"timed_out"}
+    env.set_seed(3)
+    expected = []
+    for _ in range(3):
+        state, paid = env.reset(), 0.0
+        for _ in range(30):
+            state = env.step(state.set("action", torch.zeros(4)))["next"]
+            paid += state["reward"].item()
+        expected.append(paid)
+    assert [flight.episode_return for flight in flights] == pytest.approx(expected)
+    result = summarize(flights)
+    assert result["median_return"] == pytest.approx(sorted(expected)[1])
+    assert "path_efficiency" not in result and "return, mean" in table(result)

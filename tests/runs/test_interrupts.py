@@ -1,0 +1,64 @@
+"""How signals are taken; tests/check sends them to trainings."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+
+import pytest
+
+from uavrl.runs.interrupts import PATIENCE, Stop, stoppable
+
+
+def test_signals_are_given_back_to_who_had_them() -> None:
+    heard: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
+    try:
+        with stoppable() as stop:
+            stop.ending()
+            os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.signal is None and not heard
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert heard == [signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_a_checkpoint_that_is_being_written_is_finished() -> None:
+    done: list[str] = []
+    with pytest.raises(KeyboardInterrupt), stoppable() as stop, stop.behind_this():
+        os.kill(os.getpid(), signal.SIGTERM)
+        done.append("written")
+    assert done == ["written"] and stop.signal == signal.SIGTERM
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+
+
+def test_an_interrupt_that_was_swallowed_comes_again() -> None:
+    stop = Stop()
+    stop.begin()
+    with pytest.raises(KeyboardInterrupt):
+        stop.hear(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt):
+        stop.foretell(1, 1)
+
+
+@pytest.mark.parametrize(("left", "waits"), [(4, True), (6, False)])
+def test_what_comes_soon_is_told_from_how_long_steps_take(
+    left: int, waits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("uavrl.runs.interrupts.time.monotonic", lambda: now[0])
+    armed: list[float] = []
+    monkeypatch.setattr("uavrl.runs.interrupts.signal.setitimer", lambda _, seconds: armed.append(seconds))
+    stop = Stop()
+    stop.begin()
+    now[0] += 10.0
+    stop.foretell(left, 10)  # a step takes a second; half of the patience are five
+    heard: Callable[[], None] = lambda: stop.hear(signal.SIGINT)  # noqa: E731
+    if waits:
+        heard()
+        assert armed == [PATIENCE]
+        stop.foretell(1, 13)
+    with pytest.raises(KeyboardInterrupt):
+        heard()

@@ -1,0 +1,145 @@
+"""The page shows the flight's own numbers and needs nothing from outside; a real browser plays it."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.helpers.flights import small_recording, unpack
+from tests.helpers.pages import Page
+from uavrl.envs.terrain import HeightField
+from uavrl.errors import UavrlError
+from uavrl.rollout.recording import Recording
+from uavrl.transforms import RangeImage, TruncatedIcosahedron
+from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.transforms.range_image import range_image
+from uavrl.viewer.flight_page import above_ground, make_page, pack, page_data, write_page
+from uavrl.viewer.flight_shapes import belt, football, shell
+
+
+@pytest.fixture(scope="module")
+def page() -> Page:
+    return Page(make_page(small_recording()))
+
+
+def test_the_page_fetches_nothing_and_forbids_it() -> None:
+    text = make_page(small_recording())
+    assert all(address.startswith("data:") for address in Page(text).fetched)
+    assert "default-src 'none'" in text
+    assert not re.search(r"@import|url\(\s*['\"]?(https?:)?//", text.split("<script>")[0])
+    assert not re.findall(r"/\*[\w.]+\.(css|js|json)\*/", text), "a mark of the template is left"
+
+
+def test_the_numbers_in_the_page_are_those_of_the_flight(page: Page) -> None:
+    replay = small_recording()
+    data = json.loads(page.scripts["data"])
+    assert data["source"] == replay.source
+    for shown, flight in zip(data["flights"], replay.flights, strict=True):
+        for name in ("positions", "attitudes", "velocities", "goal", "rewards", "faces", "planes", "clearances"):
+            np.testing.assert_array_equal(unpack(shown[name]), getattr(flight, name).astype(np.float32), err_msg=name)
+        step = shown["points"]["scale"]
+        ends = unpack(shown["point_ends"])
+        clouds = np.split(unpack(shown["points"]), ends[:-1])
+        assert len(clouds) == len(flight.times)
+        for moment, cloud in enumerate(clouds):
+            whole = flight.cloud(moment)
+            nearest = np.abs(whole[None] - cloud[:20, None]).max(-1).min(1)
+            assert 0 < len(cloud) <= len(whole) and (nearest <= step).all()
+        assert (shown["task"], shown["outcome"]) == (flight.summary.task, flight.summary.outcome)
+        assert shown["path_efficiency"] == flight.summary.path_efficiency
+        assert shown["reward_names"] == list(flight.reward_names)
+
+
+def test_a_page_of_many_flights_stays_small() -> None:
+    replay = small_recording()
+    many = Recording(replay.source, replay.flights * 25, replay.sceneries)
+    assert len(make_page(many).encode()) < 15e6
+
+
+def test_text_from_outside_cannot_leave_the_data() -> None:
+    replay = small_recording()
+    evil = Recording({"run": "</script><script>alert(1)</script>"}, replay.flights[:1], replay.sceneries)
+    page = Page(make_page(evil))
+    assert json.loads(page.scripts["data"])["source"] == evil.source
+    assert len(page.scripts) == 4
+
+
+def test_packing() -> None:
+    values = np.array([[1.25, -3.0], [0.0, 2.0]])
+    np.testing.assert_array_equal(unpack(pack(values)), values)
+    np.testing.assert_allclose(unpack(pack(values, scale=3.0 / 32767)), values, atol=0.5 * 3.0 / 32767)
+    assert unpack(pack(np.array([3, -4]))).tolist() == [3, -4]
+
+
+def test_the_football_is_that_of_the_reduction() -> None:
+    shape, faces = football(4.0), truncated_icosahedron_faces(4.0)
+    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(shape.vertices[shape.edges], axis=1), axis=-1), 1.614, atol=1e-3)
+    assert np.bincount(shape.faces).tolist() == [3] * 12 + [4] * 20
+    corners = shape.vertices[shape.triangles]
+    heights = np.einsum("tci,ti->tc", corners, faces.normals.numpy()[shape.faces])
+    np.testing.assert_allclose(heights, faces.offsets.numpy()[shape.faces, None].repeat(3, 1), atol=1e-5)
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * faces.normals.numpy()[shape.faces]).sum(1) > 0).all()
+
+
+def test_the_belt_is_that_of_the_range_image() -> None:
+    shape = belt(4.0)
+    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
+    assert np.bincount(shape.faces).tolist() == [2] * 72
+    assert len(shape.edges) == 24 * 4 + 24 * 3  # four rings and three posts a column
+    corners = shape.vertices[shape.triangles]
+    middles = torch.tensor(corners.mean(1) * 0.5)
+    assert range_image(middles[:, None]).argmax(-1).tolist() == shape.faces.tolist()
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * corners.mean(1)).sum(1) > 0).all()
+    assert len(shell(RangeImage.directions().numpy(), 4.0).vertices) == 96
+
+
+def test_cells_of_another_reduction_are_what_is_nearest_to_their_directions() -> None:
+    around = np.arange(8) * np.pi / 4
+    sectors = np.stack([np.cos(around), np.sin(around), np.zeros(8)], -1)
+    shape = shell(sectors, 4.0)
+    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
+    corners = shape.vertices[shape.triangles]
+    x, y, _ = corners.mean(1).T
+    assert (np.round(np.arctan2(y, x) / (np.pi / 4)).astype(int) % 8 == shape.faces).all()
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * corners.mean(1)).sum(1) > 0).all()
+    sides = np.arctan2(*shape.vertices[shape.edges].mean(1)[:, 1::-1].T) / (np.pi / 4) - 0.5
+    lie = np.abs(sides - np.round(sides)) < 0.2  # borders run half-way between two sectors, but near the poles
+    assert lie.mean() > 0.8
+    assert len(shell(TruncatedIcosahedron.directions().numpy(), 4.0).vertices) == 60
+    assert len(shell(TruncatedIcosahedron.directions().numpy()[::-1], 4.0).vertices) > 60, "32 others are not ours"
+
+
+def test_foundations_are_left_out_and_nothing_else() -> None:
+    scenery = next(iter(small_recording().sceneries.values()))
+    seen = above_ground(scenery)
+    assert 0.3 < len(seen["triangles"]) / len(scenery.triangles) < 1
+    ground = HeightField(scenery.heights, tuple(scenery.size.tolist())).at(seen["vertices"][:, :2])
+    assert (seen["vertices"][:, 2] >= ground).all() and (np.abs(seen["vertices"][:, :2]) <= scenery.size / 2).all()
+    stays = (np.abs(scenery.vertices[:, :2]) < scenery.size / 2).all(1) & (scenery.vertices[:, 2] > ground)
+    np.testing.assert_array_equal(seen["vertices"][stays], scenery.vertices[stays])
+    shown = {tuple(triangle) for triangle in seen["triangles"].tolist()}
+    assert shown == {tuple(triangle) for triangle in scenery.triangles[stays[scenery.triangles].any(1)].tolist()}
+
+
+def test_without_plotly_the_page_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(UavrlError, match=r"pip install 'uavrl\[report\]'"):
+        write_page(small_recording(), tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_page_of_no_flights_has_data() -> None:
+    assert page_data(Recording({}, (), {}))["flights"] == []
+
+
+# ---------------------------------------------------------------------- in a browser

@@ -1,0 +1,1 @@
+"""Collectors of whole episodes, in the learner's process or in others."""

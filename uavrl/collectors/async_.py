@@ -1,0 +1,120 @@
+"""Flying in one process while another learns."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import active_children, resource_tracker
+from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
+from typing import Any, ClassVar
+
+from tensordict import TensorDictBase
+from torchrl.collectors import MultiAsyncCollector
+from torchrl.envs import EnvBase
+
+from uavrl.errors import FlyingEnded, UavrlError
+from uavrl.ranges import Count
+from uavrl.runs.interrupts import interrupts_held_back
+
+
+class AsyncCollector(MultiAsyncCollector):
+    """TorchRL's asynchronous process collector, as a run needs it.
+
+    The worker flies ``frames_per_batch`` steps ahead while the learner updates, with the weights as they are at each
+    step: both processes hold the same memory. How far these have come depends on how fast both are, hence no two runs
+    are the same. A resumed run starts new episodes.
+
+    Args:
+        create_env_fn: makes an environment, in the worker's process.
+        processes: that fly, each with its own vehicles.
+        **kwargs: as TorchRL's collector has them.
+
+    Raises:
+        UavrlError: when policy and worker cannot share memory.
+        FlyingEnded: while iterating, when a worker has died.
+    """
+
+    flies_elsewhere: ClassVar[bool] = True
+
+    def __init__(self, create_env_fn: Callable[[], EnvBase], *, processes: Count = 1, **kwargs: Any) -> None:
+        others = active_children()
+        try:
+            resource_tracker.ensure_running()  # starting it later would let interrupts through again
+            with interrupts_held_back():
+                super().__init__([create_env_fn] * processes, **kwargs)
+        except BaseException:  # Ctrl-C too: another thread of the library's may hear it, and it is ours then
+            _kill([process for process in active_children() if process not in others])
+            self._end_schemes()
+            raise
+        Finalize(self, _kill, (self.procs,), exitpriority=0)
+        if not all(parameter.is_shared() for parameter in self.policy.parameters()):
+            self.shutdown()
+            raise UavrlError(
+                "collector=async needs a device whose memory two processes can share, cpu or cuda: "
+                "choose one of these, or collector=sync."
+            )
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Yields what was flown, ``frames_per_batch`` steps at a time."""
+        batches = super().iterator()
+        while True:
+            with _death_told():
+                try:
+                    batch = next(batches)
+                except StopIteration:
+                    return
+            yield batch
+
+    def set_seed(self, *args: Any, **kwargs: Any) -> int:
+        """Seeds the worker's environment."""
+        with _death_told():
+            return super().set_seed(*args, **kwargs)
+
+    def reset(self, *args: Any, **kwargs: Any) -> None:
+        """Starts new episodes."""
+        with _death_told():
+            super().reset(*args, **kwargs)
+
+    def start_anew(self, seed: int, flights: int) -> None:
+        """Starts new episodes from a seed, another one in each process, unless some fly: these go on. All count."""
+        if not self.running:
+            self.set_seed(seed)
+            self.reset()
+
+    def wind_down(self) -> bool:
+        """Nothing need end: open flights go on through a checkpoint."""
+        return True
+
+    def shutdown(self, *args: Any, **kwargs: Any) -> None:
+        """Ends the worker, and what TorchRL would end when it is collected: too late where Python itself is ending."""
+        super().shutdown(*args, **kwargs)
+        self._end_schemes()
+
+    def _end_schemes(self) -> None:
+        for scheme in (getattr(self, "_weight_sync_schemes", None) or {}).values():
+            scheme.shutdown()
+
+    def state_dict(self) -> OrderedDict[str, Any]:
+        """How many frames and batches have come from the worker; open flights are not kept."""
+        return OrderedDict(frames=self._frames, iter=self._iter)
+
+    def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self._frames, self._iter = state_dict["frames"], state_dict["iter"]
+
+
+@contextmanager
+def _death_told() -> Iterator[None]:
+    """Turns what TorchRL raises when the worker does not answer into a sentence."""
+    try:
+        yield
+    except (RuntimeError, OSError, EOFError) as error:
+        raise FlyingEnded(str(error).strip() or type(error).__name__) from error
+
+
+def _kill(processes: Sequence[BaseProcess]) -> None:
+    """Ends what nobody has shut down. Python's own ending would wait for it: it asks by SIGTERM, which is held back."""
+    for process in processes:
+        if process.is_alive():
+            process.kill()
+            process.join()

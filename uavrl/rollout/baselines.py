@@ -1,0 +1,142 @@
+"""Policies that learn nothing: yardsticks for a task's difficulty."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from uavrl.errors import UavrlError
+from uavrl.rollout.costs import Costs
+from uavrl.transforms.functional import Statistic
+from uavrl.transforms.range_image import grid_directions
+from uavrl.transforms.reductions import REDUCTIONS, Reduction
+from uavrl.transforms.state import ACTION_LIMIT
+
+
+class StraightPolicy:
+    """Turns to the goal and flies straight at it, blind to obstacles.
+
+    It turns on the spot until the goal lies within ``cone`` of the head, then flies at full speed,
+    and holds the flight level. How often it arrives tells how cluttered a valley is.
+
+    Args:
+        flight_level: altitude to hold, m.
+        cone: half-angle within which it flies, rad.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> state = TensorDict({"heading_deg": torch.tensor([[0.0], [90.0]]), "altitude": torch.full((2, 1), 3.5)}, [2])
+        >>> StraightPolicy()(state)["action"].tolist()
+        [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]]
+    """
+
+    def __init__(self, flight_level: float = 3.5, cone: float = 0.15) -> None:
+        self.flight_level = flight_level
+        self.cone = cone
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action`` from ``heading_deg`` and ``altitude``."""
+        heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
+        forward = ACTION_LIMIT * (heading.abs() < self.cone).float()
+        climb = (self.flight_level - tensordict["altitude"]).clamp(-ACTION_LIMIT, ACTION_LIMIT)
+        turn = (3 * heading).clamp(-ACTION_LIMIT, ACTION_LIMIT)
+        return tensordict.set("action", torch.cat([forward, torch.zeros_like(forward), climb, turn], -1))
+
+
+# Chosen in valleys 200 to 209: the first by studies/tune_vfh.py, but for its level, 0.121 there, with which climbing
+# 0.96 m/s cost more on the way to the goal than it saved; the last as the best of a dozen tried by hand. The second is
+# a first guess. Each makes the rule return to the flight level: level * 0.96 > (goal + turn) * 0.12 at 0.5 rad.
+COSTS: dict[tuple[Reduction, Statistic], Costs] = {
+    ("truncated_icosahedron", "face"): Costs(
+        obstacle=19.6, goal=2.67, level=0.45, turn=0.388, width=4.44, nearness=2.17, caution=0.773
+    ),
+    ("truncated_icosahedron", "proximity"): Costs(
+        obstacle=3.0, goal=1.0, level=0.3, turn=0.2, width=6.0, nearness=2.0, caution=0.7
+    ),
+    ("range_image", "proximity"): Costs(
+        obstacle=1.0, goal=1.0, level=0.3, turn=0.2, width=6.0, nearness=2.0, caution=0.9
+    ),
+}
+
+
+class VectorFieldHistogram:
+    """Flies where the reduced scan is emptiest on the way to the goal: sees what a policy sees, and learns nothing.
+
+    Each of some directions around the UAV costs what stands near it, how far it leads away from the goal and from the
+    flight level, and how far the UAV would have to turn. The cheapest is flown, the slower the more stands there. It
+    has no memory, so it cannot leave a dead end on purpose.
+
+    Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
+    instead of a grid.
+
+    Args:
+        flight_level: altitude to hold where nothing is in the way, within 1 m, m.
+        radius: of the reduction in m.
+        reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
+        statistic: what a cell tells, likewise; None for the reduction's default.
+        costs: None for those that were chosen for this reduction and statistic.
+
+    Raises:
+        UavrlError: when there are no costs for these.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> faces = torch.zeros(1, 32)
+        >>> state = TensorDict(
+        ...     {"faces": faces, "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}, [1]
+        ... )
+        >>> VectorFieldHistogram()(state)["action"].tolist()
+        [[2.0, 0.0, 0.0, 0.0]]
+    """
+
+    in_keys = ("faces", "altitude", "heading_deg")
+
+    def __init__(
+        self,
+        flight_level: float = 3.5,
+        radius: float = 4.0,
+        reduction: Reduction = "truncated_icosahedron",
+        statistic: Statistic | None = None,
+        costs: Costs | None = None,
+    ) -> None:
+        statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
+        if costs is None and (reduction, statistic) not in COSTS:
+            seen = " or ".join(" with ".join(pair) for pair in COSTS)
+            raise UavrlError(
+                f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
+                "perception.statistic so, or give a guide its guide.costs."
+            )
+        self.flight_level, self.radius = flight_level, radius
+        self.costs = COSTS[reduction, statistic] if costs is None else costs
+        self.directions = grid_directions(24, (-0.5, 0.0, 0.5))
+        cosines = self.directions @ REDUCTIONS[reduction].directions().T
+        self._seen_in = cosines.clamp_min(0) ** self.costs.width  # [D, cells]: how much of each counts in a direction
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``."""
+        cost, speed = self.rated(tensordict)
+        best = cost.argmin(-1, keepdim=True)
+        return tensordict.set("action", self.flown(best, speed.gather(-1, best)))
+
+    def rated(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """What each direction costs, and how fast it would be flown in m/s: ``[N, D]`` each."""
+        costs, heading = self.costs, torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
+        x, y, z = self.directions.T
+        in_the_way = (tensordict["faces"] / self.radius) ** costs.nearness @ self._seen_in.T
+        off_level = (tensordict["altitude"] + ACTION_LIMIT * z - self.flight_level).abs()
+        cost = (
+            costs.obstacle * in_the_way
+            + costs.goal * (1 - x * heading.cos() - y * heading.sin())
+            + costs.level * off_level
+            + costs.turn * (1 - x)
+        )
+        return cost, ACTION_LIMIT * (1 - costs.caution * in_the_way.clamp(0, 1))
+
+    def flown(self, best: Tensor, speed: Tensor) -> Tensor:
+        """The action ``[N, 4]`` that flies in the directions ``best [N, 1]`` at ``speed [N, 1]``, turning to them."""
+        way = self.directions[best[:, 0]]
+        turn = (3 * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-ACTION_LIMIT, ACTION_LIMIT)
+        return torch.cat([speed * way, turn], -1)
+
+
+BASELINES = {"straight": StraightPolicy, "vfh": VectorFieldHistogram}
+"""By the name that chooses them on the command line."""

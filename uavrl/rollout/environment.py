@@ -1,0 +1,118 @@
+"""The environment of a configuration, and what a network reads and writes there."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from torchrl.data import Bounded
+from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
+
+from uavrl.configs.build import build
+from uavrl.configs.offered import OFFERED
+from uavrl.errors import UavrlError
+from uavrl.transforms import PointCloudReduction
+
+
+@dataclass(frozen=True)
+class NetworkSizes:
+    """Widths of state and action.
+
+    Attributes:
+        state: numbers in the policy's state.
+        frames: observations in a state.
+        actions: numbers in an action.
+        limit: the largest action; the smallest is its negative.
+    """
+
+    state: int
+    frames: int
+    actions: int
+    limit: float
+
+    def action_spec(self, device: torch.device | str) -> Bounded:
+        """The bounds of one action."""
+        return Bounded(-self.limit, self.limit, (self.actions,), device=device)
+
+
+def network_sizes(env: EnvBase) -> NetworkSizes:
+    """The sizes of an environment with its transforms."""
+    spec = env.action_spec_unbatched
+    limit = float(spec.high.max()) if isinstance(spec, Bounded) else 0.0
+    if not isinstance(spec, Bounded) or not bool((spec.high == limit).all() and (spec.low == -limit).all()):
+        raise UavrlError(f"Expected actions in [-a, a], got {spec}: scale them by a transform.")
+    stacks = [t.N for t in inner_transforms(getattr(env, "transform", None)) if isinstance(t, CatFrames)]
+    width = int(env.observation_spec["observation"].shape[-1])
+    return NetworkSizes(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit)
+
+
+def inner_transforms(transform: Transform | None) -> list[Transform]:
+    """The transforms of a composition, in their order."""
+    if isinstance(transform, Compose):
+        return [inner for outer in transform.transforms for inner in inner_transforms(outer)]
+    return [] if transform is None else [transform]
+
+
+def make_env(
+    env: DictConfig,
+    perception: DictConfig,
+    reward: DictConfig | None = None,
+    *,
+    packages: Iterable[str] = (),
+    num_uavs: int | None = None,
+    keep_cloud: bool = False,
+    kind: type[TransformedEnv] = TransformedEnv,
+    **offered: Any,
+) -> TransformedEnv:
+    """The environment with everything between what it emits and what the policy and the learner read."""
+    several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of those that a run flies
+    own = {str(key): value for part in (perception, env) for key, value in part.items()}
+    own = {key: value for key, value in own.items() if key in env or key not in OFFERED["env"]} | several
+    base = build(own, EnvBase, packages=packages, key="env", **offered)
+    if base is None:
+        raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
+    made = kind(base, Compose())
+    state = build(perception, Transform, packages=packages)
+    for part in state.modules() if keep_cloud and state is not None else ():
+        if isinstance(part, PointCloudReduction):
+            part.del_keys = False
+    paid = None if reward is None else build(reward, Transform, packages=packages)
+    for transform, part in ((state, "perception"), (paid, "reward")):
+        if transform is not None:
+            require_keys(made, [(inner.in_keys, inner.out_keys) for inner in inner_transforms(transform)], part)
+            made.append_transform(transform)
+    require_keys(made, [(["observation"], [])], "policy")
+    return made
+
+
+def require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:
+    """Refuses what reads more than an environment emits, each step also what the steps before it have written."""
+    specs = (env.observation_spec, env.full_reward_spec, env.full_done_spec, env.full_action_spec)
+    emitted = {key for spec in specs for key in spec.keys(True, True)}
+    for read, written in steps:
+        for key in read:
+            if key not in emitted:
+                raise UavrlError(
+                    f"The {reader} reads {key!r}, which {type(env.base_env).__name__} does not emit: choose an env, a "
+                    f"perception and a reward that go together."
+                )
+        emitted.update(written)
+
+
+def make_device(name: str) -> torch.device:
+    """Turns ``auto``, ``cpu`` or ``cuda[:i]`` into a device that exists."""
+    if name == "auto":
+        return torch.device("cuda:0" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise UavrlError(f"device must be auto, cpu, cuda or cuda:<index>, got {name!r}.") from error
+    if device.type not in ("cpu", "cuda"):
+        raise UavrlError(f"device must be auto, cpu, cuda or cuda:<index>, got {name!r}.")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise UavrlError(
+            f"device={name} was asked for and this machine has {torch.cuda.device_count()} CUDA devices: "
+            f"use device=cpu."
+        )
+    return device

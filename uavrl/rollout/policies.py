@@ -1,0 +1,217 @@
+"""What evaluation and replay share: whose policy flies, in which environment, and what its results are called."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+import uavrl
+from uavrl.configs import TrainConfig, settings_of_run
+from uavrl.configs.checks import did_you_mean
+from uavrl.configs.evaluate import FlyingConfig
+from uavrl.configs.offered import OFFERED, TARGET
+from uavrl.configs.signature import signature
+from uavrl.errors import UavrlError
+from uavrl.runs.weights import POLICY
+
+if TYPE_CHECKING:
+    import torch
+    from tensordict import TensorDictBase
+    from torchrl.envs import EnvBase
+
+PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
+
+# Keys of an evaluation that do not tell which tasks were flown by what.
+PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "products", "progress")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What flies, and where.
+
+    Attributes:
+        policy: reads an environment's output, writes ``action``.
+        env: the environment's configuration.
+        perception: what makes of its output what the policy reads.
+        reward: what pays.
+        choices: the yaml file of each part.
+        source: what a result says about the policy.
+        run: the settings of the run that it comes from, with what the command line changed; None for a baseline.
+    """
+
+    policy: Callable[[TensorDictBase], TensorDictBase]
+    env: DictConfig
+    perception: DictConfig
+    reward: DictConfig
+    choices: Mapping[str, str]
+    source: dict[str, Any]
+    run: TrainConfig | None = None
+
+
+def choose(
+    settings: FlyingConfig,
+    config: DictConfig,
+    overrides: list[str],
+    folder: Path | None,
+    device: torch.device,
+) -> Chosen:
+    """Loads what the command line asks for."""
+    from uavrl.rollout.saved import load_policy
+
+    if "env.num_uavs" in _keys(overrides):
+        instead = "write num_uavs=N" if hasattr(settings, "num_uavs") else "a replay flies one vehicle"
+        raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
+    if folder is None:
+        require_valley(settings.env, settings.choices, "policy")
+        told = {str(key): value for key, value in settings.perception.items()}
+        told["flight_level"] = settings.env.world.flight_level
+        policy = named_policy(str(settings.policy), told, settings.packages)
+        parts = (settings.env, settings.perception, settings.reward, settings.choices)
+        chosen = Chosen(policy, *parts, {"policy": settings.policy})
+    else:
+        run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
+        run = settings_of_run(with_overrides(run_config, config, overrides))
+        chosen = Chosen(policy, run.env, run.perception, run.reward, run.choices, source, run)
+    if settings.valleys is not None:
+        require_valley(chosen.env, chosen.choices, "valleys")
+        chosen.env.world.seeds = list(settings.valleys)
+    return chosen
+
+
+def require_fit(chosen: Chosen, env: EnvBase) -> None:
+    """Refuses a run's policy that reads or writes other numbers than an environment has, before anything is flown."""
+    import torch
+
+    if chosen.run is None:
+        return
+    try:
+        with torch.no_grad(), torch.random.fork_rng(devices=[]):
+            written = tuple(chosen.policy(env.fake_tensordict())["action"].shape)
+        wanted = tuple(env.full_action_spec["action"].shape)
+        reason = None if written == wanted else f"it writes actions of shape {written}, not {wanted}"
+    except (RuntimeError, KeyError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+    if reason is not None:
+        raise UavrlError(
+            f"The policy and env={chosen.choices.get('env')} do not go together ({reason}): leave env out, or choose "
+            f"another policy."
+        )
+
+
+def require_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:
+    """Refuses a key that another environment has no use for."""
+    if "world" not in env:
+        raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
+
+
+def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
+    """The run's configuration with what the command line says about environment and sensor.
+
+    ``env=NAME`` replaces the environment; ``env.key=value``, ``perception.lidar.key=value``, ``perception.blind=value``
+    and ``perception.blind_to=value`` change one value. The rest of perception makes the policy's input: it stays.
+    """
+    result = run_config.copy()
+    result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
+    keys = _keys(overrides)
+    if "env" in keys:
+        result.env = composed.env
+        result.choices.env = composed.choices.env
+        _require_env_of_policy(result)
+    for key in keys:
+        if key.startswith(("env.", "perception.lidar.")) or key in ("perception.blind", "perception.blind_to"):
+            OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
+        elif key.split(".")[0] in ("perception", "reward"):
+            raise UavrlError(f"{key} belongs to the run and cannot change when its policy flies: leave it out.")
+    return result
+
+
+def _keys(overrides: Iterable[str]) -> list[str]:
+    return [override.split("=", 1)[0] for override in overrides]
+
+
+def _require_env_of_policy(run: DictConfig) -> None:
+    """Refuses an environment that takes less than the policy's perception says."""
+    taken = {TARGET, *(name for part in (run.perception, run.env) for name in signature(str(part[TARGET])) or {})}
+    if not taken.issuperset(map(str, run.perception)):
+        raise UavrlError(
+            f"The policy and env={run.choices.env} do not go together: the policy reads what perception="
+            f"{run.choices.perception} makes of another environment. Leave env out, or choose another policy."
+        )
+
+
+def distinguishing(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
+    """The overrides of a command line whose keys are not plain: those by which its result differs from another one."""
+    return [override for override in overrides if override.split("=")[0] not in plain]
+
+
+def name_of_output(stem: str, overrides: Sequence[str]) -> str:
+    """A file name without suffix in which the overrides stand."""
+    told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
+    return "_".join([stem, *told])
+
+
+def packaged_policies() -> list[str]:
+    """The names of the policies that come with the package."""
+    return sorted(path.parent.name for path in PACKAGED.glob(f"*/{POLICY.json}"))
+
+
+def policy_folder(run: str | None, policy: str | None) -> Path | None:
+    """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline."""
+    if (run is None) == (policy is None):
+        raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
+    if run is not None:
+        return Path(run)
+    return PACKAGED / str(policy) if policy in packaged_policies() else None
+
+
+def named_policy(
+    name: str, told: Mapping[str, Any], packages: Sequence[str]
+) -> Callable[[TensorDictBase], TensorDictBase]:
+    """A policy that is no run: one that learns nothing, a model of Stable-Baselines3, or a class by its dotted name.
+
+    Args:
+        name: a baseline, a ``.zip``, or ``PACKAGE.MODULE.CLASS``.
+        told: ``flight_level``, and what perception says (``radius``, …): a baseline is given what its constructor
+            names, any other class the ``flight_level``.
+        packages: what the user trusts; ``stable_baselines3`` for a ``.zip``, since opening it can run programs.
+    """
+    from uavrl.rollout.baselines import BASELINES
+
+    target = f"{BASELINES[name].__module__}.{BASELINES[name].__name__}" if name in BASELINES else name
+    if name.endswith(".zip"):
+        from uavrl.rollout.sb3 import StableBaselinesPolicy
+
+        if "stable_baselines3" not in packages:
+            trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
+            raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
+        return StableBaselinesPolicy(name)
+    if "." in target:
+        from uavrl.configs.build import build
+
+        offered = {key: told[key] for key in OFFERED["policy"]}
+        seen = {key: value for key, value in told.items() if key not in offered} if name in BASELINES else {}
+        made = build({**seen, TARGET: target}, object, packages=packages, **offered)
+        if not callable(made):
+            raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
+        return made
+    names = [*BASELINES, *packaged_policies()]
+    own = "to fly your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
+    raise UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names, ': ', own)}")
+
+
+def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:
+    """The file that a policy of :func:`named_policy` comes from; None for a baseline, and where there is none."""
+    path = Path(name)
+    if path.suffix != ".zip":
+        if "." not in name:
+            return None
+        from uavrl.configs.build import resolve
+
+        path = Path(inspect.getsourcefile(resolve(name, object, packages)) or "")
+    return path if path.is_file() else None

@@ -1,0 +1,223 @@
+"""Flights kept step by step, with the valley they were flown in, and their file."""
+
+import json
+import zipfile
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uavrl.errors import UavrlError
+from uavrl.rollout.rollout import Flight
+from uavrl.runs.episodes import OUTCOMES
+from uavrl.runs.files import replacing
+
+FORMAT = "uavrl flights 3"
+MOST_BYTES = 2**32  # of a file, unpacked; some flights take a few million
+
+
+@dataclass(frozen=True)
+class RecordedFlight:
+    """One flight of T steps: T + 1 moments, the last after the last step. Positions are in the valley's own frame.
+
+    Args:
+        summary: Task, outcome, lengths and clearance, as an evaluation gives them.
+        whereabouts: Where it went, as :class:`uavrl.rollout.position_stats.Whereabouts` sums it up.
+        times: ``[T + 1]`` in s.
+        positions: ``[T + 1, 3]``, the airframe's centre in m.
+        attitudes: ``[T + 1, 4]``, quaternions (x, y, z, w) from body to world axes.
+        velocities: ``[T + 1, 3]`` in m/s, world axes.
+        goal: ``[3]``, the middle of the goal cylinder in m.
+        observations: ``[T + 1, W]``, what the policy reads.
+        actions: ``[T, 4]``: forward, left, up in m/s and yaw rate in rad/s.
+        rewards: ``[T, R]``, the terms whose sum is the reward.
+        reward_names: R names.
+        distances: ``[T + 1]``, to the goal in m.
+        clearances: ``[T + 1]``, from the hull to the nearest thing in m.
+        risks: ``[T]``, the probability of a collision that LifeGuard sees in each action; ``[0]`` without LifeGuard.
+        planes: ``[T + 1, K, 4]``: x, y, z in m and yaw in rad.
+        faces: ``[T + 1, cells]``, the reduction of the scan in m; 0 where a cell reports nothing.
+        points: ``[P, 3]`` in m in the sensor's frame: the points of all scans, one scan after the other.
+        point_ends: ``[T + 1]``, how many points there are up to and with each scan.
+    """
+
+    summary: Flight
+    whereabouts: dict[str, Any]
+    times: np.ndarray
+    positions: np.ndarray
+    attitudes: np.ndarray
+    velocities: np.ndarray
+    goal: np.ndarray
+    observations: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    reward_names: tuple[str, ...]
+    distances: np.ndarray
+    clearances: np.ndarray
+    risks: np.ndarray
+    planes: np.ndarray
+    faces: np.ndarray
+    points: np.ndarray
+    point_ends: np.ndarray
+
+    def cloud(self, moment: int) -> np.ndarray:
+        """Returns the points ``[M, 3]`` of one scan in m, in the sensor's frame."""
+        start = self.point_ends[moment - 1] if moment else 0
+        return self.points[start : self.point_ends[moment]]
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """What stands in one valley, in the valley's own frame, and the bodies that fly in it.
+
+    Args:
+        heights: ``[X, Y]``, the ground in m over a regular grid around the origin.
+        size: ``[2]``, extent along x and y in m.
+        vertices: ``[V, 3]``, corners of all obstacles in m.
+        triangles: ``[F, 3]``, their triangles.
+        kinds: ``[F]``, each triangle's kind of obstacle, an index into ``kind_names``.
+        kind_names: Names of the kinds.
+        plane_vertices: ``[A, 3]`` in m, a plane with its nose along x.
+        plane_triangles: ``[B, 3]``.
+        goal: ``[2]``, radius and height of the goal cylinder in m.
+        ball: Circumradius of the reduction in m.
+        directions: ``[cells, 3]``, unit vectors through its cells in body axes.
+        statistic: What a face reports: ``"face"``, ``"range"`` or ``"proximity"``.
+        sensor: ``[3]``, the LiDAR's centre in body axes in m.
+    """
+
+    heights: np.ndarray
+    size: np.ndarray
+    vertices: np.ndarray
+    triangles: np.ndarray
+    kinds: np.ndarray
+    kind_names: tuple[str, ...]
+    plane_vertices: np.ndarray
+    plane_triangles: np.ndarray
+    goal: np.ndarray
+    ball: float
+    directions: np.ndarray
+    statistic: str
+    sensor: np.ndarray
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Flights of one policy, kept step by step.
+
+    Args:
+        source: What flew, for a heading: run, checkpoint, seed of the tasks, environment.
+        flights: In the order of the tasks asked for.
+        sceneries: The valley of each seed that occurs in the flights.
+    """
+
+    source: dict[str, Any]
+    flights: tuple[RecordedFlight, ...]
+    sceneries: dict[int | None, Scenery]
+
+    def scenery(self, flight: RecordedFlight) -> Scenery:
+        """The valley of one of the flights."""
+        return self.sceneries[flight.summary.world_seed]
+
+
+def thinned(points: np.ndarray, most: int) -> np.ndarray:
+    """Returns at most ``most`` of the points ``[M, 3]``, spread over all of them, always the same ones.
+
+    Examples:
+        >>> thinned(np.arange(30.0).reshape(10, 3), 4).shape
+        (4, 3)
+    """
+    if len(points) <= most:
+        return points
+    return points[np.sort(np.random.default_rng(0).permutation(len(points))[:most])]
+
+
+def _arrays(item: RecordedFlight | Scenery, prefix: str) -> dict[str, np.ndarray]:
+    values = {field.name: getattr(item, field.name) for field in fields(item)}
+    return {f"{prefix}/{name}": value for name, value in values.items() if isinstance(value, np.ndarray)}
+
+
+def _plain(item: RecordedFlight | Scenery) -> dict[str, Any]:
+    values = {field.name: getattr(item, field.name) for field in fields(item)}
+    kept = {name: value for name, value in values.items() if not isinstance(value, np.ndarray)}
+    return {name: asdict(value) if isinstance(value, Flight) else value for name, value in kept.items()}
+
+
+def save_recording(recording: Recording, path: Path) -> None:
+    """Writes flights and valleys into one ``.npz`` file, which holds numbers and text alone, no pickles.
+
+    Raises:
+        OSError: when the file cannot be written.
+    """
+    items: dict[str, RecordedFlight | Scenery] = {f"flight{i}": flight for i, flight in enumerate(recording.flights)}
+    items |= {f"scenery{seed}": scenery for seed, scenery in recording.sceneries.items()}
+    about = {
+        "format": FORMAT,
+        "source": recording.source,
+        "flights": len(recording.flights),
+        "sceneries": list(recording.sceneries),
+        "items": {name: _plain(item) for name, item in items.items()},
+    }
+    arrays = {key: value for name, item in items.items() for key, value in _arrays(item, name).items()}
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
+
+
+def load_recording(path: Path) -> Recording:
+    """Reads what :func:`save_recording` wrote. Nothing is unpickled.
+
+    Raises:
+        UavrlError: when the file is missing, damaged or holds something else.
+    """
+    if not path.is_file():
+        raise UavrlError(f"Expected flights in {path} and found no such file: give one that data=FILE.npz wrote.")
+    try:
+        arrays = _read_arrays(path)
+        about = json.loads(str(arrays.pop("about")))
+        if about["format"] != FORMAT:
+            raise ValueError(f"its format is {about['format']!r}")
+        flights = tuple(_flight(arrays, about, f"flight{i}") for i in range(about["flights"]))
+        sceneries = {seed: _scenery(arrays, about, f"scenery{seed}") for seed in about["sceneries"]}
+        recording = Recording(about["source"], flights, sceneries)
+        for flight in flights:
+            if flight.faces.shape[1:] != recording.scenery(flight).directions.shape[:1]:
+                raise ValueError("its cells lie in other directions")
+        return recording
+    except (OSError, UavrlError):
+        raise
+    except Exception as error:
+        raise UavrlError(f"{path} holds no flights, or is damaged: write it again with data=FILE.npz.") from error
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > MOST_BYTES:
+        raise ValueError(f"it holds {size} bytes")
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:
+    return {key.partition("/")[2]: value for key, value in arrays.items() if key.startswith(f"{name}/")}
+
+
+def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> RecordedFlight:
+    plain = about["items"][name]
+    summary = Flight(**plain["summary"])
+    counts = (summary.task, summary.steps, summary.world_seed)
+    lengths = (summary.straight, summary.flown, summary.clearance)
+    numbers = all(isinstance(c, int) for c in counts) and all(isinstance(m, int | float) for m in lengths)
+    if summary.outcome not in OUTCOMES or not numbers or summary.episode_return is not None:
+        raise ValueError(f"its summary is {summary}")
+    told = {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
+    return RecordedFlight(**{**plain, **told}, **_of(arrays, name))
+
+
+def _scenery(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> Scenery:
+    plain = about["items"][name]
+    scenery = Scenery(**{**plain, "kind_names": tuple(plain["kind_names"])}, **_of(arrays, name))
+    if scenery.directions.ndim != 2 or scenery.directions.shape[1] != 3 or not np.isfinite(scenery.directions).all():
+        raise ValueError(f"its cells lie in {scenery.directions.shape} directions")
+    return scenery

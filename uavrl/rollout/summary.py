@@ -1,0 +1,105 @@
+"""What some flights come to, as numbers and as a table."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from uavrl.rollout.position_stats import whereabouts_lines
+from uavrl.rollout.rollout import Flight
+from uavrl.runs.episodes import LETTERS, RATES, wilson
+
+LABELS = {
+    "path_efficiency": "path efficiency (straight / flown, arrivals)",
+    "median_clearance": "minimum clearance, median over arrivals [m]",
+    "min_clearance": "minimum clearance, least of all arrivals [m]",
+    "mean_return": "return, mean",
+    "sd_return": "return, standard deviation",
+    "median_return": "return, median",
+    "steps_per_episode": "steps per episode",
+    "steps_per_arrival": "steps per arrival",
+}
+
+
+def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
+    """Rates with Wilson 95 % intervals, path efficiency and clearance, or returns, and steps.
+
+    Path efficiency is the mean over arrivals; the minimum clearance (hull to nearest thing) is given
+    as the median over arrivals and as the least of them. What has no value without arrivals is ``None``.
+    Flights in several valleys are also counted valley by valley, by its seed. ``outcomes`` has a letter for each
+    flight: S for success, C for a collision, T for a time-out.
+
+    Examples:
+        >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
+        >>> result = summarize(flights)
+        >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"], result["outcomes"]
+        (0.5, 0.9, 75.0, 'SC')
+        >>> walks = [Flight(0, "arrived", 900, episode_return=310.0), Flight(1, "collided", 100, episode_return=-90.0)]
+        >>> summarize(walks)["mean_return"]
+        110.0
+    """
+    if not flights:
+        raise ValueError("Expected at least one flight to summarise, got none.")
+    outcomes = [flight.outcome for flight in flights]
+    result: dict[str, Any] = {"episodes": len(flights)}
+    result |= {name: wilson(outcomes.count(ending), len(flights)) for name, ending in RATES.items()}
+    result["outcomes"] = "".join(LETTERS[ending] for ending in outcomes)
+    arrived = [flight for flight in flights if flight.outcome == "arrived"]
+    valleys = sorted({flight.world_seed for flight in flights if flight.world_seed is not None})
+    if len(valleys) > 1:
+        result["success_by_valley"] = {str(valley): _success_in(valley, flights) for valley in valleys}
+    returns = [flight.episode_return for flight in flights if flight.episode_return is not None]
+    if returns:
+        result["mean_return"] = float(np.mean(returns))
+        result["sd_return"] = float(np.std(returns))
+        result["median_return"] = float(np.median(returns))
+    else:
+        clearances = [flight.clearance for flight in arrived if flight.clearance is not None]
+        result["path_efficiency"] = float(np.mean([f.path_efficiency for f in arrived])) if arrived else None
+        result["median_clearance"] = float(np.median(clearances)) if arrived else None
+        result["min_clearance"] = min(clearances) if arrived else None
+    result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
+    result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
+    return result
+
+
+def _success_in(valley: int, flights: Sequence[Flight]) -> dict[str, float]:
+    there = [flight.outcome for flight in flights if flight.world_seed == valley]
+    return {"episodes": len(there), **wilson(there.count("arrived"), len(there))}
+
+
+def _valley_lines(valleys: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A line for each valley."""
+    return [
+        f"{f'success in valley {valley}':<46}{told['rate']:>8.1%}   {told['low']:.1%} – {told['high']:.1%}, "
+        f"{told['episodes']} flown"
+        for valley, told in valleys.items()
+    ]
+
+
+def number(value: float | None, form: str) -> str:
+    """A value as text, a dash where there is none."""
+    return "–" if value is None else format(value, form)
+
+
+def reached(result: Mapping[str, Any]) -> str:
+    """The share of solved tasks, in a sentence.
+
+    Examples:
+        >>> reached({"episodes": 500, "success": {"rate": 0.91, "low": 0.882, "high": 0.932}})
+        'Solved: 91.0 % of 500 fixed tasks (88.2-93.2 %).'
+    """
+    success = {name: f"{100 * share:.1f}" for name, share in result["success"].items()}
+    tasks = f"{result['episodes']} fixed tasks"
+    return f"Solved: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %)."
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """A summary as text for a person."""
+    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {result['episodes']} episodes"]
+    for name in RATES:
+        rate = result[name]
+        lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
+    lines += [f"{label:<46}{number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
+    lines += _valley_lines(result.get("success_by_valley", {}))
+    return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])

@@ -1,0 +1,91 @@
+"""One process trains in a run folder at a time: on this machine, or on another one that shares the folder."""
+
+import json
+import os
+import platform
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from threading import Event, Thread
+
+from filelock import FileLock, Timeout
+
+from uavrl.errors import FolderTaken, UavrlError
+from uavrl.runs.names import HOLDER, LOCK
+from uavrl.runs.trust import check_links
+
+BEAT = 15.0  # s between two signs of life
+GONE = 120.0  # s without one after which a holder on another machine is taken for dead
+
+
+@contextmanager
+def locked(run_dir: Path) -> Iterator[None]:
+    """Keeps every other process out of a run folder; within this process it can be nested.
+
+    The lock of the file system tells on one machine, and there it ends with the process. Not every shared folder hands
+    it on to other machines, so whoever holds it also gives a sign of life there every ``BEAT`` seconds.
+    """
+    check_links(run_dir, (LOCK, HOLDER))  # the first that are written: callers look at the rest of the folder later
+    lock = FileLock(run_dir / LOCK, blocking=False, is_singleton=True)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise _taken(run_dir) from None
+    except OSError as error:
+        raise UavrlError(
+            f"The folder {run_dir} cannot be written ({error.strerror}): choose another, or work on a copy."
+        ) from error
+    try:
+        if lock.lock_counter > 1:
+            yield
+            return
+        if _held_elsewhere(run_dir):
+            raise _taken(run_dir)
+        with _signs_of_life(run_dir / HOLDER):
+            yield
+    finally:
+        lock.release()
+
+
+def _taken(run_dir: Path) -> FolderTaken:
+    holder = _holder(run_dir)
+    who = f" (process {holder['pid']} on {holder['host']})" if {"pid", "host"} <= holder.keys() else ""
+    return FolderTaken(f"Another process{who} trains in {run_dir}: wait until it ends, or stop it.")
+
+
+def _holder(run_dir: Path) -> dict[str, object]:
+    try:
+        held = json.loads((run_dir / HOLDER).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return held if isinstance(held, dict) else {}
+
+
+def _held_elsewhere(run_dir: Path) -> bool:
+    """Whether another machine's process was alive lately; both times are the file system's, whose clock they share."""
+    if _holder(run_dir).get("host", platform.node()) == platform.node():
+        return False  # here the lock would have told
+    os.utime(run_dir / LOCK)
+    with suppress(OSError):
+        return (run_dir / LOCK).stat().st_mtime - (run_dir / HOLDER).stat().st_mtime < GONE
+    return False
+
+
+@contextmanager
+def _signs_of_life(holder: Path) -> Iterator[None]:
+    holder.write_text(json.dumps({"host": platform.node(), "pid": os.getpid()}), encoding="utf-8")
+    ended = Event()
+
+    def beat() -> None:
+        while not ended.wait(BEAT):
+            with suppress(OSError):
+                os.utime(holder)
+
+    thread = Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        holder.unlink(missing_ok=True)

@@ -1,0 +1,84 @@
+"""The replay buffer of a run, as the loop uses it."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+
+from uavrl.buffers import EpisodeBuffer
+from uavrl.runs.episodes import split_episodes
+from uavrl.transforms.guidance import GUIDE_ACTION
+
+# What is learned from, beside a guide's actions; everything else that the environment emits is for metrics.
+STORED_KEYS = (
+    "observation",
+    "action",
+    ("next", "observation"),
+    ("next", "reward"),
+    ("next", "done"),
+    ("next", "terminated"),
+    ("next", "arrived"),
+    ("next", "collided"),
+)
+BATCHES_AT_ONCE = 32  # drawn in one call, where every transition is as likely as the next
+
+
+class Experience:
+    """Stores whole episodes and gives the batches to learn from: after an episode of T steps T of them."""
+
+    def __init__(self, buffer: EpisodeBuffer, batch_size: int, updates_per_step: float = 1.0) -> None:
+        self.buffer = buffer
+        self.batch_size = batch_size
+        self.updates_per_step = updates_per_step
+        self.prioritized = hasattr(buffer.sampler, "alpha")
+        self._owed = 0.0
+
+    def admitted(self, episodes: TensorDictBase) -> TensorDictBase:
+        """What is stored of whole episodes ``[T]``: those that the buffer admits, with what is learned from."""
+        if self.buffer.admission is not None:
+            kept = [episode for episode in split_episodes(episodes) if self.buffer.admission.admits(episode)]
+            episodes = torch.cat(kept) if kept else episodes[:0]
+        return episodes.select(*STORED_KEYS).update(episodes.select(GUIDE_ACTION, strict=False))
+
+    def store(self, episodes: TensorDictBase) -> int:
+        """Writes whole episodes ``[T]`` and says how many updates follow; also after one that is left out."""
+        if len(episodes):
+            self.buffer.extend(episodes)
+            self._owed += len(episodes) * self.updates_per_step
+        elif len(self.buffer):
+            self._owed += self.buffer.updates_when_left_out
+        updates = int(self._owed)
+        self._owed -= updates
+        return updates
+
+    def batches(self, count: int) -> Iterator[TensorDictBase]:
+        """That many batches of random transitions; a prioritised buffer draws each when the one before is learned."""
+        at_once = 1 if self.prioritized else BATCHES_AT_ONCE
+        for done in range(0, count, at_once):
+            drawn = self.buffer.sample(min(at_once, count - done) * self.batch_size)
+            yield from [drawn] if self.prioritized else drawn.split(self.batch_size)
+
+    def draw(self, count: int) -> TensorDictBase:
+        """``count`` transitions, each as likely as the next whatever the sampler."""
+        return self.buffer[torch.randint(len(self.buffer), (count,))]
+
+    def update_priority(self, batch: TensorDictBase) -> None:
+        """Hands the new priorities to a prioritised sampler."""
+        if self.prioritized:
+            self.buffer.update_tensordict_priority(batch)
+
+    def diagnostics(self) -> dict[str, float]:
+        """What the buffer left out, where it leaves something out."""
+        return {} if self.buffer.admission is None else self.buffer.admission.diagnostics()
+
+    def state_dict(self) -> dict[str, Any]:
+        """The fraction of an update still owed, and what the admission counts."""
+        admission = self.buffer.admission
+        return {"owed": self._owed} | ({} if admission is None else {"admission": admission.state_dict()})
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self._owed = state_dict["owed"]
+        if self.buffer.admission is not None:
+            self.buffer.admission.load_state_dict(state_dict["admission"])

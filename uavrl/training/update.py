@@ -1,0 +1,134 @@
+"""One optimisation step of an actor–critic."""
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.trainers import OptimizationStepper, Trainer
+
+from uavrl.losses import ActorCriticLoss
+from uavrl.losses.enhancer import Sample
+from uavrl.ranges import Count, Positive, Share
+from uavrl.training.compiled import Execution, FusedSoftUpdate, Minimizer
+
+
+class ActorCriticStepper(OptimizationStepper):
+    """Critics and models every step; actor and target networks every ``policy_delay`` steps (Algorithm 3.1).
+
+    While ``actor_learns`` is false, actor and targets stay as they are.
+
+    Args:
+        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its enhancers say what else is trained.
+        actor_lr: Adam's step for the actor.
+        critic_lr: Adam's step for the critics.
+        temperature_lr: Adam's step for SAC's temperature.
+        policy_delay: critic steps for each step of actor and targets.
+        tau: share of the online networks in each target update (Eq. 2.9).
+        execution: how losses are run: ``"eager"``, ``"captured"`` or ``"compiled"``.
+    """
+
+    updates_replay_priority = True
+
+    def __init__(
+        self,
+        loss: ActorCriticLoss,
+        *,
+        actor_lr: Positive = 1e-4,
+        critic_lr: Positive = 1e-3,
+        temperature_lr: Positive = 3e-4,
+        policy_delay: Count = 2,
+        tau: Share = 0.005,
+        execution: Execution = "captured",
+    ) -> None:
+        super().__init__()
+        self.loss = loss
+        self.policy_delay = policy_delay
+        keys = (loss.unenhanced.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
+        in_keys = [*loss.in_keys, *keys]
+        critics, actor = (
+            [value for value in params.values(True, True) if isinstance(value, Tensor)]
+            for params in (loss.critic_network_params, loss.actor_network_params)
+        )
+        self.critic = Minimizer(self._value_loss, critics, critic_lr, execution, in_keys)
+        self.actor = Minimizer(loss.actor_loss, actor, actor_lr, execution, in_keys, self._active)
+        self.targets = FusedSoftUpdate(loss.unenhanced, tau=tau)
+        temperature = loss.unenhanced.alpha_params
+        self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
+        models = [model for enhancer in loss.enhancers for model in enhancer.models]
+        self.models = [
+            (Minimizer(model.loss, model.parameters, model.lr, execution), model.learned)
+            for model in models
+            if model.loss is not None
+        ]
+        self.fits = [
+            (model.fit, torch.optim.Adam(model.parameters, lr=model.lr, fused=True) if model.parameters else None)
+            for model in models
+            if model.fit is not None
+        ]
+        self.actor_learns = True
+        self.updates = 0
+        self._actor_loss = torch.zeros(())
+
+    def step(self, trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
+        """Updates on one batch, which gets the new priorities; returns detached losses and the batch's mean value."""
+        value = self.critic(sub_batch)
+        sub_batch.set(self.loss.unenhanced.tensor_keys.priority, value.metadata["priority"])
+        for model, learned in self.models:
+            learned(model(sub_batch).metadata)
+        self.updates += 1
+        if self.actor_learns and self.updates % self.policy_delay == 0:
+            actor = self.actor(sub_batch)
+            self._actor_loss = actor.loss
+            if self.temperature is not None:
+                self.temperature.zero_grad(set_to_none=True)
+                self.loss.unenhanced.alpha_loss(actor.metadata["log_prob"]).backward()
+                self.temperature.step()
+            self.targets.step()
+        return TensorDict({"loss_value": value.loss, "loss_actor": self._actor_loss, "value": value.metadata["value"]})
+
+    def _value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The critics' loss, with the mean value and the priority (Eq. 2.17: the absolute error) beside it."""
+        loss, metadata = self.loss.value_loss(batch)
+        squared_error = metadata["td_error"]
+        squared_error = squared_error.amax(0) if squared_error.ndim > 1 else squared_error
+        return loss, {"priority": squared_error.sqrt(), "value": metadata["pred_value"].mean()}
+
+    def _active(self) -> tuple[bool, ...]:
+        """Which terms the actor's loss has now: what its recording holds for."""
+        return tuple(enhancer.active for enhancer in self.loss.enhancers)
+
+    def observe(self, episodes: TensorDictBase, sample: Sample) -> None:
+        """Shows whole new episodes ``[T]`` to the enhancers, and trains the models that learn after each episode."""
+        self.loss.observe(episodes)
+        for fit, optimizer in self.fits:
+            fit(sample, len(episodes), optimizer)
+
+    def diagnostics(self) -> dict[str, float]:
+        """What the enhancers have to say of themselves."""
+        return self.loss.diagnostics()
+
+    def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        optimizers: dict[str, torch.optim.Optimizer | None] = {
+            "actor_optimizer": self.actor.optimizer,
+            "critic_optimizer": self.critic.optimizer,
+            "temperature_optimizer": self.temperature,
+            **{f"model_optimizer_{i}": model.optimizer for i, (model, _) in enumerate(self.models)},
+            **{f"fit_optimizer_{i}": optimizer for i, (_, optimizer) in enumerate(self.fits)},
+        }
+        return {name: optimizer for name, optimizer in optimizers.items() if optimizer is not None}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Optimisers and the update counter; the networks are the loss module's."""
+        return {
+            **{name: optimizer.state_dict() for name, optimizer in self._optimizers().items()},
+            "updates": self.updates,
+            "actor_loss": self._actor_loss,
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        for name, optimizer in self._optimizers().items():
+            optimizer.load_state_dict(state_dict[name])
+        self.updates = state_dict["updates"]
+        self._actor_loss = state_dict["actor_loss"].clone()

@@ -1,0 +1,124 @@
+"""One page that plays flights back in three dimensions and needs no network."""
+
+import base64
+import json
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uavrl.envs.terrain import HeightField
+from uavrl.errors import UavrlError
+from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
+from uavrl.runs.files import replacing
+from uavrl.viewer.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, shell, vehicle
+
+POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four characters of three bytes
+
+
+def needs_plotly() -> str:
+    """Returns plotly's JavaScript, which goes into the page."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise UavrlError("A replay page needs plotly, which is not installed: pip install 'uavrl[report]'.") from error
+    return get_plotlyjs()
+
+
+def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:
+    """An array as JSON: little-endian bytes in base64."""
+    values = np.asarray(values)
+    if scale is not None:
+        kind, stored = "i2", np.round(values / scale)
+    else:
+        kind, stored = ("i4", values) if np.issubdtype(values.dtype, np.integer) else ("f4", values)
+    data = base64.b64encode(np.ascontiguousarray(stored.astype(f"<{kind}")).tobytes()).decode()
+    return {"type": kind, "shape": list(values.shape), **({} if scale is None else {"scale": scale}), "data": data}
+
+
+def page_data(recording: Recording) -> dict[str, Any]:
+    """All that the page shows, as JSON."""
+    scans = sum(len(flight.times) for flight in recording.flights)
+    most = max(POINT_BYTES // (6 * max(scans, 1)), 20)
+    place = next(iter(recording.sceneries.values()), None)
+    shape = football(4.0) if place is None else shell(place.directions, place.ball)
+    parts = vehicle()
+    return {
+        "source": recording.source,
+        "colours": {**OUTCOMES, "body": BODY, "plane": PLANE, "goal": GOAL},
+        "vehicle": [
+            {"vertices": pack(part.mesh.vertices), "triangles": pack(part.mesh.faces), "colour": part.colour}
+            for part in parts
+        ],
+        "ball": {name: pack(value) for name, value in shape._asdict().items()},
+        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in recording.sceneries.items()},
+        "flights": [_flight(flight, most) for flight in recording.flights],
+    }
+
+
+def above_ground(scenery: Scenery) -> dict[str, np.ndarray]:
+    """Returns ``vertices``, ``triangles`` and ``kinds`` of what can be seen of the obstacles from inside the valley.
+
+    Triangles under the ground or beyond the valley's edge are left out; corners that stick through it are put on it.
+    """
+    size = (float(scenery.size[0]), float(scenery.size[1]))
+    inside = (np.abs(scenery.vertices[:, :2]) < scenery.size / 2).all(1)
+    xy = np.clip(scenery.vertices[:, :2], -scenery.size / 2, scenery.size / 2)
+    ground = HeightField(scenery.heights, size).at(xy)
+    shown = (inside & (scenery.vertices[:, 2] > ground))[scenery.triangles].any(1)
+    vertices = np.column_stack([xy, np.maximum(scenery.vertices[:, 2], ground)])
+    return {"vertices": vertices, "triangles": scenery.triangles[shown], "kinds": scenery.kinds[shown]}
+
+
+def _scenery(scenery: Scenery) -> dict[str, Any]:
+    values = {field.name: getattr(scenery, field.name) for field in fields(scenery)} | above_ground(scenery)
+    data = {name: pack(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}
+    return {**data, "kind_colours": [KINDS.get(kind, OTHER_KIND) for kind in scenery.kind_names]}
+
+
+def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
+    values = {field.name: getattr(flight, field.name) for field in fields(flight)}
+    data = {name: pack(value) for name, value in values.items() if isinstance(value, np.ndarray)}
+    clouds = [thinned(flight.cloud(moment), most) for moment in range(len(flight.times))]
+    points = np.concatenate(clouds)
+    farthest = float(np.abs(points).max(initial=1e-3))
+    summary = flight.summary
+    return {
+        **data,
+        "observations": None,  # the page shows what they are made of
+        "points": pack(points, scale=farthest / 32767),
+        "point_ends": pack(np.cumsum([len(cloud) for cloud in clouds])),
+        "reward_names": list(flight.reward_names),
+        "task": summary.task,
+        "world_seed": summary.world_seed,
+        "outcome": summary.outcome,
+        "steps": summary.steps,
+        "path_efficiency": summary.path_efficiency,
+        "clearance": summary.clearance,
+        "whereabouts": flight.whereabouts,
+    }
+
+
+def make_page(recording: Recording) -> str:
+    """The page, with its data, its programs and plotly's inside."""
+    data = json.dumps(page_data(recording), separators=(",", ":")).replace("<", "\\u003c")
+    assets = resources.files("uavrl.reporting") / "assets"
+    texts = {
+        name: (assets / name).read_text(encoding="utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")
+    }
+    # No fragment holds another one's mark, so the order of the replacements does not matter.
+    page = (assets / "flight.html").read_text(encoding="utf-8")
+    for mark, text in {**texts, "plotly.js": needs_plotly(), "data.json": data}.items():
+        before, found, after = page.partition(f"/*{mark}*/")
+        assert found, f"flight.html has no place for {mark}"
+        page = before + text + after
+    return page
+
+
+def write_page(recording: Recording, output: Path) -> None:
+    """Writes the page of some flights."""
+    text = make_page(recording)
+    with replacing(output) as partial:
+        partial.write_text(text, encoding="utf-8")
