@@ -15,7 +15,6 @@ from tests.helpers.configs import changed, composed
 from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner_name, to_dataclass
 from uavrl.configs.choices import known_keys
 from uavrl.configs.limits import MOST
-from uavrl.configs.memory import bytes_needed
 from uavrl.configs.parts import PARTS
 from uavrl.envs.world import LARGEST, WorldConfig
 from uavrl.errors import UavrlError
@@ -177,16 +176,15 @@ def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -
         settings(*overrides)
 
 
-def test_every_key_that_has_a_most_or_takes_memory_is_one() -> None:
+def test_every_key_that_has_a_most_is_one() -> None:
     known = {key for name in ("config", "evaluate", "pretrain", "replay") for key in known_keys(name)}
-    everything = settings("fork=on", "lifeguard=linear", "backward_reward=abr")
-    assert not {*MOST, *bytes_needed(everything)} - known
+    assert not {*MOST} - known
     assert not {*LARGEST} - {field.name for field in fields(WorldConfig)}
 
 
 OUT_OF_RANGE = """
     seed=-1
-    env.num_uavs=0 env.max_steps=0 env.goal_angle=yaw
+    env.num_uavs=0 env.max_steps=0
     env.world.seeds=[] env.world.seeds=[-1] env.world.size=[40.0,0.0] env.world.obstacles=-1
     env.world.obstacles=[] env.world.obstacles=[45,-1]
     env.world.obstacle_scale=0 env.world.flight_level=-1 env.world.ceiling=-8 env.world.goal_radius=0

@@ -43,7 +43,7 @@ GROUPS = {
     "reward": ["navigation", "navigation_prize", "traditional", "null"],
     "algo": ["td3", "ddpg", "sac", "ppo"],
     "buffer": ["uniform", "prioritized", "[uniform]"],
-    "backward_reward": ["none", "abr", "abr_plus", "ircr"],
+    "backward_reward": ["none", "abr", "abr_plus"],
     "scheme": ["tr", "abr", "abr_plus", "prize", "best"],
     "fork": ["none", "on", "off"],
     "lifeguard": ["none", "linear", "mlp", "tree"],

@@ -6,14 +6,10 @@ Algorithm 3.1 counts steps from 1: a_t is taken in s_t, earns r_t and leads to s
 Z - p_frames + 1 to Z with Z = k p_frames; the thesis prints k + p_frames, by which all windows would overlap.
 """
 
-from typing import Literal
-
 import torch
 from torch import Tensor
 
-from uavrl.buffers.history import RecentSums, TrajectoryHistory
-
-Scale = Literal["rank", "centred"]
+from uavrl.buffers.history import TrajectoryHistory
 
 
 def window_ends(steps: int, frames: int = 3) -> Tensor:
@@ -72,15 +68,14 @@ def window_sums(reward: Tensor, frames: int = 3) -> Tensor:
 def backward_reward(
     reward: Tensor,
     labels: Tensor,
-    history: TrajectoryHistory | RecentSums,
+    history: TrajectoryHistory,
     *,
     frames: int = 3,
     multiplier: float = 0.2,
 ) -> Tensor:
     """Relabels one episode that arrived: r += m p_addReward in each window (Eq. 3.5, Algorithm 3.1).
 
-    m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included. With
-    :class:`RecentSums` it is the place of the sum, not floored, among the last ones, from -1 to 1.
+    m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included.
     The windows enter the history one after the other, so that earlier ones of the same episode count.
 
     Args:
@@ -104,8 +99,6 @@ def backward_reward(
         ([1.0, 1.0, 1.0, 2.5, 2.5, 2.5, 5.0], [3, 6])
     """
     sums = window_sums(reward, frames)
-    if isinstance(history, TrajectoryHistory):
-        sums = sums.floor().long()
     check_labels(labels, len(sums))
     ranks = [history.insert_and_rank(label, r) for label, r in zip(labels.tolist(), sums.tolist(), strict=True)]
     places = torch.tensor(ranks, dtype=torch.float64)

@@ -1,7 +1,7 @@
 """How much would giving way to the planes bring? A policy that does not see them, and the same with a reflex that does.
 
-    python benchmarks/planes.py                          # the packaged static policy among three planes, 240 tasks
-    python benchmarks/planes.py --episodes 500 env.world.plane_speed=[2.5,2.5]
+    python studies/planes.py                          # the packaged static policy among three planes, 240 tasks
+    python studies/planes.py --episodes 500 env.world.plane_speed=[2.5,2.5]
 
 The reflex knows where each plane is and where it heads, as no policy does: once any part of one is nearer than the
 reduction's radius and comes on, it climbs or dives at full speed until it is out of the plane's height. What it gains
@@ -17,17 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import experiment, machine
 from tensordict import TensorDictBase
 
 from uavrl.cli.errors import one_sentence
+from uavrl.configs import compose, to_dataclass
 from uavrl.envs import NavigationEnv
+from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import policy_folder
 from uavrl.rollout.rollout import fly
 from uavrl.rollout.saved import load_policy
 from uavrl.runs.episodes import wilson
-from uavrl.transforms.state import ACTION_LIMIT
+from uavrl.runs.provenance import versions
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 ROOM = 0.5  # m between hull and plane, along z, that the reflex wants
@@ -71,11 +72,11 @@ def main() -> None:
     parser.add_argument("--policy", default="static")
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
-    config = experiment("env=dynamic", "perception.blind_to=planes", *overrides)
+    config = to_dataclass(compose("env=dynamic", "perception.blind_to=planes", *overrides))
     folder = policy_folder(None, args.policy)
     assert folder is not None, "a policy that learns nothing reads no observation"
     policy = load_policy(folder, None, "cpu")[1]
-    found: dict[str, Any] = {"machine": machine(), "overrides": overrides, "episodes": args.episodes}
+    found: dict[str, Any] = {"versions": versions(), "overrides": overrides, "episodes": args.episodes}
     for name in ("sees no plane", "with the reflex"):
         env = make_env(config.env, config.perception, config.reward, seed=20_000, num_uavs=16)
         base = env.base_env

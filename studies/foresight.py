@@ -1,7 +1,7 @@
 """How early do the 32 faces tell where a plane will pass?
 
-    python benchmarks/foresight.py                       # 6,000 steps of 16 vehicles among nine planes
-    python benchmarks/foresight.py perception.radius=8.0
+    python studies/foresight.py                       # 6,000 steps of 16 vehicles among nine planes
+    python studies/foresight.py perception.radius=8.0
 
 Small networks are taught to tell whether a plane that passes within reach will pass above or below, left or right,
 with three quarters of the steps, and are asked in the last one. Four inputs are compared, each now and at two steps
@@ -20,12 +20,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from common import experiment, machine
 from passes import TIMES, moments
 from torch import nn
 
 from uavrl.cli.errors import one_sentence
+from uavrl.configs import compose, to_dataclass
 from uavrl.rollout.baselines import VectorFieldHistogram
+from uavrl.runs.provenance import versions
 
 TAUGHT = 0.75  # share of the steps, from the first on
 QUESTIONS = {"above or below": (2, 0.2), "left or right": (1, 0.3)}  # the axis, and m beside the middle that count
@@ -60,7 +61,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
     torch.set_num_threads(1)
-    config = experiment("env=dynamic", "env.world.planes=9", *overrides)
+    config = to_dataclass(compose("env=dynamic", "env.world.planes=9", *overrides))
     vfh = VectorFieldHistogram(radius=config.perception.radius)
     steps, flown = [], 0
     for number, now in enumerate(moments(config, vfh, args.steps)):
@@ -92,7 +93,7 @@ def main() -> None:
             print(f"{question:16}{name:33}{shares}", flush=True)
     if args.json:
         args.json.write_text(
-            json.dumps({"machine": machine(), "overrides": overrides, "right": found}, indent=1), encoding="utf-8"
+            json.dumps({"versions": versions(), "overrides": overrides, "right": found}, indent=1), encoding="utf-8"
         )
 
 

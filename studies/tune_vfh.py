@@ -1,6 +1,6 @@
 """Chooses the costs of `policy=vfh` in training valleys: which are best there, and nothing else, is asked.
 
-    python benchmarks/tune_vfh.py [perception.key=value …] [--settings 32] [--tasks 64] [--json FILE]
+    python studies/tune_vfh.py [perception.key=value …] [--settings 32] [--tasks 64] [--json FILE]
 
 Settings are drawn at random; the present ones take part, too. All fly the same tasks in valleys 200 to
 209, which no evaluation uses, half of them with the default's obstacles and half with twice as many. The better quarter
@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import experiment, machine
 
 from uavrl.cli.errors import one_sentence
+from uavrl.configs import compose, to_dataclass
 from uavrl.rollout.baselines import COSTS, VectorFieldHistogram
 from uavrl.rollout.costs import Costs
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.rollout import fly
 from uavrl.runs.episodes import wilson
+from uavrl.runs.provenance import versions
 
 VALLEYS = list(range(200, 210))
 OBSTACLES = (45, 90)
@@ -68,7 +69,9 @@ def main() -> None:
     args = parser.parse_args()
     environments = []
     for obstacles in OBSTACLES:
-        config = experiment(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}", *args.overrides)
+        config = to_dataclass(
+            compose(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}", *args.overrides)
+        )
         environments.append(make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES))
     flown = (config.perception.flight_level, config.perception.radius)
     seen = (config.perception.reduction, config.perception.statistic)
@@ -88,8 +91,14 @@ def main() -> None:
             break
         left, tasks = [setting for _, setting in found[: max(1, len(left) // 4)]], 4 * tasks
     if args.json:
-        told = {"machine": machine(), "perception": seen, "valleys": VALLEYS, "obstacles": OBSTACLES, "rounds": rounds}
-        args.json.write_text(json.dumps(told, indent=1), encoding="utf-8")
+        told = {
+            "versions": versions(),
+            "perception": seen,
+            "valleys": VALLEYS,
+            "obstacles": OBSTACLES,
+            "rounds": rounds,
+        }
+        args.json.write_text(json.dumps({**told, "rounds": rounds}, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
 """Which way LifeGuard pushes an action, with a linear and with an MLP classifier, where the truth is known.
 
-    python examples/lifeguard_gradients.py
+    python studies/lifeguard_gradients.py [--output PNG]
 
 The world: an obstacle is to the left or to the right (the observation, in [-1, 1]), and an action (sideways, forward)
 collides with a probability that rises as it heads for the obstacle and flies forward. Both classifiers see the same
 samples through LifeGuard. Arrows go where the actor is pushed: down the gradient of the penalty in the action.
 """
 
+import argparse
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -17,6 +18,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule as Mod
 from torch.nn.functional import normalize
 
+from uavrl.cli.errors import one_sentence
 from uavrl.losses import DDPGLoss, LifeGuard
 from uavrl.models import Actor, Critic
 
@@ -51,6 +53,9 @@ def push(loss: LifeGuard, side: torch.Tensor, action: torch.Tensor) -> torch.Ten
 
 def main() -> None:
     """Trains both, prints how well their directions fit the truth, and draws them."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--output", type=Path, default=Path("docs/img/lifeguard_gradients.png"))
+    args = parser.parse_args()
     figure, axes = plt.subplots(2, 3, figsize=(10.5, 7), sharex=True, sharey=True)
     line = torch.linspace(-0.9, 0.9, 9)
     grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
@@ -83,10 +88,10 @@ def main() -> None:
     figure.supylabel("action: forward")
     figure.suptitle("Where LifeGuard pushes the action (arrows), over the true risk of collision (colour)")
     figure.tight_layout()
-    path = Path(__file__).parents[1] / "docs" / "img" / "lifeguard_gradients.png"
-    figure.savefig(path, dpi=110)
-    print(f"wrote {path.name}")
+    figure.savefig(args.output, dpi=110)
+    print(f"wrote {args.output}")
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

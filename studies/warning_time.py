@@ -1,6 +1,6 @@
 """How long before a collision does LifeGuard's classifier warn?
 
-    python benchmarks/warning_time.py [--flights 900] [--json FILE] [--figure FILE]
+    python studies/warning_time.py [--flights 900] [--json FILE] [--figure FILE]
 
 The packaged static policy flies with exploration noise through a valley with half as many obstacles again, where many
 flights collide. Each form of the classifier learns from two flights in three, one after the other, as it does in a
@@ -19,16 +19,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import experiment, machine
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
 from uavrl.cli.errors import one_sentence
+from uavrl.configs import compose, to_dataclass
 from uavrl.losses import LifeGuard, TD3Loss
 from uavrl.models import Critic
 from uavrl.rollout.environment import make_env, network_sizes
 from uavrl.rollout.policies import policy_folder
 from uavrl.rollout.saved import load_actor
+from uavrl.runs.provenance import versions
 from uavrl.training.build import make_collector
 
 FORMS: dict[str, dict[str, Any]] = {"linear (the thesis)": {"model": "linear"}, "mlp": {"model": "mlp"}}
@@ -40,7 +41,7 @@ FLAGS = ("done", "arrived", "collided")
 
 def fly(count: int, seed: int) -> tuple[list[TensorDictBase], TensorDictModule, Any]:
     """The first flights that begin, in the order in which they end, and who flew."""
-    config = experiment("env.world.obstacles=68", "algo.random_steps=0")
+    config = to_dataclass(compose("env.world.obstacles=68", "algo.random_steps=0"))
     env = make_env(config.env, config.perception, config.reward, seed=seed)
     folder = policy_folder(None, "static")
     assert folder is not None
@@ -132,7 +133,7 @@ def main() -> None:
         told[name], first[name] = warnings(learned(FORMS[name], taught, actor, spec), asked)
         print(f"{name:<24}" + "".join(f"{share:>6.0%}" for share in told[name]) + f"{first[name]:>12.0f}", flush=True)
     if args.json:
-        found = {"flights": args.flights, "asked": ends, "shares": told, "warns_from": first, "machine": machine()}
+        found = {"flights": args.flights, "asked": ends, "shares": told, "warns_from": first, "versions": versions()}
         args.json.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     if args.figure:
         draw(told, args.figure)

@@ -1,7 +1,7 @@
 """How often runs arrive in training in their dense valleys, while the guide flies and after it.
 
-    python benchmarks/dense_flights.py docs/data/guided/near.csv.gz --plot docs/img/near.png
-    python benchmarks/dense_flights.py FILE.csv --add "my way s0=RUN_FOLDER"
+    python studies/dense_flights.py docs/data/guided/near.csv.gz --plot docs/img/near.png
+    python studies/dense_flights.py FILE.csv --add "my way s0=RUN_FOLDER"
 
 For runs that fly in dense and in other valleys in turn, as preset=best does: of its sixteen the odd ones are dense.
 FILE.csv, or FILE.csv.gz, has a line for each flight: run, total_steps, outcome, world_seed. `--add` puts runs into it.
@@ -16,8 +16,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from common import named_folder, opened
 from matplotlib.figure import Figure
+from run_statistics import named_folder, opened
 
 from uavrl.cli.errors import one_sentence
 from uavrl.reporting.learning_curves import moving_mean

@@ -1,6 +1,6 @@
 """Which method is better: seeds of several methods side by side, as rliable does it.
 
-    python benchmarks/methods.py FILE.json [--add METHOD=RUN_FOLDER ...] [--baseline METHOD] [--flights 1500] ...
+    python studies/methods.py FILE.json [--add METHOD=RUN_FOLDER ...] [--baseline METHOD] [--flights 1500] ...
 
 `--add` puts runs into FILE.json: each run's settings that differ from the default's, its commit, and how each flight
 ended after how many steps. The tables are made from that file alone, so that whoever has it can make them again.
@@ -18,13 +18,12 @@ import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
-from common import named_folder, opened
 from matplotlib.figure import Figure
 from omegaconf import OmegaConf
-from scipy.stats import trim_mean
+from run_statistics import FEWEST, Flights, cut, difference, iqm, named_folder, opened
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.cli.errors import one_sentence
@@ -38,30 +37,6 @@ from uavrl.runs.episodes import OUTCOMES, read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT
 
 LETTERS = {outcome: outcome[0] for outcome in OUTCOMES}
-RESAMPLES = 10_000
-FEWEST = 5  # seeds, for an interval
-
-
-class Flights(NamedTuple):
-    """The flights of one run up to a horizon: steps of each, and how it ended."""
-
-    steps: np.ndarray
-    ends: np.ndarray
-
-    def share(self, end: str, last: int | None = None) -> float:
-        """Of flights that ended so, in %; of the ``last`` ones or of all."""
-        return 100 * float((self.ends[-last if last else None :] == end).mean())
-
-    def until(self, success: float, window: int) -> float:
-        """Thousand steps until so many of the last ``window`` flights arrived; infinite where it never happened."""
-        rates = moving_mean(self.ends == "a", window)[window - 1 :]
-        reached = np.flatnonzero(rates >= success - 1e-9)
-        return float(self.steps.cumsum()[reached[0] + window - 1]) / 1000 if len(reached) else float("inf")
-
-    def steps_per_arrival(self, last: int) -> float:
-        """Mean length of the arriving ones among the last flights."""
-        arrived = self.steps[-last:][self.ends[-last:] == "a"]
-        return float(arrived.mean()) if len(arrived) else float("nan")
 
 
 def measures(window: int, success: float) -> dict[str, Callable[[Flights], float]]:
@@ -74,11 +49,6 @@ def measures(window: int, success: float) -> dict[str, Callable[[Flights], float
         "timed out, last": lambda run: run.share("t", window),
         "steps an arrival": lambda run: run.steps_per_arrival(window),
     }
-
-
-def iqm(values: np.ndarray) -> np.ndarray:
-    """The interquartile mean over the last axis; the median where one of them is infinite."""
-    return trim_mean(values, 0.25, axis=-1) if np.isfinite(values).all() else np.median(values, axis=-1)
 
 
 def read(run: Path) -> dict[str, Any]:
@@ -108,25 +78,6 @@ def _flat(config: Any) -> dict[str, Any]:
     return {
         key: value for key, value in values.items() if not below(key, ("trainer.checkpoint_interval", *HOW_IT_RUNS))
     }
-
-
-def cut(run: dict[str, Any], flights: int | None, steps: int | None) -> Flights:
-    """A run up to the horizon."""
-    length, ends = np.array(run["steps"]), np.array(list(run["ends"]))
-    most = len(ends) if steps is None else int(np.searchsorted(length.cumsum(), steps, side="right"))
-    enough = length.sum() >= (steps or 0) and len(ends) >= (flights or 0)
-    if not enough:
-        raise UavrlError(f"Seed {run['seed']} flew {len(ends):,} flights or {length.sum():,} steps: too few for that.")
-    most = min(most, flights or most)
-    return Flights(length[:most], ends[:most])
-
-
-def difference(method: np.ndarray, baseline: np.ndarray) -> tuple[float, float, float]:
-    """Of the interquartile means, with its 95 % interval over resampled seeds."""
-    rng = np.random.default_rng(0)
-    means = [iqm(rng.choice(values, (RESAMPLES, len(values)))) for values in (method, baseline)]
-    low, high = np.quantile(means[0] - means[1], [0.025, 0.975])
-    return float(iqm(method) - iqm(baseline)), float(low), float(high)
 
 
 def told(runs: dict[str, list[Flights]], args: argparse.Namespace) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """How many tasks end otherwise in a second evaluation of the same policy: on another processor, by another library?
 
-    python benchmarks/outcomes.py uavrl/policies/static/evaluation.json here.json
-    python benchmarks/outcomes.py a/suite.json:dense b/suite.json:dense
+    python studies/outcomes.py uavrl/policies/static/evaluation.json here.json
+    python studies/outcomes.py a/suite.json:dense b/suite.json:dense
 
 Prints the success of both and how many outcomes differ. A policy's last digits hang on the processor, and its episodes
 amplify them: outcomes change while the rate stays what it is. p is McNemar's, exact: how often chance alone makes lost

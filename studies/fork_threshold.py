@@ -1,6 +1,6 @@
 """Measures on a finished run what FORK's threshold and max_reward should be.
 
-python examples/fork_threshold.py RUN_FOLDER
+python studies/fork_threshold.py RUN_FOLDER
 
 Trains FORK's two networks on the run's replay buffer, which grows as it did in the run, and prints their losses beside
 the loss of predicting that nothing changes. A threshold above that loss lets the actor look ahead with a model that
@@ -20,6 +20,7 @@ from tensordict import TensorDictBase
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from uavrl.buffers import FrameStorage
+from uavrl.cli.errors import one_sentence
 from uavrl.models import RewardNet, SystemNet
 from uavrl.runs.checkpoint import latest_checkpoint
 from uavrl.runs.episodes import read_episodes
@@ -74,4 +75,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -1,6 +1,6 @@
 """Whether one policy arrives more often than another: the difference of their rates, with its 95 % interval.
 
-    python benchmarks/differences.py FILE.json:WORLD ... --less FILE.json:WORLD ...
+    python studies/differences.py FILE.json:WORLD ... --less FILE.json:WORLD ...
 
 Each FILE is one that `uavrl-evaluate suite=... output=FILE` writes, or several such put together under their names.
 The tasks of all that is named on a side count as one sample: the rates differ by Newcombe (1998), method 10.
@@ -15,7 +15,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from methods import FEWEST, difference
+from run_statistics import FEWEST, difference
 
 from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError

@@ -1,6 +1,6 @@
 """What knowing of the planes is worth: the rule vfh, told where they are and how they fly.
 
-    python benchmarks/told_of_planes.py --tasks 96 [--valleys 300] [--json FILE]
+    python studies/told_of_planes.py --tasks 96 [--valleys 300] [--json FILE] [OVERRIDES]
 
 In ten valleys of the default's density, with three planes each; the rule's numbers were chosen in those from 200 on.
 The rule on 72 cells has no memory, so to it a plane is an obstacle that stands. Told, it also keeps out of the planes'
@@ -106,10 +106,10 @@ def main() -> None:
     parser.add_argument("--tasks", type=int, default=96)
     parser.add_argument("--valleys", type=int, default=200, help="the first of ten")
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
-    args = parser.parse_args()
+    args, overrides = parser.parse_known_args()
     torch.set_num_threads(1)
     valleys = f"env.world.seeds={list(range(args.valleys, args.valleys + 10))}".replace(" ", "")
-    chosen = ["env=dynamic", "env.num_uavs=16", valleys, "perception.reduction=range_image"]
+    chosen = ["env=dynamic", "env.num_uavs=16", valleys, "perception.reduction=range_image", *overrides]
     settings = to_dataclass(compose(*chosen))
     result: dict[str, dict[str, float]] = {}
     print("| told of planes | arrived | collided | timed out | more than told of none |\n|---|---|---|---|---|")

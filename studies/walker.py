@@ -1,8 +1,10 @@
 """How fast a training of the bipedal walker goes, and where its time goes.
 
-Run `python benchmarks/walker.py [--steps N] [--json FILE] [OVERRIDES]`, e.g. `trainer.execution=captured`. It is
-`uavrl-train env=bipedal_hardcore learner=td3_lg_walker` through its real trainer, with 300 random steps. Episodes in
-them and the first one after them, and with that compilation, are left out.
+    PYTHONPATH=benchmarks python studies/walker.py [--steps N] [--json FILE] [OVERRIDES]
+
+It is `uavrl-train env=bipedal_hardcore learner=td3_lg_walker` through its real trainer, with 300 random steps; an
+override is e.g. `trainer.execution=captured`. Episodes in the random steps and the first one after them, and with that
+compilation, are left out.
 """
 
 from __future__ import annotations

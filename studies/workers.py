@@ -1,6 +1,8 @@
 """How training gets faster with processes that fly beside the learner: measured here, and a model of more of them.
 
-Run `python benchmarks/workers.py [--json FILE]` on a quiet machine; it needs Ray (`uavrl[ray]`) and about 15 minutes.
+    PYTHONPATH=benchmarks python studies/workers.py [--json FILE]
+
+On a quiet machine; it needs Ray (`uavrl[ray]`) and about 15 minutes.
 Each row is `uavrl-train` in the static valley, 8 UAVs a process, for `--steps` steps after `--warm-up` of them, in
 which updates are compiled and the random steps flown; the clock is the one that runs log.
 

@@ -1,4 +1,4 @@
-"""What the backward rewards are compared with: the same data path without classes."""
+"""A rule of others that the backward rewards were compared with: the same data path without classes."""
 
 import torch
 from torch import Tensor
@@ -19,9 +19,9 @@ class IRCR(BackwardReward):
     Examples:
         >>> ircr = IRCR()
         >>> arrived = done = torch.tensor([False, True, False, True])
-        >>> ircr._relabel(torch.zeros(4, 1), torch.tensor([1.0, 2.0, 0.0, 1.0]), arrived, done).tolist()
+        >>> ircr.relabel(torch.zeros(4, 1), torch.tensor([1.0, 2.0, 0.0, 1.0]), arrived, done).tolist()
         [1.0, 2.0, 0.0, 1.0]
-        >>> ircr._relabel(torch.zeros(4, 1), torch.tensor([1.0, 2.0, 1.0, 1.0]), arrived, done).tolist()
+        >>> ircr.relabel(torch.zeros(4, 1), torch.tensor([1.0, 2.0, 1.0, 1.0]), arrived, done).tolist()
         [2.0, 3.0, 1.5, 1.5]
     """
 
@@ -31,7 +31,8 @@ class IRCR(BackwardReward):
 
     returns: Tensor  # the lowest and the highest so far
 
-    def _relabel(self, states: Tensor, reward: Tensor, arrived: Tensor, done: Tensor) -> Tensor:
+    def relabel(self, states: Tensor, reward: Tensor, arrived: Tensor, done: Tensor) -> Tensor:
+        """New rewards ``[T]`` of whole episodes."""
         new = reward.clone()
         for start, end in episode_bounds(done):
             total = reward[start:end].double().sum()

@@ -1,6 +1,6 @@
 """How often a run's policy asks for the most that a vehicle can do, in the states that the run has flown.
 
-python examples/saturation.py RUN_FOLDER
+python studies/saturation.py RUN_FOLDER
 
 A policy that does so nearly always no longer looks at what it is given: tanh has no slope there to learn by.
 """
@@ -13,6 +13,7 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
+from uavrl.cli.errors import one_sentence
 from uavrl.pretraining import read_states
 from uavrl.rollout.saved import load_policy
 
@@ -36,4 +37,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -1,7 +1,7 @@
 """Draws the learning curves of runs and prints when they pass a success rate.
 
-python examples/learning_curves.py runs/a runs/b --output curves.png
-python examples/learning_curves.py runs/walker --window 100 --reference docs/data/bipedal/reference.json
+python studies/learning_curves.py runs/a runs/b --output curves.png
+python studies/learning_curves.py runs/walker --window 100 --reference docs/data/bipedal/reference.json
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
+from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import moving_mean, moving_rates, steps_to
 from uavrl.runs.episodes import OUTCOMES, Episode, read_episodes
@@ -103,4 +104,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()
