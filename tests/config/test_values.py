@@ -20,7 +20,6 @@ from uavrl.errors import UavrlError
     [
         (["buffer.mirror=true", "perception.angles=raw"], r"buffer\.mirror must be false, but with uavrl"),
         (["buffer.mirror=true", "perception.angles=turns"], r"buffer\.mirror must be false, but with uavrl"),
-        (["buffer.mirror=true", "env=bipedal_hardcore"], r"buffer\.mirror must be false, but with uavrl"),
         (["fork=on", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
         (["lifeguard=mlp", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
         (["trainer.until_success=80"], r"trainer\.until_success must be in \(0, 1\], got 80"),
@@ -34,7 +33,7 @@ def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -
 
 OUT_OF_RANGE = """
     seed=-1
-    env.num_uavs=0 env.max_steps=0 env.goal_angle=yaw
+    env.num_uavs=0 env.max_steps=0
     env.world.seeds=[] env.world.seeds=[-1] env.world.size=[40.0,0.0] env.world.obstacles=-1
     env.world.obstacles=[] env.world.obstacles=[45,-1]
     env.world.obstacle_scale=0 env.world.flight_level=-1 env.world.ceiling=-8 env.world.goal_radius=0
@@ -59,7 +58,7 @@ OUT_OF_RANGE = """
 """
 OUT_OF_RANGE_OF_CHOICES = {
     "fork=on lifeguard=linear": """
-        fork.variant=walker fork.system_network.hidden=[] fork.reward_network.hidden=[0] fork.model_lr=0
+        fork.system_network.hidden=[] fork.reward_network.hidden=[0] fork.model_lr=0
         fork.threshold=0 fork.max_reward=-1 fork.base_weight=-0.6 fork.return_window=0 lifeguard.model=tree
         lifeguard.penalty=none lifeguard.penalty_weight=-10 lifeguard.success_window=0 lifeguard.capacity=0
         lifeguard.batch_size=7 lifeguard.min_evaluations=-1 lifeguard.evaluation_window=0
@@ -70,10 +69,6 @@ OUT_OF_RANGE_OF_CHOICES = {
         backward_reward.seed=-1
     """,
     "backward_reward=abr_plus": "backward_reward.multiplier=-0.2",
-    "env=bipedal_hardcore buffer=failure_biased": """
-        env.max_steps=0 reward.scale=0 buffer.capacity=0 buffer.probability=1.5 buffer.falls_per_success=-1
-        buffer.updates_when_left_out=-1
-    """,
     "algo=sac": "algo.temperature_lr=-1 algo.gamma=-1",
     "perception.lidar.max_range=4": "perception.radius=0",
     "buffer=prioritized": "buffer.alpha=1.5 buffer.beta=-0.1",

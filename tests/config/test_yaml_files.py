@@ -17,7 +17,6 @@ from uavrl.errors import UavrlError
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
 CHOICES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experiment", "learner", "preset")]
-WALKERS = {("perception", "none"), ("reward", "walker"), ("buffer", "failure_biased")}  # they go with the walker
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
 
@@ -34,17 +33,15 @@ def part(group: str, *overrides: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("group", "name"), CHOICES)
 def test_every_choice_composes_for_training_and_says_so(group: str, name: str) -> None:
-    walker = ["env=bipedal_hardcore"] if (group, name) in WALKERS else []
-    config = settings(f"{group}={name}", *walker)
+    config = settings(f"{group}={name}")
     assert config.choices[group] == name
     assert group not in PARTS or (getattr(config, group)._target_ is None) == (name == "none")
 
 
-@pytest.mark.parametrize("name", ["static", "dynamic", "bipedal_hardcore"])
+@pytest.mark.parametrize("name", ["static", "dynamic"])
 def test_every_environment_composes_for_evaluation(name: str) -> None:
     config = validate(composed("evaluate", f"env={name}"), EvaluateConfig)
     assert config.choices["env"] == name
-    assert (config.perception._target_ is None) == (name == "bipedal_hardcore")
 
 
 @pytest.mark.parametrize("algo", ["td3", "ddpg", "sac"])
@@ -80,33 +77,6 @@ def test_every_key_has_a_comment(path: Path) -> None:
 # ---------------------------------------------------------------------- what is told of another choice
 
 
-def test_the_walker_brings_its_observation_and_its_reward() -> None:
-    def names(*overrides: str) -> list[str]:
-        chosen = settings(*overrides).choices
-        return [chosen[group] for group in ("perception", "reward", "buffer")]
-
-    assert names("env=bipedal_hardcore") == ["none", "walker", "uniform"]
-    assert names("env=bipedal_hardcore", "learner=td3_walker") == ["none", "walker", "failure_biased"]
-    assert names("env=dynamic") == ["truncated_icosahedron", "navigation_prize", "uniform"]
-
-
-def changes(group: str, overrides: list[str], others: list[str]) -> dict[str, Any]:
-    """The values of a part that are not those of another command line."""
-    one, other = part(group, *overrides), part(group, *others)
-    return {key: value for key, value in one.items() if value != other[key]}
-
-
-def test_the_walkers_td3_has_the_numbers_of_the_published_code() -> None:
-    assert changes("algo", ["learner=td3_walker"], []) == {"actor_lr": 1e-3}
-    widths = {"hidden": [256, 256]}
-    fork = changes("algo", ["learner=td3_fork_walker"], [])
-    assert fork.pop("actor")["hidden"] == fork.pop("critic")["hidden"] == [256, 256]
-    assert fork == {"tau": 0.02, "actor_lr": 3e-4, "critic_lr": 3e-4, **widths}
-    assert changes("fork", ["learner=td3_fork_walker"], ["fork=on"]) == {
-        "variant": "bipedal", "threshold": 0.02, "max_reward": 300.0, "base_weight": 1.0, "reward_network": None,
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("overrides", "name"),
     [
@@ -114,7 +84,6 @@ def test_the_walkers_td3_has_the_numbers_of_the_published_code() -> None:
         (["learner=td3_lg"], "td3_lg"),
         (["fork=on", "lifeguard=mlp"], "td3_fork_lg_mlp"),
         (["algo=ddpg", "fork=on", "backward_reward=abr"], "ddpg_fork_abr"),
-        (["fork=walker"], "td3_fork_walker"),
     ],
 )
 def test_run_folders_are_named_for_what_learns(overrides: list[str], name: str) -> None:

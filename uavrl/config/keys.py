@@ -41,10 +41,11 @@ def choices_with(key: str, own: Sequence[Path] = ()) -> list[str]:
     return sorted(filter(has, files))
 
 
-def check_choices(choices: Mapping[str, str | None]) -> None:
-    """Refuses choices that a scheme or a learner contradicts."""
+def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -> None:
+    """Refuses choices that a scheme or a learner contradicts, one of the user's folders too."""
     for row in ROWS:
-        for entry in _content(conf_dir() / row / f"{choices.get(row)}.yaml").get("defaults", []):
+        contents = (_content(folder / row / f"{choices.get(row)}.yaml") for folder in (conf_dir(), *own))
+        for entry in next(filter(None, contents), {}).get("defaults", []):
             for override, chosen in entry.items() if isinstance(entry, dict) else []:
                 group = str(override).removeprefix("override /")
                 if choices.get(group) != chosen:

@@ -1,6 +1,5 @@
 """From what Hydra composed, or a run has written, to validated settings."""
 
-import logging
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any, TypeVar, cast, get_type_hints, overload
@@ -9,22 +8,14 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.config.build import TARGET
-from uavrl.config.context import CONTEXT, context_of
 from uavrl.config.parts import PARTS, validated_parts
+from uavrl.config.recorded import renewed
 from uavrl.config.sentences import require_known
 from uavrl.config.settings import TrainConfig
 from uavrl.config.values import to_plain, validated
 from uavrl.errors import UavrlError
 
 T = TypeVar("T")
-log = logging.getLogger(__name__)
-# Where a class lies today that a recorded configuration names by its former place.
-MOVED = {
-    "uavrl.flying.baselines.VectorFieldHistogram": "uavrl.rollout.baselines.VectorFieldHistogram",
-    "uavrl.training.async_collector.AsyncCollector": "uavrl.collectors.async_.AsyncCollector",
-    "uavrl.training.ray_collector.RayCollector": "uavrl.collectors.ray.RayCollector",
-    "uavrl.training.sync_collector.SyncCollector": "uavrl.collectors.sync.SyncCollector",
-}
 
 
 @overload
@@ -61,26 +52,7 @@ def resolve(config: DictConfig) -> DictConfig:
 
 def validate_run(config: DictConfig) -> TrainConfig:
     """The settings that a run has recorded, perhaps by an older uavrl."""
-    recorded = config.copy()
-    for key in recorded:
-        _renew(recorded, str(key), str(key))
-    if OmegaConf.select(recorded, "trainer.products") == "bf16":  # there is none any longer
-        recorded.trainer.products = "mkl"
-    return validate(recorded)
-
-
-def _renew(above: DictConfig, name: str, key: str) -> None:
-    """Names the class of a part as it is called today, and leaves out what was recorded there and never used."""
-    part = above._get_node(name)
-    if not isinstance(part, DictConfig) or TARGET not in part:
-        return
-    part[TARGET] = MOVED.get(part[TARGET], part[TARGET])
-    for inner in map(str, list(part)):
-        if inner in context_of(key) and key.partition(".")[0] in CONTEXT:
-            log.warning("%s.%s in the run's configuration was never used: it is left out.", key, inner)
-            del part[inner]
-        else:
-            _renew(part, inner, f"{key}.{inner}")
+    return validate(renewed(config))
 
 
 def _plain_values(config: DictConfig) -> dict[str, Any]:
