@@ -18,9 +18,9 @@ from tests.helpers.commands import TINY, in_process
 from tests.helpers.configs import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
+from uavrl.cli.memory import require_memory
 from uavrl.collectors.stall_notice import Silence
 from uavrl.config import validate
-from uavrl.config.memory import require_memory
 from uavrl.envs.gym_env import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe

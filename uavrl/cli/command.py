@@ -17,10 +17,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.cli.help import show
+from uavrl.cli.keys import check_choices, choices_with, known_keys
 from uavrl.cli.process import command_process
 from uavrl.command_line import override
 from uavrl.config import conf_dir
-from uavrl.config.keys import check_choices, choices_with, known_keys
 from uavrl.config.parts import PARTS, names_taken
 from uavrl.config.sentences import did_you_mean
 from uavrl.config.yaml_files import compose, register_run_name, with_choices

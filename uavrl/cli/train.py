@@ -15,9 +15,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.cli.command import command
 from uavrl.cli.errors import one_sentence, sentence
+from uavrl.cli.memory import require_memory
 from uavrl.command_line import command_line
 from uavrl.config import TrainConfig, resolve, validate, validate_run
-from uavrl.config.memory import require_memory
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.files import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
