@@ -124,4 +124,4 @@ def _expected(error: ErrorDetails, types: list[Any], complaints: int) -> str:
         known = {name: value for part in annotated.__metadata__ for name, value in bounds(part).items()}
         if context and context.items() <= known.items():
             return words(**known)
-    return _EXPECTED.get(kind) or error["msg"]
+    return _EXPECTED.get(kind) or error["msg"].removeprefix("Input should be ")

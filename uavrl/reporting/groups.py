@@ -17,7 +17,12 @@ _NAMES = {
     "fork": {"on": "FORK"},
     "lifeguard": {"linear": "LG", "mlp": "LG (MLP)"},
     "backward_reward": {"abr": "ABR", "abr_plus": "ABR⁺"},
-    "reward": {"traditional": "TR", "navigation": "Eq. 3.6", "navigation_prize": "prize"},
+    "reward": {
+        "traditional": "TR",
+        "navigation": "Eq. 3.6",
+        "navigation_printed": "Eq. 3.6 as printed",
+        "navigation_prize": "prize",
+    },
 }
 
 
