@@ -247,6 +247,6 @@ def make_collector(
     }
     if found.flies_elsewhere:
         kwargs["num_threads"] = settings.trainer.threads
-    own = options(settings.collector)
+    own = options(settings.collector, settings.packages)
     refuse_context("collector", own, CONTEXT["collector"])
     return found(env, **kwargs, **own)
