@@ -22,10 +22,10 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
-from uavrl.training.factory import make_env
 
 from uavrl.configs import TrainConfig, compose, settings_of_run
 from uavrl.configs.build import build
+from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import Policy, rollout
 from uavrl.rollout.saved import load_policy
