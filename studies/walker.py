@@ -34,6 +34,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
 
     configure_logging()
     from uavrl.envs.bipedal import BipedalEnv
+
     from uavrl.training import run
     from uavrl.training.trainer import EpisodeTrainer
     from uavrl.training.update import ActorCriticStepper

@@ -49,10 +49,9 @@ def pairs() -> Iterator[tuple[str, str]]:
     """A choice, and a key that it could be given on the command line, for each name that a run hands to its classes."""
     for group, choice in CHOICES:
         content = yaml.safe_load((conf_dir() / group / f"{choice}.yaml").read_text())
-        walker = ["env=bipedal_hardcore"] if choice == "failure_biased" else []
         for key, target in parts_of(content.get(group, content), group):  # one without a class has that of another
             for name in sorted(set(offered_to(key)) & set(signature(target) or {})):
-                yield " ".join([f"{group}={choice}", *walker]), f"{key}.{name}"
+                yield f"{group}={choice}", f"{key}.{name}"
 
 
 @pytest.mark.parametrize(("choices", "key"), pairs())
@@ -72,7 +71,6 @@ def test_no_name_that_the_run_hands_over_can_be_written(choices: str, key: str) 
         ("lifeguard=linear +lifeguard.stacked=1", "lifeguard.stacked"),
         ("backward_reward=abr +backward_reward.stacked=1", "backward_reward.stacked"),
         ("+buffer.frames=1", "buffer.frames"),
-        ("env=bipedal_hardcore buffer=failure_biased +buffer.seed=3", "buffer.seed"),
         ("+algo.actor.limit=1", "algo.actor.limit"),
         ("+algo.action_spec=1", "algo.action_spec"),
         ("+env.seed=7", "env.seed"),

@@ -142,32 +142,6 @@ def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int)
     return returns, steps
 
 
-def is_admitted(
-    episode_return: float,
-    fell: bool,
-    falls: int,
-    coin: float,
-    *,
-    success_return: float = 250.0,
-    probability: float = 0.5,
-) -> bool:
-    """Whether an episode is stored (Wei & Ying (2020), their code for the hard-core walker).
-
-    Args:
-        episode_return: as the environment gave it.
-        fell: whether the episode ended by a fall.
-        falls: the fall counter, with this episode's.
-        coin: a number drawn uniformly from [0, 1).
-        success_return: return from which an episode without a fall is a success.
-        probability: of a success to be stored while the counter is positive.
-
-    Examples:
-        >>> [is_admitted(300.0, False, falls, coin) for falls, coin in ((0, 0.1), (3, 0.1), (3, 0.9))]
-        [False, True, False]
-    """
-    return fell or episode_return < success_return or (falls > 0 and coin < probability)
-
-
 def check_labels(labels: Tensor, count: int) -> None:
     """Refuses labels that are not ``count`` integers.
 

@@ -1,5 +1,7 @@
 """Gymnasium's hard-core bipedal walker, with the signals that a training reads."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import gymnasium
@@ -13,7 +15,6 @@ from torchrl.envs import GymWrapper
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count
 
-OBSERVATIONS, ACTIONS, ACTION_LIMIT = 24, 4, 1.0
 FALL_REWARD = -100.0  # what Gymnasium gives for the step that falls, and for no other
 
 
@@ -22,9 +23,8 @@ class BipedalEnv(GymWrapper):
 
     The observation is Gymnasium's: 14 numbers of the body and 10 rays of a LiDAR. An episode ends by a fall
     (``collided``: the hull touches the ground, or the walker leaves the course at its start), at the end of the course
-    (``arrived``), or after ``max_steps`` (``truncated``, from which a learner bootstraps).
-
-    Beside the signals it emits ``episode_reward``, the return so far as Gymnasium gives it.
+    (``arrived``), or after ``max_steps`` (``truncated``, from which a learner bootstraps). ``episode_reward`` is the
+    return so far as Gymnasium gives it.
 
     Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, as in the valley: each episode gets a
     physics world of its own, since an episode in a Box2D world that was used before differs in its last digits.
@@ -36,12 +36,6 @@ class BipedalEnv(GymWrapper):
 
     Raises:
         UavrlError: where Box2D is not installed.
-
-    Examples:
-        >>> env = BipedalEnv(max_steps=50)
-        >>> walk = env.rollout(50)
-        >>> walk["observation"].shape[-1], bool(walk["next", "arrived"].any())
-        (24, False)
     """
 
     _env: gymnasium.Env
@@ -88,5 +82,5 @@ def _make(max_steps: int) -> gymnasium.Env:
         return gymnasium.make("BipedalWalkerHardcore-v3", max_episode_steps=max_steps, disable_env_checker=True)
     except DependencyNotInstalled as error:
         raise UavrlError(
-            "env=bipedal_hardcore needs Box2D, which is not installed: pip install 'uavrl[bipedal]'."
+            "env=bipedal_hardcore needs Box2D, which is not installed: pip install 'gymnasium[box2d]'."
         ) from error
