@@ -13,22 +13,19 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
-from tests.helpers.configs import changed, composed
+from tests.helpers.configs import composed
 from tests.helpers.runs import small_config
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
-from uavrl.config import conf_dir, validate, validate_run
+from uavrl.config import conf_dir, validate
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT, context_of
 from uavrl.config.parts import PARTS
-from uavrl.config.recorded import GONE, renewed
 from uavrl.errors import UavrlError
 from uavrl.rollout import actor as actor_module
 from uavrl.rollout import environment
 from uavrl.rollout.environment import NetworkSizes
-from uavrl.rollout.policies import PACKAGED, packaged_policies
-from uavrl.runs.config import load_config
 from uavrl.training import build as build_module
 from uavrl.training import loggers
 
@@ -59,28 +56,6 @@ def test_no_name_that_the_run_hands_over_can_be_written(choices: str, key: str) 
     OmegaConf.update(config, key, 1, force_add=True)
     with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
         validate(config)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "key"),
-    [
-        ("fork=on +fork.gamma=0.5", "fork.gamma"),
-        ("fork=on +fork.observations=35", "fork.observations"),
-        ("fork=on +fork.system_network.actions=2", "fork.system_network.actions"),
-        ("lifeguard=linear +lifeguard.stacked=1", "lifeguard.stacked"),
-        ("backward_reward=abr +backward_reward.stacked=1", "backward_reward.stacked"),
-        ("+buffer.frames=1", "buffer.frames"),
-        ("+algo.actor.limit=1", "algo.actor.limit"),
-        ("+algo.action_spec=1", "algo.action_spec"),
-        ("+env.seed=7", "env.seed"),
-        ("guide=vfh enhancer=imitation +enhancer.limit=1", "enhancer.limit"),
-        ("+collector.total_frames=5", "collector.total_frames"),
-        ("+logger.log_dir=there", "logger.log_dir"),
-    ],
-)
-def test_what_the_run_sets_itself_is_refused(overrides: str, key: str) -> None:
-    with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
-        validate(composed("config", *overrides.split()))
 
 
 def test_it_is_refused_before_a_folder_is_made(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -125,61 +100,6 @@ def test_how_many_are_evaluated_at_a_time_is_said_in_one_place(
     for whose in ("policy=straight", "policy=static"):
         sentence = refused(main, whose, "env.num_uavs=4")
         assert sentence == f"uavrl: env.num_uavs is set by the command itself: leave it out, {told}."
-
-
-# ---------------------------------------------------------------------- what has been written before
-
-
-def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogCaptureFixture) -> None:
-    config = changed(["fork=on"])
-    before = validate(config)
-    OmegaConf.set_struct(config, False)
-    config.fork.gamma, config.fork.system_network.actions, config.buffer.frames = 0.5, 9, 1
-    assert validate_run(config) == before
-    assert config.fork.gamma == 0.5, "what it was trained with is recognised by all that was recorded"
-    assert "fork.gamma in the run's configuration was never used: it is left out." in caplog.text
-
-
-def test_the_policy_of_a_run_with_products_of_before_still_loads() -> None:
-    config = changed(["fork=on"])
-    config.trainer.products = "bf16"
-    assert validate_run(config).trainer.products == "mkl"
-
-
-@pytest.mark.parametrize("name", packaged_policies())
-def test_packaged_policies_are_read_without_a_word(name: str, caplog: pytest.LogCaptureFixture) -> None:
-    config = load_config(PACKAGED / name / "config.yaml")
-    before = config.copy()
-    assert validate_run(config) == validate(renewed(config))
-    assert config == before and not caplog.records
-
-
-def recorded_before() -> DictConfig:
-    """With every key that there is no longer."""
-    config = changed(["backward_reward=abr", "reward=traditional"])
-    OmegaConf.set_struct(config, False)
-    for key, value in GONE.items():
-        OmegaConf.update(config, key, 1000 if value is None else value, force_add=True)
-    return config
-
-
-def test_a_run_with_keys_of_before_still_loads_where_they_say_what_is_done_today() -> None:
-    assert validate_run(recorded_before()) == validate(changed(["backward_reward=abr", "reward=traditional"]))
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("env.goal_angle", "course"), ("reward.time_cost", 0.25), ("backward_reward.scale", "centred")]
-)
-def test_and_is_refused_where_they_say_something_else(key: str, value: object) -> None:
-    config = recorded_before()
-    OmegaConf.update(config, key, value)
-    with pytest.raises(UavrlError, match=f"^The run was flown with {re.escape(key)}={value}, which there no longer is"):
-        validate_run(config)
-
-
-def test_a_key_of_somebody_elses_part_stays() -> None:
-    config = OmegaConf.create({"env": {TARGET: "own_parts.env.Corridor", "goal_angle": "course"}})
-    assert renewed(config) == config
 
 
 # ---------------------------------------------------------------------- one list, in the code and in the docs
