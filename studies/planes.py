@@ -23,10 +23,10 @@ from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
+from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import policy_folder
 from uavrl.rollout.rollout import fly
-from uavrl.rollout.saved import load_policy
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
 

@@ -23,8 +23,8 @@ from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cli.errors import one_sentence
 from uavrl.config import TrainConfig, compose, validate
+from uavrl.rollout.actor import load_policy
 from uavrl.rollout.policies import policy_folder
-from uavrl.rollout.saved import load_policy
 
 
 @torch.no_grad()

@@ -15,7 +15,7 @@ from tensordict import TensorDict
 
 from uavrl.cli.errors import one_sentence
 from uavrl.pretraining import read_states
-from uavrl.rollout.saved import load_policy
+from uavrl.rollout.actor import load_policy
 
 ACTIONS = ("forward", "sideways", "up", "turn")
 

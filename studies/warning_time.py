@@ -26,9 +26,9 @@ from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.losses import LifeGuard, TD3Loss
 from uavrl.models import Critic
+from uavrl.rollout.actor import load_actor
 from uavrl.rollout.environment import make_env, network_sizes
 from uavrl.rollout.policies import policy_folder
-from uavrl.rollout.saved import load_actor
 from uavrl.runs.provenance import versions
 from uavrl.training.build import make_collector
 

@@ -10,7 +10,7 @@ from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import small_config
 from uavrl.config.validation import validate
 from uavrl.losses.imitation import distance_to_guide
-from uavrl.rollout.saved import load_policy
+from uavrl.rollout.actor import load_policy
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_training_env
 from uavrl.training.run import create_run, train

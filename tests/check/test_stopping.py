@@ -12,9 +12,8 @@ import pytest
 from tests.helpers.commands import in_process
 from tests.helpers.runs import SMALL, assert_same_run, small_config
 from uavrl.cli import train as train_command
-from uavrl.runs.checkpoint import rotation
+from uavrl.runs.checkpoint import how_to_go_on, rotation
 from uavrl.runs.episodes import Episode, read_episodes
-from uavrl.runs.resume import how_to_go_on
 from uavrl.training.progress import Progress
 from uavrl.training.run import create_run, train
 

@@ -16,8 +16,7 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import main as main_command
 from uavrl.cli import train as train_command
 from uavrl.cli.command import explained
-from uavrl.cli.errors import one_sentence, sentence
-from uavrl.cli.process import SAFE_PATH, command_process
+from uavrl.cli.errors import SAFE_PATH, command_process, one_sentence, sentence
 from uavrl.cli.suite import machine_processors
 
 

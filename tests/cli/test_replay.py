@@ -18,8 +18,8 @@ from tests.helpers.finished import finished_run
 from tests.helpers.flights import unpack
 from tests.helpers.pages import Page
 from uavrl.cli import replay as command
+from uavrl.rollout.actor import load_policy
 from uavrl.rollout.recording import load_recording
-from uavrl.rollout.saved import load_policy
 
 WORLD = ["env.world.size=[26,20]", "env.world.obstacles=6"]
 SMALL = ["progress=false", "points=40"]

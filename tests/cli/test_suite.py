@@ -14,7 +14,7 @@ from tests.helpers.folders import evaluation
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
-from uavrl.rollout.suite import scenarios
+from uavrl.rollout.summary import scenarios
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
 

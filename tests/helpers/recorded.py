@@ -25,10 +25,10 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from uavrl.config import TrainConfig, compose, validate_run
 from uavrl.config.build import build
+from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import Policy, rollout
-from uavrl.rollout.saved import load_policy
 from uavrl.transforms.functional import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 

@@ -11,9 +11,8 @@ from omegaconf import OmegaConf
 from tests.helpers.damage import halve
 from tests.helpers.runs import assert_same_run, small_config
 from uavrl.errors import UavrlError
-from uavrl.runs.checkpoint import RandomState, rotation
+from uavrl.runs.checkpoint import RandomState, checkpoint_to_resume, rotation
 from uavrl.runs.config import read_config
-from uavrl.runs.resume import checkpoint_to_resume
 from uavrl.training.run import create_run, train
 from uavrl.training.trainer import EpisodeTrainer
 

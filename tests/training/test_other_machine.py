@@ -17,9 +17,8 @@ from tests.helpers.foreign import change_json, rewrite
 from tests.helpers.runs import SMALL, assert_same_run, small_config
 from uavrl.cli import train as train_command
 from uavrl.errors import UavrlError
-from uavrl.runs.checkpoint import rotation
+from uavrl.runs.checkpoint import checkpoint_to_resume, rotation
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, free_keys, read_config
-from uavrl.runs.resume import checkpoint_to_resume
 from uavrl.training import matmul as arithmetic
 from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sweep import run_folder

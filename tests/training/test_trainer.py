@@ -19,7 +19,7 @@ from uavrl.config import validate
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.losses import LifeGuard
-from uavrl.rollout.saved import load_actor
+from uavrl.rollout.actor import load_actor
 from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
 from uavrl.training.build import build_trainer
 from uavrl.training.run import create_run, seed_everything, train

@@ -15,10 +15,9 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from uavrl.cli.errors import configure_logging, one_sentence
+from uavrl.cli.errors import command_process, configure_logging, one_sentence
 from uavrl.cli.help import show
 from uavrl.cli.keys import check_choices, choices_with, known_keys
-from uavrl.cli.process import command_process
 from uavrl.command_line import override
 from uavrl.config import conf_dir
 from uavrl.config.parts import PARTS, names_taken

@@ -3,7 +3,7 @@
 import sys
 from importlib import import_module
 
-from uavrl.cli.process import command_process
+from uavrl.cli.errors import command_process
 from uavrl.config.sentences import did_you_mean
 from uavrl.errors import UavrlError
 

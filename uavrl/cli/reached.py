@@ -4,8 +4,7 @@ import json
 import sys
 from pathlib import Path
 
-from uavrl.cli.errors import configure_logging
-from uavrl.cli.process import command_process
+from uavrl.cli.errors import command_process, configure_logging
 from uavrl.command_line import command_line
 from uavrl.errors import UavrlError
 from uavrl.runs.names import SUMMARY

@@ -111,9 +111,9 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     """Loads what flies; the call that it returns flies it."""
     import torch
 
+    from uavrl.rollout.actor import checkpoint_path
     from uavrl.rollout.environment import make_device, make_env
     from uavrl.rollout.record import record_flights
-    from uavrl.rollout.saved import checkpoint_path
     from uavrl.training.build import load_risk
 
     torch.set_num_threads(settings.threads)

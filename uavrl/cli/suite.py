@@ -40,8 +40,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     Each is an evaluation of its own in a file of its own; one that is there already, of the same policy and tasks, is
     not flown again.
     """
-    from uavrl.rollout.suite import scenarios, suite_table
-    from uavrl.rollout.summary import reached
+    from uavrl.rollout.summary import reached, scenarios, suite_table
 
     kept = distinguishing(overrides, OWN)
     for override in kept:
@@ -166,6 +165,6 @@ def _changed(settings: EvaluateConfig) -> float:
         return 0.0 if named is None else named.stat().st_mtime
     if settings.checkpoint is None and POLICY.is_in(folder):
         return (folder / POLICY.json).stat().st_mtime
-    from uavrl.rollout.saved import checkpoint_path
+    from uavrl.rollout.actor import checkpoint_path
 
     return checkpoint_path(folder, settings.checkpoint).stat().st_mtime

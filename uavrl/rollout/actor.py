@@ -1,16 +1,29 @@
-"""The policy of a configuration."""
+"""The policy of a configuration: made new, loaded from a run or a folder of its own, or written to be given away."""
 
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
+from torchrl.checkpoint import Checkpoint
 
+from uavrl.config import validate_run
 from uavrl.config.build import build, find_class
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
-from uavrl.rollout.environment import NetworkSizes
+from uavrl.rollout.environment import NetworkSizes, make_env, network_sizes
+from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
+from uavrl.runs.config import read_config
+from uavrl.runs.files import replacing, writable
+from uavrl.runs.names import CONFIG
+from uavrl.runs.weights import POLICY
+
+TOLD = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
 
 
 def make_actor(settings: TrainConfig, sizes: NetworkSizes, device: torch.device | str = "cpu") -> TensorDictModuleBase:
@@ -50,3 +63,68 @@ def make_network(role: Literal["actor", "critic"], settings: TrainConfig, sizes:
 def network_context(sizes: NetworkSizes) -> dict[str, Any]:
     """What a run hands to the networks that name it."""
     return {"observations": sizes.state, "actions": sizes.actions, "limit": sizes.limit, "stacked": sizes.frames}
+
+
+def load_actor(
+    folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
+) -> tuple[DictConfig, TensorDictModuleBase, dict[str, Any]]:
+    """Configuration, policy and origin: of the checkpoint named, else of a policy on its own, else the newest."""
+    config = read_config(folder)
+    config.packages = list(packages)
+    settings = validate_run(config)
+    actor = make_actor(settings, saved_sizes(settings), device)
+    if checkpoint is None and POLICY.is_in(folder):
+        about, weights = POLICY.load(folder)
+        try:
+            actor.load_state_dict(weights)
+        except RuntimeError as error:
+            other = f"The weights in {folder} are of another policy than its {CONFIG} describes"
+            raise UavrlError(f"{other}: {POLICY.remedy}.") from error
+        return config, actor, about
+    path = checkpoint_path(folder, checkpoint)
+    metadata = check_checkpoint(path, config)
+    restore(Checkpoint(policy=actor), path, ["policy"])
+    steps, episodes = metadata["collected_frames"], metadata["episodes"]
+    return config, actor, dict(zip(TOLD, (path.name, steps, episodes, metadata.get("commit")), strict=True))
+
+
+def load_policy(
+    folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
+) -> tuple[DictConfig, Callable[[TensorDictBase], TensorDictBase], dict[str, Any]]:
+    """What :func:`load_actor` loads, as a policy of an environment on the CPU."""
+    config, actor, about = load_actor(folder, checkpoint, device, packages)
+
+    def policy(tensordict: TensorDictBase) -> TensorDictBase:
+        acted = actor(tensordict.select("observation").to(device))
+        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
+
+    return config, policy, {"run": str(folder), **{key: about[key] for key in TOLD if key in about}}
+
+
+def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
+    """The file of the checkpoint named, or of the run's newest."""
+    path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
+    if not path.is_file():
+        raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
+    return path
+
+
+def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[str, Any], output: Path) -> None:
+    """Writes ``config.yaml``, the weights and then ``policy.json``, without which nothing loads."""
+    if POLICY.is_in(output) or (output / CONFIG).exists():
+        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with output=FOLDER.")
+    writable(output / POLICY.json, "output=FOLDER")
+    config = config.copy()
+    config.run_dir = Path(str(config.run_dir)).name
+    with replacing(output / CONFIG) as partial:
+        partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
+    POLICY.save(output, actor.state_dict(), about)
+
+
+def saved_sizes(settings: TrainConfig) -> NetworkSizes:
+    """What the networks of a run read and write, asked of its environment."""
+    env = make_env(settings.env, settings.perception, packages=settings.packages, num_uavs=1)
+    try:
+        return network_sizes(env)
+    finally:
+        env.close()

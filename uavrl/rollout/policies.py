@@ -63,7 +63,7 @@ def choose(
     device: torch.device,
 ) -> Chosen:
     """Loads what the command line asks for."""
-    from uavrl.rollout.saved import load_policy
+    from uavrl.rollout.actor import load_policy
 
     if "env.num_uavs" in _keys(overrides):
         instead = "write num_uavs=N" if hasattr(settings, "num_uavs") else "a replay flies one vehicle"

@@ -1,10 +1,14 @@
-"""What some flights come to, as numbers and as a table."""
+"""The rates of some episodes, as numbers and as a table, and those of the scenarios of ``uavrl-evaluate suite=…``."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import yaml
 
+from uavrl.config.sentences import did_you_mean
+from uavrl.config.yaml_files import conf_dir
+from uavrl.errors import UavrlError
 from uavrl.rollout.position_stats import whereabouts_lines
 from uavrl.rollout.rollout import Flight
 from uavrl.runs.episodes import LETTERS, RATES, wilson
@@ -77,7 +81,7 @@ def _valley_lines(valleys: Mapping[str, Mapping[str, float]]) -> list[str]:
     ]
 
 
-def number(value: float | None, form: str) -> str:
+def _number(value: float | None, form: str) -> str:
     """A value as text, a dash where there is none."""
     return "–" if value is None else format(value, form)
 
@@ -100,6 +104,33 @@ def table(result: Mapping[str, Any]) -> str:
     for name in RATES:
         rate = result[name]
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
-    lines += [f"{label:<46}{number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
+    lines += [f"{label:<46}{_number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
     lines += _valley_lines(result.get("success_by_valley", {}))
     return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])
+
+
+def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
+    """What each scenario of ``conf/suite.yaml`` that is asked for changes; ``"all"`` asks for every one."""
+    suite: dict[str, list[str]] = yaml.safe_load((conf_dir() / "suite.yaml").read_text(encoding="utf-8"))
+    if asked == "all":
+        return suite
+    names = [asked] if isinstance(asked, str) else list(asked)
+    for name in names:
+        if name not in suite:
+            known = f"suite must be all or some of {', '.join(suite)}, got {name!r}"
+            raise UavrlError(known + did_you_mean(str(name), suite, ": "))
+    return {name: suite[name] for name in names}
+
+
+def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """The rates of each scenario with their Wilson 95 % intervals, and how arrivals flew."""
+    heads = f"{'collision':>12}{'time-out':>10}{'steps per arrival':>19}{'clearance':>11}"
+    lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
+    for name, result in results.items():
+        success, collision, time_out = (result[key] for key in RATES)
+        interval = f"{100 * success['low']:.1f}–{100 * success['high']:.1f}"
+        steps = _number(result["steps_per_arrival"], ".0f")
+        clearance = _number(result["median_clearance"], ".2f")
+        rates = f"{success['rate']:>11.1%}  {interval:<11}{collision['rate']:>12.1%}{time_out['rate']:>10.1%}"
+        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}")
+    return "\n".join(lines)

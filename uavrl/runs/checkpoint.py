@@ -1,19 +1,31 @@
-"""Checkpoints: what they hold and how a damaged or foreign one is told from a good one."""
+"""Checkpoints: what they hold, how a damaged or foreign one is found, and from which one a run goes on."""
 
 import json
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import tensordict
 from omegaconf import DictConfig
-from torchrl.checkpoint import Checkpoint, CheckpointRotation, DumpLoadCheckpointAdapter, GlobalRNGState
+from torchrl.checkpoint import (
+    Checkpoint,
+    CheckpointRotation,
+    DumpLoadCheckpointAdapter,
+    GlobalRNGState,
+    StateDictCheckpointAdapter,
+)
 from torchrl.data import ReplayBuffer
 
+from uavrl.command_line import command_line
 from uavrl.errors import UavrlError
-from uavrl.runs.config import fingerprints, require_folder
-from uavrl.runs.names import ANY_CHECKPOINT, CHECKPOINTS, CONFIG
+from uavrl.runs.config import fingerprint, fingerprints, read_config, require_folder
+from uavrl.runs.episodes import read_episodes
+from uavrl.runs.names import ANY_CHECKPOINT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
 from uavrl.runs.trust import check_archive
-from uavrl.runs.without_pickles import StateDictWithoutPickles
+from uavrl.upstream import decode_state_dict
+
+log = logging.getLogger(__name__)
 
 
 class BufferState:
@@ -51,6 +63,16 @@ class RandomState(GlobalRNGState):
         super().load_state_dict(state_dict)
 
 
+class StateDictWithoutPickles(StateDictCheckpointAdapter):
+    """Reads the one payload that uavrl writes, a folder, and refuses the pickles that TorchRL's own would read."""
+
+    def load(self, component: Any, path: Path, *, map_location: Any, args: Any, kwargs: Any, **_: Any) -> None:
+        """Restores ``component`` from ``path``."""
+        tensors = tensordict.load(path / self.state_directory, allow_pickle=False)
+        schema = json.loads((path / self.schema_filename).read_text(encoding="utf-8"))
+        component.load_state_dict(decode_state_dict(schema, tensors, map_location), *args, **kwargs)
+
+
 def rotation(run_dir: Path, keep: int = 2) -> CheckpointRotation:
     """The rotating checkpoints of a run folder."""
     return CheckpointRotation(run_dir / CHECKPOINTS, keep_last=keep)
@@ -82,7 +104,7 @@ def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
     except UavrlError:
         raise
     except Exception as error:
-        raise _damaged(path, str(error)) from error
+        raise DamagedCheckpoint(path, error) from error
     if written_under not in fingerprints(config):
         raise UavrlError(
             f"The checkpoint {path} was written under another configuration than the one given: "
@@ -100,12 +122,73 @@ def restore(checkpoint: Checkpoint, path: Path, components: list[str]) -> None:
     except Exception as error:
         if isinstance(error.__cause__, UavrlError):
             raise error.__cause__ from None
-        raise _damaged(path, str(error)) from error
+        raise DamagedCheckpoint(path, error) from error
 
 
 class DamagedCheckpoint(UavrlError):
     """A checkpoint that cannot be read to its end."""
 
+    def __init__(self, path: Path, reason: object) -> None:
+        super().__init__(f"The checkpoint {path} is damaged ({reason}).")
 
-def _damaged(path: Path, reason: str) -> DamagedCheckpoint:
-    return DamagedCheckpoint(f"The checkpoint {path} is damaged ({reason}).")
+
+def never_began(run_dir: Path) -> bool:
+    """Whether a run was stopped before its first checkpoint, which comes before its first flight: nothing is lost."""
+    episodes = run_dir / EPISODES
+    return (
+        (run_dir / BEGUN).exists()
+        and not (run_dir / SUMMARY).exists()
+        and not any(run_dir.glob(ANY_CHECKPOINT))
+        and not (episodes.exists() and read_episodes(episodes))
+    )
+
+
+def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:
+    """The newest checkpoint that is whole and knows no episode that ``episodes.csv`` has lost.
+
+    Newer ones are renamed, so that nothing takes them for the run's, and what happened is logged. What ``config`` may
+    change of the recorded one does not bear on the checkpoints.
+    """
+    recorded = read_config(run_dir)
+    if fingerprint(config) != fingerprint(recorded):
+        raise UavrlError(
+            f"{run_dir} was flown under another configuration than the one given: go on with its own, or start a new "
+            f"run."
+        )
+    found = all_checkpoints(run_dir)
+    flown = len(read_episodes(run_dir / EPISODES))
+    passed_over: dict[Path, str] = {}
+    for path in reversed(found):
+        try:
+            saved = check_checkpoint(path, recorded)["episodes"]
+        except DamagedCheckpoint as error:
+            passed_over[path] = str(error)
+            continue
+        if saved <= flown:
+            for newer, reason in passed_over.items():
+                aside = newer.replace(newer.with_name(f"unused-{newer.name}"))
+                told = "%s The run goes back to the one before, after episode %d; this one is now %s."
+                log.warning(told, reason, saved, aside)
+            return path
+        passed_over[path] = (
+            f"The checkpoint {path} follows episode {saved}, and {run_dir / EPISODES} has lost those after {flown}."
+        )
+    raise UavrlError(
+        f"{passed_over[found[-1]]} No older checkpoint is left to go on from: bring the file back, or start a new run."
+    )
+
+
+def how_to_go_on(run_dir: Path) -> str:
+    """The sentence that a stopped run ends with."""
+    go_on = command_line("uavrl-train", resume=run_dir)
+    if not any(run_dir.glob(ANY_CHECKPOINT)):
+        return f"stopped before the first flight: start it again, or {go_on}."
+    try:
+        saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]
+        flown = len(read_episodes(run_dir / EPISODES))
+    except Exception:  # damaged meanwhile: whoever goes on is told what, and nothing may hide that the run was stopped
+        return f"stopped: go on with {go_on}."
+    if flown == saved:
+        return f"stopped after episode {flown}, which is saved: go on with {go_on}."
+    again = f"episode {flown}" if flown == saved + 1 else f"episodes {saved + 1} to {flown}"
+    return f"stopped after episode {flown}: {go_on} goes on after {saved} and flies {again} again."

@@ -24,9 +24,8 @@ from uavrl.config.sentences import require
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss, Enhancer, LifeGuard
-from uavrl.rollout.actor import loss_class, make_actor, make_network, network_context
+from uavrl.rollout.actor import loss_class, make_actor, make_network, network_context, saved_sizes
 from uavrl.rollout.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
-from uavrl.rollout.saved import saved_sizes
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import EpisodeLog

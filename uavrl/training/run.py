@@ -20,7 +20,7 @@ from uavrl.command_line import command_line
 from uavrl.config import learner_name, validate, validate_run
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
-from uavrl.runs.checkpoint import restore
+from uavrl.runs.checkpoint import checkpoint_to_resume, how_to_go_on, never_began, restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
@@ -28,7 +28,6 @@ from uavrl.runs.interrupts import Stop, stoppable
 from uavrl.runs.lock import locked
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
 from uavrl.runs.provenance import processor, versions
-from uavrl.runs.resume import checkpoint_to_resume, how_to_go_on, never_began
 from uavrl.runs.trust import check_links
 from uavrl.training.build import build_trainer
 from uavrl.training.compiled import chosen_execution
