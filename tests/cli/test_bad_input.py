@@ -278,4 +278,4 @@ def test_ctrl_c_in_the_middle_of_an_update_is_still_ctrl_c(
     assert in_process(train_command.main, *TINY, f"run_dir={tmp_path / 'run'}") == 130
     _, err = capfd.readouterr()
     assert [line for line in err.splitlines() if line.startswith("uavrl: ")] == err.splitlines()[-1:]
-    assert f"uavrl-train resume={tmp_path / 'run'} goes on after 0 and flies" in err and "Traceback" not in err
+    assert f"uavrl-train resume={tmp_path / 'run'} goes on after 0 and repeats" in err and "Traceback" not in err

@@ -92,7 +92,7 @@ def test_what_the_run_sets_itself_is_refused(tmp_path: Path) -> None:
 
 def test_the_address_of_a_cluster_is_not_taken_from_a_run_folder(tmp_path: Path) -> None:
     run_dir = create_run(small_config(tmp_path / "run", "collector=ray", "collector.address=10.0.0.1:6379"))
-    told = "was flown on the Ray cluster 10.0.0.1:6379, and .*: add collector=ray collector.address=10.0.0.1:6379"
+    told = "was trained on the Ray cluster 10.0.0.1:6379, and .*: add collector=ray collector.address=10.0.0.1:6379"
     with pytest.raises(UavrlError, match=told):
         resume_config(run_dir, composed(), [])
     for address in ("auto", None):

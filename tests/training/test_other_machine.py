@@ -134,7 +134,7 @@ def test_it_goes_on_again_wherever_it_was_killed(
 def test_a_run_goes_on_with_its_own_configuration_alone(run_dir: Path) -> None:
     other = read_config(run_dir)
     other.algo.gamma = 0.9
-    with pytest.raises(UavrlError, match="was flown under another configuration than the one given"):
+    with pytest.raises(UavrlError, match="was trained under another configuration than the one given"):
         train(other, run_dir, resume=True)
 
 

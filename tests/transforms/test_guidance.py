@@ -78,7 +78,7 @@ def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest
         length = [f"trainer.{limit}"] if limit.startswith("episodes") else ["trainer.episodes=200", f"trainer.{limit}"]
         few = ["guide=vfh", "algo.random_steps=300", "env.max_steps=30", *length]
         warn_of_random_steps(validate(small_config(tmp_path / "run", *few)))
-        assert (f"the guide may fly the whole run, trainer.{limit}," in caplog.text) == told
+        assert (f"the scripted controller may act for the whole run, trainer.{limit}," in caplog.text) == told
 
 
 def test_random_steps_that_last_as_long_as_the_run_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

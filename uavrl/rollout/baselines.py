@@ -14,10 +14,7 @@ from uavrl.transforms.state import ACTION_LIMIT
 
 
 class StraightPolicy:
-    """Turns to the goal and flies straight at it, blind to obstacles.
-
-    It turns on the spot until the goal lies within ``cone`` of the head, then flies at full speed,
-    and holds the flight level. How often it arrives tells how cluttered a valley is.
+    """Turns to the goal on the spot and then flies straight at it at full speed, blind to obstacles.
 
     Args:
         flight_level: altitude to hold, m.
@@ -45,25 +42,15 @@ class StraightPolicy:
 
 @dataclass(frozen=True)
 class VFHWeights:
-    """What a direction costs a :class:`VectorFieldHistogram`, and how fast it is flown.
+    """What a direction costs a :class:`VectorFieldHistogram`, and how fast it is flown."""
 
-    Attributes:
-        obstacle: of a direction whose cell is full.
-        goal: of a direction that leads away from the goal.
-        level: of a metre off the flight level after a second, in a direction.
-        turn: of a direction behind the UAV.
-        width: how near a cell must be to a direction to count: the power of the cosine between them.
-        nearness: power of what a cell tells over the radius; the greater, the less far things count.
-        caution: share of the speed that is left out where the way is full, in [0, 1].
-    """
-
-    obstacle: float
-    goal: float
-    level: float
-    turn: float
-    width: float
-    nearness: float
-    caution: float
+    obstacle: float  #: cost of a direction whose cell is full
+    goal: float  #: cost of a direction that leads away from the goal
+    level: float  #: cost of a metre off the flight level after a second, in a direction
+    turn: float  #: cost of a direction behind the UAV
+    width: float  #: how near a cell must be to a direction to count: the power of the cosine between them
+    nearness: float  #: power of what a cell tells over the radius; the greater, the less far things count
+    caution: float  #: share of the speed that is left out where the way is full, in [0, 1]
 
 
 # Chosen in valleys 200 to 209: the first by studies/tune_vfh.py, but for its level, 0.121 there, with which climbing
@@ -83,11 +70,7 @@ COSTS: dict[tuple[Reduction, Statistic], VFHWeights] = {
 
 
 class VectorFieldHistogram:
-    """Flies where the reduced scan is emptiest on the way to the goal: sees what a policy sees, and learns nothing.
-
-    Each of some directions around the UAV costs what stands near it, how far it leads away from the goal and from the
-    flight level, and how far the UAV would have to turn. The cheapest is flown, the slower the more stands there. It
-    has no memory, so it cannot leave a dead end on purpose.
+    """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there; has no memory.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
     instead of a grid.
@@ -97,10 +80,7 @@ class VectorFieldHistogram:
         radius: of the reduction in m.
         reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
         statistic: what a cell tells, likewise; None for the reduction's default.
-        costs: None for those that were chosen for this reduction and statistic.
-
-    Raises:
-        UavrlError: when there are no costs for these.
+        costs: None for those that were chosen for this reduction and statistic; there are none for some.
 
     Examples:
         >>> from tensordict import TensorDict

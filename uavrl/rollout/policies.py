@@ -1,4 +1,4 @@
-"""What evaluation and replay share: whose policy flies, in which environment, and what its results are called."""
+"""What evaluation and replay share: which policy acts in which environment, and what its results are called."""
 
 from __future__ import annotations
 
@@ -34,33 +34,19 @@ PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "pro
 
 @dataclass(frozen=True)
 class Chosen:
-    """What flies, and where.
+    """A policy and its environment."""
 
-    Attributes:
-        policy: reads an environment's output, writes ``action``.
-        env: the environment's configuration.
-        perception: what makes of its output what the policy reads.
-        reward: what pays.
-        choices: the yaml file of each part.
-        source: what a result says about the policy.
-        run: the settings of the run that it comes from, with what the command line changed; None for a baseline.
-    """
-
-    policy: Callable[[TensorDictBase], TensorDictBase]
+    policy: Callable[[TensorDictBase], TensorDictBase]  # reads an environment's output, writes ``action``
     env: Part
     perception: Part
     reward: Part
-    choices: Mapping[str, str]
-    source: dict[str, Any]
-    run: TrainConfig | None = None
+    choices: Mapping[str, str]  # the yaml file of each part
+    source: dict[str, Any]  # what a result says about the policy
+    run: TrainConfig | None = None  # where it comes from, with what the command line changed; None for a baseline
 
 
 def choose(
-    settings: FlyingConfig,
-    config: DictConfig,
-    overrides: list[str],
-    folder: Path | None,
-    device: torch.device,
+    settings: FlyingConfig, config: DictConfig, overrides: list[str], folder: Path | None, device: torch.device
 ) -> Chosen:
     """Loads what the command line asks for."""
     from uavrl.rollout.actor import load_policy
@@ -70,8 +56,8 @@ def choose(
         raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
     if folder is None:
         require_valley(settings.env, settings.choices, "policy")
-        told = {**settings.perception, "flight_level": settings.env.world.flight_level}
-        policy = named_policy(str(settings.policy), told, settings.packages)
+        context = {**settings.perception, "flight_level": settings.env.world.flight_level}
+        policy = named_policy(str(settings.policy), context, settings.packages)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
         chosen = Chosen(policy, *parts, {"policy": settings.policy})
     else:
@@ -85,7 +71,7 @@ def choose(
 
 
 def require_fit(chosen: Chosen, env: EnvBase) -> None:
-    """Refuses a run's policy that reads or writes other numbers than an environment has, before anything is flown."""
+    """Refuses a run's policy that reads or writes other numbers than an environment has, before the first step."""
     import torch
 
     if chosen.run is None:
@@ -137,9 +123,8 @@ def _keys(overrides: Iterable[str]) -> list[str]:
 
 def _require_env_of_policy(run: DictConfig) -> None:
     """Refuses an environment that takes less than the policy's perception says."""
-    classes = [
-        find_class(str(part[TARGET]), object, run.packages) for part in (run.perception, run.env) if part[TARGET]
-    ]
+    targets = (str(part[TARGET]) for part in (run.perception, run.env) if part[TARGET])
+    classes = [find_class(target, object, run.packages) for target in targets]
     taken = {TARGET, *(name for each in classes for name in arguments(each))}
     if not taken.issuperset(map(str, run.perception)):
         raise UavrlError(
@@ -176,13 +161,11 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
 def named_policy(
     name: str, told: Mapping[str, Any], packages: Sequence[str]
 ) -> Callable[[TensorDictBase], TensorDictBase]:
-    """A policy that is no run: one that learns nothing, a model of Stable-Baselines3, or a class by its dotted name.
+    """A policy that is no run: a baseline, a ``.zip`` of Stable-Baselines3, or a ``PACKAGE.MODULE.CLASS``.
 
-    Args:
-        name: a baseline, a ``.zip``, or ``PACKAGE.MODULE.CLASS``.
-        told: ``flight_level``, and what perception says (``radius``, …): a baseline is given what its constructor
-            names, any other class the ``flight_level``.
-        packages: what the user trusts; ``stable_baselines3`` for a ``.zip``, since opening it can run programs.
+    Of ``told``, ``flight_level`` and what perception says (``radius``, …), a baseline is given what its constructor
+    names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
+    ``stable_baselines3``.
     """
     from uavrl.rollout.baselines import BASELINES
 
@@ -202,7 +185,7 @@ def named_policy(
             raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
         return made
     names = [*BASELINES, *packaged_policies()]
-    own = "to fly your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
+    own = "for your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
     raise UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names, ': ', own)}")
 
 

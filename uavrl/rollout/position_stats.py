@@ -1,7 +1,4 @@
-"""Where flights go: how high, and how near to the walls.
-
-A success rate that is better than expected is a question; this is where its answer begins.
-"""
+"""Where episodes go: how high, and how near to the walls."""
 
 from typing import Any
 
@@ -14,12 +11,11 @@ BIN = 0.25  # m of altitude
 
 
 class Whereabouts:
-    """Collects the places where flights were at the end of each of their steps.
+    """Collects the positions at the end of each step.
 
     Args:
-        world: Where they fly. Its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each valley, are the walls
-            that distances are measured to: the space that may be flown ends there. The slopes of the walls reach
-            inwards from them.
+        world: its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each valley, are the walls that distances
+            are measured to. Their slopes reach inwards from them.
 
     Examples:
         >>> from uavrl.envs.world import WorldConfig
@@ -39,7 +35,7 @@ class Whereabouts:
         self._seen.append(np.array(positions, dtype=np.float64))
 
     def summary(self) -> dict[str, Any]:
-        """What :func:`summarize_places` says of all of them."""
+        """:func:`summarize_places` of all of them."""
         positions = np.concatenate(self._seen)
         config = self._world.config
         apart = np.linalg.norm(positions[:, None, :2] - self._origins, axis=-1)
@@ -70,19 +66,16 @@ def summarize_places(altitudes: np.ndarray, shares: np.ndarray, walls: np.ndarra
         {'low': 1.0, 'step': 0.25, 'counts': [1, 0, 0, 0, 0, 0, 0, 0, 1]}
     """
     if not len(altitudes):
-        raise ValueError("Expected at least one step to tell where flights went, got none.")
+        raise ValueError("Expected at least one step to summarise, got none.")
     quarters = np.bincount(np.clip(4 * shares, 0, 3).astype(int), minlength=4) / len(shares)
     bins = np.floor(altitudes / BIN).astype(int)
+    counts = np.bincount(bins - bins.min()).tolist()
     return {
         "steps": len(altitudes),
         "altitude": _percentiles(altitudes),
         "height_quarters": quarters.tolist(),
         "wall_distance": _percentiles(np.maximum(walls, 0.0)),
-        "altitude_histogram": {
-            "low": float(bins.min() * BIN),
-            "step": BIN,
-            "counts": np.bincount(bins - bins.min()).tolist(),
-        },
+        "altitude_histogram": {"low": float(bins.min() * BIN), "step": BIN, "counts": counts},
     }
 
 
@@ -91,13 +84,7 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
 
 
 def whereabouts_lines(found: dict[str, Any]) -> list[str]:
-    """A summary as lines for a person.
-
-    Examples:
-        >>> found = summarize_places(np.array([3.0]), np.array([0.6]), np.array([7.0]))
-        >>> whereabouts_lines(found)[0]
-        'altitude, 5 / 50 / 95 % of the steps [m]        3.00 / 3.00 / 3.00'
-    """
+    """A summary as lines for a person."""
     of = {key: " / ".join(f"{found[key][f'p{p}']:.2f}" for p in PERCENTILES) for key in ("altitude", "wall_distance")}
     quarters = " / ".join(f"{100 * share:.0f}" for share in found["height_quarters"])
     return [

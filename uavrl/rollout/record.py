@@ -1,4 +1,4 @@
-"""Flies chosen tasks without noise and keeps every step."""
+"""Rolls out a policy in chosen tasks without noise and keeps every step."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, cast
@@ -51,18 +51,9 @@ def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sens
 
 
 def record_flight(
-    env: TransformedEnv,
-    policy: Policy,
-    task: int,
-    *,
-    seed: int,
-    risk: Risk | None = None,
-    max_points: int = 1500,
+    env: TransformedEnv, policy: Policy, task: int, *, seed: int, risk: Risk | None = None, max_points: int = 1500
 ) -> RecordedFlight:
-    """Flies one task to its end, without exploration noise, and keeps every step.
-
-    The traffic starts anew, so that the flight depends on ``seed`` and ``task`` alone.
-    """
+    """Rolls out one task to its end and keeps every step; the episode depends on ``seed`` and ``task`` alone."""
     if env.batch_size != torch.Size([1]):
         raise ValueError(f"Expected an environment of one vehicle, got {tuple(env.batch_size)}: pass num_uavs=1.")
     base = env.base_env
@@ -108,11 +99,7 @@ def record_flight(
 
 
 def reduction_of(env: TransformedEnv) -> PointCloudReduction:
-    """What reduces the scan.
-
-    Raises:
-        UavrlError: when nothing does whose scan and cells could be drawn.
-    """
+    """What reduces the scan; refuses a perception whose scan or cells could not be drawn."""
     found = next((part for part in env.transform.modules() if isinstance(part, PointCloudReduction)), None)
     if found is None:
         raise UavrlError(
@@ -131,7 +118,7 @@ def reduction_of(env: TransformedEnv) -> PointCloudReduction:
 def _moment(
     base: NavigationEnv, state: TensorDictBase, valley: int, reduction: PointCloudReduction, max_points: int
 ) -> dict[str, Any]:
-    """What is to be seen in one valley at one moment, in the world's frame."""
+    """One moment in one valley, in the world's frame."""
     cloud = state[reduction.in_keys[0]][0].numpy()
     planes = base.world.config.planes
     return {
@@ -154,13 +141,11 @@ def record_flights(
     max_points: int = 1500,
     progress: bool = False,
 ) -> Recording:
-    """Flies several tasks, each as :func:`record_flight` does."""
+    """Rolls out several tasks, each as :func:`record_flight` does."""
     if not tasks:
-        raise ValueError("Expected at least one task to fly, got none.")
-    flights = tuple(
-        record_flight(env, policy, task, seed=seed, risk=risk, max_points=max_points)
-        for task in tqdm(tasks, disable=not progress, unit="flight")
-    )
+        raise ValueError("Expected at least one task, got none.")
+    shown = tqdm(tasks, disable=not progress, unit="ep")
+    flights = tuple(record_flight(env, policy, task, seed=seed, risk=risk, max_points=max_points) for task in shown)
     world, sensor = env.base_env.world, env.base_env.airframe.lidar_position
     seen = {flight.summary.world_seed for flight in flights}
     sceneries = {

@@ -1,4 +1,4 @@
-"""Flights kept step by step, with the valley they were flown in, and their file."""
+"""Episodes kept step by step, with their valley, and their file."""
 
 import json
 import zipfile
@@ -19,47 +19,27 @@ MOST_BYTES = 2**32  # of a file, unpacked; some flights take a few million
 
 @dataclass(frozen=True)
 class RecordedFlight:
-    """One flight of T steps: T + 1 moments, the last after the last step. Positions are in the valley's own frame.
+    """One episode of T steps: T + 1 moments, the last after the last step. Positions are in the valley's own frame."""
 
-    Args:
-        summary: Task, outcome, lengths and clearance, as an evaluation gives them.
-        whereabouts: Where it went, as :class:`uavrl.rollout.position_stats.Whereabouts` sums it up.
-        times: ``[T + 1]`` in s.
-        positions: ``[T + 1, 3]``, the airframe's centre in m.
-        attitudes: ``[T + 1, 4]``, quaternions (x, y, z, w) from body to world axes.
-        velocities: ``[T + 1, 3]`` in m/s, world axes.
-        goal: ``[3]``, the middle of the goal cylinder in m.
-        observations: ``[T + 1, W]``, what the policy reads.
-        actions: ``[T, 4]``: forward, left, up in m/s and yaw rate in rad/s.
-        rewards: ``[T, R]``, the terms whose sum is the reward.
-        reward_names: R names.
-        distances: ``[T + 1]``, to the goal in m.
-        clearances: ``[T + 1]``, from the hull to the nearest thing in m.
-        risks: ``[T]``, the probability of a collision that LifeGuard sees in each action; ``[0]`` without LifeGuard.
-        planes: ``[T + 1, K, 4]``: x, y, z in m and yaw in rad.
-        faces: ``[T + 1, cells]``, the reduction of the scan in m; 0 where a cell reports nothing.
-        points: ``[P, 3]`` in m in the sensor's frame: the points of all scans, one scan after the other.
-        point_ends: ``[T + 1]``, how many points there are up to and with each scan.
-    """
-
-    summary: Flight
-    whereabouts: dict[str, Any]
-    times: np.ndarray
-    positions: np.ndarray
-    attitudes: np.ndarray
-    velocities: np.ndarray
-    goal: np.ndarray
-    observations: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    reward_names: tuple[str, ...]
-    distances: np.ndarray
-    clearances: np.ndarray
+    summary: Flight  #: Task, outcome, lengths and clearance, as an evaluation gives them
+    whereabouts: dict[str, Any]  #: Where it went, as :class:`uavrl.rollout.position_stats.Whereabouts` sums it up
+    times: np.ndarray  #: ``[T + 1]`` in s
+    positions: np.ndarray  #: ``[T + 1, 3]``, the airframe's centre in m
+    attitudes: np.ndarray  #: ``[T + 1, 4]``, quaternions (x, y, z, w) from body to world axes
+    velocities: np.ndarray  #: ``[T + 1, 3]`` in m/s, world axes
+    goal: np.ndarray  #: ``[3]``, the middle of the goal cylinder in m
+    observations: np.ndarray  #: ``[T + 1, W]``, what the policy reads
+    actions: np.ndarray  #: ``[T, 4]``: forward, left, up in m/s and yaw rate in rad/s
+    rewards: np.ndarray  #: ``[T, R]``, the terms whose sum is the reward
+    reward_names: tuple[str, ...]  #: R names
+    distances: np.ndarray  #: ``[T + 1]``, to the goal in m
+    clearances: np.ndarray  #: ``[T + 1]``, from the hull to the nearest thing in m
+    #: ``[T]``, the probability of a collision that LifeGuard sees in each action; ``[0]`` without LifeGuard
     risks: np.ndarray
-    planes: np.ndarray
-    faces: np.ndarray
-    points: np.ndarray
-    point_ends: np.ndarray
+    planes: np.ndarray  #: ``[T + 1, K, 4]``: x, y, z in m and yaw in rad
+    faces: np.ndarray  #: ``[T + 1, cells]``, the reduction of the scan in m; 0 where a cell reports nothing
+    points: np.ndarray  #: ``[P, 3]`` in m in the sensor's frame: the points of all scans, one scan after the other
+    point_ends: np.ndarray  #: ``[T + 1]``, how many points there are up to and with each scan
 
     def cloud(self, moment: int) -> np.ndarray:
         """Returns the points ``[M, 3]`` of one scan in m, in the sensor's frame."""
@@ -69,52 +49,30 @@ class RecordedFlight:
 
 @dataclass(frozen=True)
 class Scenery:
-    """What stands in one valley, in the valley's own frame, and the bodies that fly in it.
+    """What stands in one valley, in the valley's own frame, and the bodies that fly in it."""
 
-    Args:
-        heights: ``[X, Y]``, the ground in m over a regular grid around the origin.
-        size: ``[2]``, extent along x and y in m.
-        vertices: ``[V, 3]``, corners of all obstacles in m.
-        triangles: ``[F, 3]``, their triangles.
-        kinds: ``[F]``, each triangle's kind of obstacle, an index into ``kind_names``.
-        kind_names: Names of the kinds.
-        plane_vertices: ``[A, 3]`` in m, a plane with its nose along x.
-        plane_triangles: ``[B, 3]``.
-        goal: ``[2]``, radius and height of the goal cylinder in m.
-        ball: Circumradius of the reduction in m.
-        directions: ``[cells, 3]``, unit vectors through its cells in body axes.
-        statistic: What a face reports: ``"face"``, ``"range"`` or ``"proximity"``.
-        sensor: ``[3]``, the LiDAR's centre in body axes in m.
-    """
-
-    heights: np.ndarray
-    size: np.ndarray
-    vertices: np.ndarray
-    triangles: np.ndarray
-    kinds: np.ndarray
-    kind_names: tuple[str, ...]
-    plane_vertices: np.ndarray
-    plane_triangles: np.ndarray
-    goal: np.ndarray
-    ball: float
-    directions: np.ndarray
-    statistic: str
-    sensor: np.ndarray
+    heights: np.ndarray  #: ``[X, Y]``, the ground in m over a regular grid around the origin
+    size: np.ndarray  #: ``[2]``, extent along x and y in m
+    vertices: np.ndarray  #: ``[V, 3]``, corners of all obstacles in m
+    triangles: np.ndarray  #: ``[F, 3]``, their triangles
+    kinds: np.ndarray  #: ``[F]``, each triangle's kind of obstacle, an index into ``kind_names``
+    kind_names: tuple[str, ...]  #: Names of the kinds
+    plane_vertices: np.ndarray  #: ``[A, 3]`` in m, a plane with its nose along x
+    plane_triangles: np.ndarray  #: ``[B, 3]``
+    goal: np.ndarray  #: ``[2]``, radius and height of the goal cylinder in m
+    ball: float  #: Circumradius of the reduction in m
+    directions: np.ndarray  #: ``[cells, 3]``, unit vectors through its cells in body axes
+    statistic: str  #: What a face reports: ``"face"``, ``"range"`` or ``"proximity"``
+    sensor: np.ndarray  #: ``[3]``, the LiDAR's centre in body axes in m
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Flights of one policy, kept step by step.
+    """Episodes of one policy, kept step by step."""
 
-    Args:
-        source: What flew, for a heading: run, checkpoint, seed of the tasks, environment.
-        flights: In the order of the tasks asked for.
-        sceneries: The valley of each seed that occurs in the flights.
-    """
-
-    source: dict[str, Any]
-    flights: tuple[RecordedFlight, ...]
-    sceneries: dict[int | None, Scenery]
+    source: dict[str, Any]  #: What flew, for a heading: run, checkpoint, seed of the tasks, environment
+    flights: tuple[RecordedFlight, ...]  #: In the order of the tasks asked for
+    sceneries: dict[int | None, Scenery]  #: The valley of each seed that occurs in the flights
 
     def scenery(self, flight: RecordedFlight) -> Scenery:
         """The valley of one of the flights."""
@@ -122,54 +80,35 @@ class Recording:
 
 
 def thinned(points: np.ndarray, most: int) -> np.ndarray:
-    """Returns at most ``most`` of the points ``[M, 3]``, spread over all of them, always the same ones.
-
-    Examples:
-        >>> thinned(np.arange(30.0).reshape(10, 3), 4).shape
-        (4, 3)
-    """
+    """At most ``most`` of the points ``[M, 3]``, spread over all of them, always the same ones."""
     if len(points) <= most:
         return points
     return points[np.sort(np.random.default_rng(0).permutation(len(points))[:most])]
 
 
-def _arrays(item: RecordedFlight | Scenery, prefix: str) -> dict[str, np.ndarray]:
-    values = {field.name: getattr(item, field.name) for field in fields(item)}
-    return {f"{prefix}/{name}": value for name, value in values.items() if isinstance(value, np.ndarray)}
-
-
-def _plain(item: RecordedFlight | Scenery) -> dict[str, Any]:
-    values = {field.name: getattr(item, field.name) for field in fields(item)}
-    kept = {name: value for name, value in values.items() if not isinstance(value, np.ndarray)}
-    return {name: asdict(value) if isinstance(value, Flight) else value for name, value in kept.items()}
-
-
 def save_recording(recording: Recording, path: Path) -> None:
-    """Writes flights and valleys into one ``.npz`` file, which holds numbers and text alone, no pickles.
-
-    Raises:
-        OSError: when the file cannot be written.
-    """
+    """Writes episodes and valleys into one ``.npz`` file, which holds numbers and text alone, no pickles."""
     items: dict[str, RecordedFlight | Scenery] = {f"flight{i}": flight for i, flight in enumerate(recording.flights)}
     items |= {f"scenery{seed}": scenery for seed, scenery in recording.sceneries.items()}
-    about = {
+    about: dict[str, Any] = {
         "format": FORMAT,
         "source": recording.source,
         "flights": len(recording.flights),
         "sceneries": list(recording.sceneries),
-        "items": {name: _plain(item) for name, item in items.items()},
+        "items": {},
     }
-    arrays = {key: value for name, item in items.items() for key, value in _arrays(item, name).items()}
+    arrays = {}
+    for name, item in items.items():
+        values = {field.name: getattr(item, field.name) for field in fields(item)}
+        plain = {key: value for key, value in values.items() if not isinstance(value, np.ndarray)}
+        about["items"][name] = {k: asdict(v) if isinstance(v, Flight) else v for k, v in plain.items()}
+        arrays |= {f"{name}/{key}": value for key, value in values.items() if key not in plain}
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
 
 
 def load_recording(path: Path) -> Recording:
-    """Reads what :func:`save_recording` wrote. Nothing is unpickled.
-
-    Raises:
-        UavrlError: when the file is missing, damaged or holds something else.
-    """
+    """Reads what :func:`save_recording` wrote; a file that is missing, damaged or another one is a ``UavrlError``."""
     if not path.is_file():
         raise UavrlError(f"Expected flights in {path} and found no such file: give one that data=FILE.npz wrote.")
     try:
@@ -211,8 +150,8 @@ def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> 
     numbers = all(isinstance(c, int) for c in counts) and all(isinstance(m, int | float) for m in lengths)
     if summary.outcome not in OUTCOMES or not numbers or summary.episode_return is not None:
         raise ValueError(f"its summary is {summary}")
-    told = {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
-    return RecordedFlight(**{**plain, **told}, **_of(arrays, name))
+    plain |= {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
+    return RecordedFlight(**plain, **_of(arrays, name))
 
 
 def _scenery(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> Scenery:

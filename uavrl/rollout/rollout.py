@@ -1,4 +1,4 @@
-"""Flies fixed, seeded tasks without exploration noise, and keeps how each of them ended."""
+"""Rolls out a policy in fixed, seeded tasks without exploration noise, and keeps how each of them ended."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -17,27 +17,16 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 
 @dataclass(frozen=True)
 class Flight:
-    """How one task ended; lengths in metres, None where the environment emits no ``clearance``.
+    """How one task ended; lengths in metres, None where the environment emits no ``clearance``."""
 
-    Attributes:
-        task: its number, from 0.
-        outcome: arrived, collided or timed_out.
-        steps: until then.
-        world_seed: of the valley.
-        straight: the line from start to end.
-        flown: the path between them.
-        clearance: the least distance between the hull and the nearest thing.
-        episode_return: as the environment gives it, where lengths are None.
-    """
-
-    task: int
-    outcome: str
-    steps: int
-    world_seed: int | None = None
-    straight: float | None = None
-    flown: float | None = None
-    clearance: float | None = None
-    episode_return: float | None = None
+    task: int  #: its number, from 0
+    outcome: str  #: arrived, collided or timed_out
+    steps: int  #: until then
+    world_seed: int | None = None  #: of the valley
+    straight: float | None = None  #: the line from start to end
+    flown: float | None = None  #: the path between them
+    clearance: float | None = None  #: the least distance between the hull and the nearest thing
+    episode_return: float | None = None  #: as the environment gives it, where lengths are None
 
     @property
     def path_efficiency(self) -> float:
@@ -47,14 +36,10 @@ class Flight:
 
 @torch.no_grad()
 def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[TensorDictBase]:
-    """Steps of an environment from a state on, each with its ``"next"``, without exploration noise and end.
+    """Steps of an environment of any batch size from ``env.reset()``'s state on, each with its ``"next"``, without end.
 
-    Whoever is done begins the next task when the step after is asked for.
-
-    Args:
-        env: of any batch size.
-        policy: reads the environment's output, writes ``action``.
-        state: what ``env.reset()`` gave.
+    The policy reads the environment's output and writes ``action``, without exploration noise. A vehicle that is done
+    begins its next task when the step after is asked for.
     """
     while True:
         with set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -64,11 +49,7 @@ def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[Ten
 
 
 class FlightMeter:
-    """Follows every vehicle of a batch from reset to done.
-
-    Args:
-        count: of vehicles.
-    """
+    """Follows each of ``count`` vehicles from reset to done."""
 
     def __init__(self, count: int) -> None:
         self._steps = np.zeros(count, dtype=int)
@@ -76,7 +57,7 @@ class FlightMeter:
         self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
 
     def step(self, stepped: TensorDictBase) -> list[Flight]:
-        """Takes in one step of all vehicles; returns the flights that it ended."""
+        """Takes in one step of all vehicles; returns the episodes that it ended."""
         before, after = stepped.reshape(-1), stepped["next"].reshape(-1)
         if after.get("clearance", None) is not None:
             self._measure(before, after)
@@ -117,20 +98,14 @@ def fly(
     watch: Callable[[np.ndarray], None] | None = None,
     progress: bool = False,
 ) -> list[Flight]:
-    """Flies tasks 0 to ``episodes - 1`` of the environment's seed, each once, to its end.
+    """Rolls out tasks 0 to ``episodes - 1`` of the environment's seed, each once, to its end, and in this order.
 
     Args:
-        env: any that emits ``arrived``, ``collided`` and ``task``.
+        env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
         policy: reads the environment's output, writes ``action``.
         episodes: number of tasks.
         watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
         progress: show a progress line.
-
-    Returns:
-        One flight per task, in the order of the tasks.
-
-    Raises:
-        ValueError: when the environment has given out its first tasks already.
     """
     meter, flights = FlightMeter(env.batch_size.numel()), dict[int, Flight]()
     state = env.reset()

@@ -28,18 +28,14 @@ STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")  # as RL Zoo and Stable-B
 
 
 class StableBaselinesPolicy:
-    """Acts as a saved model does without noise: TD3, SAC, PPO or any other whose file names its policy.
+    """Acts as the model in a ``.zip`` of ``model.save`` does without noise: any whose file names its policy.
 
     It reads ``observation``, so it was trained on ``gymnasium.make("uavrl:uavrl/Valley-v0")`` or on what equals it.
     Opening the file runs whatever program it holds: open none that you do not trust.
 
-    A model that has learned in a ``VecNormalize`` needs the statistics that ``VecNormalize.save`` wrote. They are taken
-    from ``vecnormalize.pkl`` or ``vec_normalize.pkl`` beside the file, or from what ``CheckpointCallback`` wrote with
-    it; they are a pickle, too. The file does not say whether there was a ``VecNormalize``, but the last observation of
-    the training, which it keeps, does: a cell where nothing is near reads 0, and less once its mean was taken off.
-
-    Args:
-        path: The ``.zip`` that ``model.save`` wrote.
+    A model that has learned in a ``VecNormalize`` needs its statistics, a pickle too: ``vecnormalize.pkl`` or
+    ``vec_normalize.pkl`` beside the file, or what ``CheckpointCallback`` wrote with it. Whether there was one shows in
+    the last observation, which the file keeps: an empty cell reads 0, and less once its mean was taken off.
 
     Raises:
         UavrlError: where Stable-Baselines3 is missing, the file is none of its models, cannot be opened by the versions

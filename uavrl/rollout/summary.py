@@ -28,22 +28,18 @@ LABELS = {
 def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
     """Rates with Wilson 95 % intervals, path efficiency and clearance, or returns, and steps.
 
-    Path efficiency is the mean over arrivals; the minimum clearance (hull to nearest thing) is given
-    as the median over arrivals and as the least of them. What has no value without arrivals is ``None``.
-    Flights in several valleys are also counted valley by valley, by its seed. ``outcomes`` has a letter for each
-    flight: S for success, C for a collision, T for a time-out.
+    Path efficiency is the mean over successes; the minimum clearance (hull to nearest thing) is given as the median
+    over successes and as the least of them; what has no value without them is ``None``. Several valleys are also
+    counted one by one, by their seed. ``outcomes`` has a letter for each episode: success, collision or time-out.
 
     Examples:
         >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
         >>> result = summarize(flights)
         >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"], result["outcomes"]
         (0.5, 0.9, 75.0, 'SC')
-        >>> walks = [Flight(0, "arrived", 900, episode_return=310.0), Flight(1, "collided", 100, episode_return=-90.0)]
-        >>> summarize(walks)["mean_return"]
-        110.0
     """
     if not flights:
-        raise ValueError("Expected at least one flight to summarise, got none.")
+        raise ValueError("Expected at least one episode to summarise, got none.")
     outcomes = [flight.outcome for flight in flights]
     result: dict[str, Any] = {"episodes": len(flights)}
     result |= {name: wilson(outcomes.count(ending), len(flights)) for name, ending in RATES.items()}
@@ -72,27 +68,13 @@ def _success_in(valley: int, flights: Sequence[Flight]) -> dict[str, float]:
     return {"episodes": len(there), **wilson(there.count("arrived"), len(there))}
 
 
-def _valley_lines(valleys: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """A line for each valley."""
-    return [
-        f"{f'success in valley {valley}':<46}{told['rate']:>8.1%}   {told['low']:.1%} – {told['high']:.1%}, "
-        f"{told['episodes']} flown"
-        for valley, told in valleys.items()
-    ]
-
-
 def _number(value: float | None, form: str) -> str:
     """A value as text, a dash where there is none."""
     return "–" if value is None else format(value, form)
 
 
 def reached(result: Mapping[str, Any]) -> str:
-    """The share of solved tasks, in a sentence.
-
-    Examples:
-        >>> reached({"episodes": 500, "success": {"rate": 0.91, "low": 0.882, "high": 0.932}})
-        'Solved: 91.0 % of 500 fixed tasks (88.2-93.2 %).'
-    """
+    """The share of solved tasks, in a sentence."""
     success = {name: f"{100 * share:.1f}" for name, share in result["success"].items()}
     tasks = f"{result['episodes']} fixed tasks"
     return f"Solved: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %)."
@@ -105,7 +87,9 @@ def table(result: Mapping[str, Any]) -> str:
         rate = result[name]
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
     lines += [f"{label:<46}{_number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
-    lines += _valley_lines(result.get("success_by_valley", {}))
+    for valley, success in result.get("success_by_valley", {}).items():
+        interval = f"{success['low']:.1%} – {success['high']:.1%}, {success['episodes']} episodes"
+        lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
     return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])
 
 

@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 
 class BufferState:
-    """Dumps the filled part of a replay buffer with a :class:`~uavrl.buffers.FrameStorage`, not its whole capacity."""
+    """Dumps the filled part of a replay buffer with a :class:`~uavrl.buffers.FrameStorage`."""
 
     def __init__(self, buffer: ReplayBuffer) -> None:
         self.buffer = buffer
@@ -133,7 +133,7 @@ class DamagedCheckpoint(UavrlError):
 
 
 def never_began(run_dir: Path) -> bool:
-    """Whether a run was stopped before its first checkpoint, which comes before its first flight: nothing is lost."""
+    """Whether a run was stopped before its first checkpoint, which comes before its first episode: nothing is lost."""
     episodes = run_dir / EPISODES
     return (
         (run_dir / BEGUN).exists()
@@ -152,7 +152,7 @@ def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:
     recorded = read_config(run_dir)
     if fingerprint(config) != fingerprint(recorded):
         raise UavrlError(
-            f"{run_dir} was flown under another configuration than the one given: go on with its own, or start a new "
+            f"{run_dir} was trained under another configuration than the one given: go on with its own, or start a new "
             f"run."
         )
     found = all_checkpoints(run_dir)
@@ -182,7 +182,7 @@ def how_to_go_on(run_dir: Path) -> str:
     """The sentence that a stopped run ends with."""
     go_on = command_line("uavrl-train", resume=run_dir)
     if not any(run_dir.glob(ANY_CHECKPOINT)):
-        return f"stopped before the first flight: start it again, or {go_on}."
+        return f"stopped before the first episode: start it again, or {go_on}."
     try:
         saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]
         flown = len(read_episodes(run_dir / EPISODES))
@@ -191,4 +191,4 @@ def how_to_go_on(run_dir: Path) -> str:
     if flown == saved:
         return f"stopped after episode {flown}, which is saved: go on with {go_on}."
     again = f"episode {flown}" if flown == saved + 1 else f"episodes {saved + 1} to {flown}"
-    return f"stopped after episode {flown}: {go_on} goes on after {saved} and flies {again} again."
+    return f"stopped after episode {flown}: {go_on} goes on after {saved} and repeats {again}."

@@ -14,18 +14,8 @@ from uavrl.runs.names import CONFIG
 
 # What may differ between a run and its continuation: none of it changes what is learned.
 FREE_KEYS = (
-    "run_dir",
-    "resume",
-    "logger",
-    "choices",
-    "packages",
-    "collector.address",
-    "collector.workers",
-    "trainer.episodes",
-    "trainer.steps",
-    "trainer.until_success",
-    "trainer.progress",
-    "trainer.keep_checkpoints",
+    *("run_dir", "resume", "logger", "choices", "packages", "collector.address", "collector.workers"),
+    *("trainer.episodes", "trainer.steps", "trainer.until_success", "trainer.progress", "trainer.keep_checkpoints"),
 )
 # What a run may change when it goes on, on another machine perhaps: it bears on the last digits alone.
 MACHINE_KEYS = ("device", "trainer.execution", "trainer.threads", "trainer.products")
@@ -48,10 +38,7 @@ def fingerprint(config: DictConfig, without: Iterable[str] = (*FREE_KEYS, *MACHI
 
 
 def fingerprints(config: DictConfig) -> tuple[str, ...]:
-    """Under which a checkpoint of a recorded configuration may have been written.
-
-    Until 0.1.0 the machine's keys counted, as they are recorded: give what the run folder holds, with nothing changed.
-    """
+    """Under which a checkpoint of a recorded configuration may have been written: once the machine's keys counted."""
     return fingerprint(config), fingerprint(config, FREE_KEYS)
 
 
@@ -85,10 +72,10 @@ def require_folder(run_dir: Path) -> None:
 
 
 def load_config(path: Path) -> DictConfig:
-    """Reads a configuration that a run has written: plain values, with nothing left to work out.
+    """Reads a configuration that a run has written: plain values.
 
-    An interpolation could tell what the reader's environment holds (``${oc.env:TOKEN}``), and would stand in every
-    result; an alias of an alias of an alias can fill the memory. Runs write neither.
+    Others are refused: an interpolation could tell what the reader's environment holds (``${oc.env:TOKEN}``), and an
+    alias of an alias of an alias can fill the memory.
     """
     if path.stat().st_size > _MOST_BYTES:
         raise ValueError(f"expected at most {_MOST_BYTES:,} bytes, found {path.stat().st_size:,}")

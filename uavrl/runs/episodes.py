@@ -1,4 +1,4 @@
-"""What is kept of each flown episode: one row of ``episodes.csv``, and rates over a window."""
+"""``episodes.csv``: a row for each episode, and the rates over a window of them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +26,10 @@ LETTERS = {"arrived": "S", "collided": "C", "timed_out": "T"}  # success, collis
 
 @dataclass(frozen=True)
 class Episode:
-    """One flown episode; lengths in metres. Places are 0 where the environment has none.
+    """One episode; lengths in metres, places 0 where the environment has none.
 
-    The return is the one that the environment gave, where a transform scaled the rewards that are learned from. The
-    ``terms`` are what each named term of the reward adds to it; there are none where the reward names none.
+    The return is the environment's, where a transform scales the rewards that are learned from; ``terms`` are what each
+    named term of the reward adds to it.
     """
 
     episode: int
@@ -45,7 +45,7 @@ class Episode:
     goal_z: float
     world_seed: int
     task: int
-    terms: Mapping[str, float] = field(default_factory=dict)
+    terms: Mapping[str, float] = field(default_factory=dict, kw_only=True)
 
     @staticmethod
     def header(terms: Sequence[str] = ()) -> list[str]:
@@ -58,13 +58,13 @@ class Episode:
 
     @staticmethod
     def from_row(row: list[str], terms: Sequence[str] = ()) -> Episode:
-        """Reads one row of ``episodes.csv``."""
+        """Reads what :meth:`row` gave."""
         if len(row) != len(Episode.header(terms)):
             raise ValueError(f"expected rows of {len(Episode.header(terms))} columns, got {len(row)} in one")
         kinds = {"int": int, "float": float, "str": str}
         values = [kinds[str(each.type)](value) for each, value in zip(fields(Episode)[:-1], row, strict=False)]
         added = dict(zip(terms, map(float, row[len(values) :]), strict=True))
-        return replace(Episode(*values), terms=added)
+        return Episode(*values, terms=added)
 
 
 def wilson(count: int, total: int) -> dict[str, float]:
@@ -91,13 +91,9 @@ def difference_of_rates(one: Mapping[str, float], other: Mapping[str, float]) ->
 
 
 def outcomes_of(result: Mapping[str, Any]) -> str | None:
-    """How each task of an evaluation ended, a letter each; None where a file does not tell it.
-
-    Files from before there were ``outcomes`` tell it by their ``flights``.
+    """How each task of an evaluation ended, a letter each; None where a file holds neither outcomes nor episodes.
 
     Examples:
-        >>> outcomes_of({"outcomes": "SCT"})
-        'SCT'
         >>> outcomes_of({"flights": [{"task": 0, "outcome": "arrived"}, {"task": 1, "outcome": "timed_out"}]})
         'ST'
     """
@@ -136,8 +132,7 @@ def summarize(
     where = [*start, *goal, int(first.get("world_seed", 0)), int(first["task"].item())]
     terms = reward_terms(trajectory, trajectory["next"]) if reward_terms is not None else {}
     added = {name: float(term.double().sum()) for name, term in terms.items()}
-    row = Episode(episode, total_steps, outcome(last), paid, len(trajectory), *where)
-    return replace(row, terms=added)
+    return Episode(episode, total_steps, outcome(last), paid, len(trajectory), *where, terms=added)
 
 
 def mean_terms(episodes: Collection[Episode]) -> dict[str, float]:
@@ -237,5 +232,4 @@ class EpisodeLog:
         episodes = episodes[: state_dict["count"]]
         self._rewrite(episodes, list(episodes[0].terms) if episodes else [])
         self.count = len(episodes)
-        self._recent.clear()
-        self._recent.extend(episodes)
+        self._recent = deque(episodes, maxlen=self.window)

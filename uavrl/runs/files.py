@@ -4,7 +4,7 @@ import errno
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 
 from uavrl.errors import FolderTaken, UavrlError
@@ -12,13 +12,9 @@ from uavrl.errors import FolderTaken, UavrlError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Gives a file beside ``path`` to write to, which takes its place once it is written.
-
-    Whoever reads meanwhile, or looks after a kill, finds the old file or the new one, and never half of one. What lay
-    beside it is taken away first: it may be a link to somewhere else.
-    """
+    """Gives a file beside ``path`` to write to, which takes its place once it is whole."""
     partial = path.with_name(path.name + ".partial")
-    partial.unlink(missing_ok=True)
+    partial.unlink(missing_ok=True)  # it may be a link to somewhere else
     try:
         with naming(path):
             yield partial
@@ -58,19 +54,16 @@ def require_room(folder: Path, size: float) -> None:
     """Refuses to write more than the disk has left: what is mapped into memory dies of a full disk without an error."""
     free = shutil.disk_usage(folder).free
     if free < size:
-        told = f"{size / 1e6:,.1f} MB are needed and {free / 1e6:,.1f} MB are left"
-        raise OSError(errno.ENOSPC, told, str(folder))
+        wanted = f"{size / 1e6:,.1f} MB are needed and {free / 1e6:,.1f} MB are left"
+        raise OSError(errno.ENOSPC, wanted, str(folder))
 
 
 @contextmanager
 def made_folder(folder: Path, holding: str, *, another: bool = False) -> Iterator[Path]:
-    """Makes a folder where there is none, and no trace of it is left where an error ends the block before ``holding``.
+    """Makes a folder where there is none, and removes it where an error ends the block before it holds ``holding``.
 
-    Args:
-        folder: that is wanted.
-        holding: a pattern of what in it is worth keeping.
-        another: whether, where there is one of this name, another is made whose name ends in a number. Of several
-            processes that ask for it in the same moment, each gets its own.
+    ``another`` makes one whose name ends in a number where there is one of this name; of several processes that ask in
+    the same moment, each gets its own.
     """
     above = [path for path in folder.parents if not path.exists()]
     try:
@@ -94,16 +87,15 @@ def made_folder(folder: Path, holding: str, *, another: bool = False) -> Iterato
 
 def _made(folder: Path, another: bool) -> tuple[Path, bool]:
     """The folder, and whether it was made here."""
-    for number in count(1):
-        numbered = folder if number == 1 else folder.with_name(f"{folder.name}_{number}")
+    names = chain([folder.name], (f"{folder.name}_{number}" for number in count(2)))
+    while True:
+        made = folder.with_name(next(names))
         try:
-            numbered.mkdir()
+            made.mkdir()
+            return made, True
         except FileExistsError:
             if not another:
                 return folder, False
-        else:
-            return numbered, True
-    raise AssertionError("count has no end")
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:

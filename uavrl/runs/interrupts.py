@@ -61,7 +61,7 @@ class Stop:
 
 @contextmanager
 def interrupts_held_back() -> Iterator[None]:
-    """Processes that begin meanwhile never hear Ctrl-C and SIGTERM, which this one handles; it does at the end."""
+    """Blocks Ctrl-C and SIGTERM meanwhile: processes that are started inherit this, and this one handles both later."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
@@ -71,10 +71,7 @@ def interrupts_held_back() -> Iterator[None]:
 
 @contextmanager
 def stoppable() -> Iterator[Stop]:
-    """Hears Ctrl-C and SIGTERM, unless they are ignored, as Ctrl-C is in a shell's background jobs.
-
-    In another thread than the main one nothing is heard: Python gives signals to that one alone.
-    """
+    """Handles Ctrl-C and SIGTERM in the main thread, unless they are ignored, as in a shell's background jobs."""
     stop = Stop()
     if threading.current_thread() is not threading.main_thread():
         yield stop

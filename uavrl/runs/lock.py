@@ -22,8 +22,8 @@ GONE = 120.0  # s without one after which a holder on another machine is taken f
 def locked(run_dir: Path) -> Iterator[None]:
     """Keeps every other process out of a run folder; within this process it can be nested.
 
-    The lock of the file system tells on one machine, and there it ends with the process. Not every shared folder hands
-    it on to other machines, so whoever holds it also gives a sign of life there every ``BEAT`` seconds.
+    Not every shared folder hands a file system's lock on to other machines, so its holder also touches a file there
+    every ``BEAT`` seconds.
     """
     check_links(run_dir, (LOCK, HOLDER))  # the first that are written: callers look at the rest of the folder later
     lock = FileLock(run_dir / LOCK, blocking=False, is_singleton=True)

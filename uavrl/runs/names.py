@@ -1,7 +1,7 @@
 """The names in a run folder."""
 
 CONFIG = "config.yaml"  # the resolved configuration
-EPISODES = "episodes.csv"  # a row for each flight
+EPISODES = "episodes.csv"  # a row for each episode
 SUMMARY = "summary.json"  # what the run came to, once it has ended
 CHECKPOINTS = "checkpoints"  # a folder
 ANY_CHECKPOINT = f"{CHECKPOINTS}/checkpoint*"  # from the first one on there is something to go on from
@@ -10,14 +10,5 @@ PRETRAINED = "pretrained"  # a folder: the artifact that uavrl-pretrain made of 
 LOGS = "logs"  # a folder: what the logger writes
 LOCK, HOLDER = ".lock", ".holder.json"  # who trains here, and a sign of life
 BEGUN = ".begun"  # the mark of a run folder: what has it was made by a training, and may be cleared before a checkpoint
-TRAINING = (
-    CONFIG,
-    EPISODES,
-    SUMMARY,
-    CHECKPOINTS,
-    ARTIFACT,
-    LOGS,
-    LOCK,
-    HOLDER,
-    BEGUN,
-)  # what a training reads or writes
+# What a training reads or writes.
+TRAINING = (CONFIG, EPISODES, SUMMARY, CHECKPOINTS, ARTIFACT, LOGS, LOCK, HOLDER, BEGUN)

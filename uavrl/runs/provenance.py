@@ -2,7 +2,8 @@
 
 import platform
 import subprocess
-from functools import cache
+from contextlib import suppress
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -16,10 +17,8 @@ def versions() -> dict[str, str | None]:
     """The versions of :data:`PACKAGES` and of Python, and uavrl's commit, None outside of a checkout."""
     found: dict[str, str | None] = {"commit": commit(), "python": platform.python_version()}
     for package in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[package] = version(package)
-        except PackageNotFoundError:
-            continue
     return found
 
 
@@ -41,14 +40,11 @@ def commit() -> str | None:
 
 def commit_of(package: Path) -> str | None:
     """The same for a package in any folder."""
-    git = ["git", "--no-optional-locks", "-C", str(package)]
+    git = partial(subprocess.run, check=True, capture_output=True, text=True, timeout=20)
+    command = ["git", "--no-optional-locks", "-C", str(package)]
     try:
-        # An installation inside someone else's repository is not tracked there.
-        subprocess.run(
-            [*git, "ls-files", "--error-unmatch", "__init__.py"], check=True, capture_output=True, timeout=20
-        )
-        describe = [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-        found = subprocess.run(describe, check=True, capture_output=True, timeout=20)
+        git([*command, "ls-files", "--error-unmatch", "__init__.py"])  # is it tracked, or only in another's repository?
+        found = git([*command, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"])
     except (OSError, subprocess.SubprocessError):
         return None
-    return found.stdout.decode().strip() or None
+    return found.stdout.strip() or None

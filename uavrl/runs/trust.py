@@ -34,13 +34,7 @@ _BYTES = {
 
 
 def check_archive(path: Path) -> dict[str, Any]:
-    """Checks that a checkpoint holds only what uavrl writes, and that each of its bytes is as it was written.
-
-    Members' names, the types that their json names, and the sizes of tensors are compared with what uavrl writes.
-    Nothing is compressed, so that what is read is never larger than the file.
-
-    Returns:
-        The checkpoint's manifest.
+    """The manifest of a checkpoint, found to hold only what uavrl writes, uncompressed, and to be whole.
 
     Raises:
         UavrlError: when it holds anything else.
@@ -58,22 +52,15 @@ def check_archive(path: Path) -> dict[str, Any]:
         _check_names(path, manifest["components"], set(sizes))
         for name in sizes:
             if name.endswith("/state.json"):
-                _check_kinds(path, name, json.loads(archive.read(name)))
+                for kind in set(_kinds(json.loads(archive.read(name)))) - _KINDS:
+                    raise _refused(path, f"{name} with a {str(kind)[:80]!r}")
             elif name.endswith("/meta.json"):
                 _check_tensors(path, name, json.loads(archive.read(name)), sizes)
     return manifest
 
 
 def check_links(folder: Path, names: Iterable[str]) -> None:
-    """Checks that what is read and written in a folder lies there: no link leads out of it.
-
-    Args:
-        folder: which may itself be a link, and lie on any disk.
-        names: the files in it that matter, and the folders with all that they hold.
-
-    Raises:
-        UavrlError: naming the link.
-    """
+    """Refuses a folder where a link among ``names``, or in one of these folders, leads out of it."""
     inside = folder.resolve()
     for name in names:
         for path in (folder / name, *(folder / name).rglob("*")):
@@ -112,12 +99,6 @@ def _check_names(path: Path, components: dict[str, Any], names: set[str]) -> Non
             listed.add(f"{record['path']}/{file}")
     if listed != names:
         raise _refused(path, f"{min(listed ^ names)} without the other of member and listing")
-
-
-def _check_kinds(path: Path, name: str, schema: Any) -> None:
-    for kind in _kinds(schema):
-        if kind not in _KINDS:
-            raise _refused(path, f"{name} with a {str(kind)[:80]!r}")
 
 
 def _kinds(node: Any) -> Iterator[Any]:

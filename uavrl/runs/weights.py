@@ -20,19 +20,12 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class WeightsFile:
-    """One kind of weights, as two files in a folder. Nothing in them is unpickled.
+    """One kind of weights, as two files in a folder. Nothing in them is unpickled."""
 
-    Attributes:
-        name: of both files, without suffix.
-        format: what the json calls it.
-        thing: what it is, in a sentence.
-        remedy: how to come by another one.
-    """
-
-    name: str
-    format: str
-    thing: str
-    remedy: str
+    name: str  # of both files, without suffix
+    format: str  # what the json calls it
+    thing: str  # what it is, in a sentence
+    remedy: str  # how to come by another one
 
     @property
     def json(self) -> str:

@@ -43,7 +43,7 @@ from uavrl.transforms.rewards import terms_of
 
 
 def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
-    """All that a run learns with, new; a large world takes minutes."""
+    """The trainer of a new run; a large world takes minutes."""
     device = make_device(settings.device)
     new_env = partial(make_training_env, settings, seed=barrier_seed(settings.seed, 0))
     env = new_env()
@@ -52,10 +52,10 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
     loss = make_loss(settings, actor, sizes, device)
     backward_reward = make_backward_reward(settings, sizes, run_dir / ARTIFACT)
     buffer = make_buffer(settings, env, sizes, device)
-    flown: EnvBase | Callable[[], EnvBase] = env
+    source: EnvBase | Callable[[], EnvBase] = env
     if collector_class(settings).flies_elsewhere:
         env.close()  # another process makes its own
-        flown = carried(new_env)
+        source = carried(new_env)
     taken = options({**settings.algo, TARGET: STEPPER})
     logger = make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages)
     return EpisodeTrainer(
@@ -76,7 +76,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         reward_terms=reward_terms,
         checkpoint_interval=settings.trainer.checkpoint_interval,
         log=IntervalLog(logger, settings.logger.interval),
-        collector=make_collector(settings, flown, actor, sizes, device),  # last: it may have begun a process
+        collector=make_collector(settings, source, actor, sizes, device),  # last: it may have begun a process
     )
 
 
@@ -104,8 +104,9 @@ def make_loss(
         steps = settings.algo.get("n_steps", 1)
         single = enhanced.learns_from_single_steps
         require(steps == 1 or not single, "algo.n_steps", f"1: {part._target_} learns from single steps", steps)
-        told = settings.guided or GUIDE_ACTION not in enhanced.in_keys
-        require(told, "guide", f"a guide's name, such as vfh: {part._target_} learns what it would do", None)
+        demonstrated = settings.guided or GUIDE_ACTION not in enhanced.in_keys
+        wanted = f"a scripted controller, such as vfh: {part._target_} learns what it would do"
+        require(demonstrated, "guide", wanted, None)
         loss = enhanced
     return loss.to(device)
 
@@ -113,7 +114,7 @@ def make_loss(
 def load_risk(
     settings: TrainConfig, checkpoint: Path, device: torch.device
 ) -> Callable[[Tensor, Tensor], Tensor] | None:
-    """What the LifeGuard of a run has learned, or None where the run has none."""
+    """The probability of a collision that a run's LifeGuard has learned; None where the run has no LifeGuard."""
     if settings.lifeguard._target_ is None:
         return None
     sizes = saved_sizes(settings)
@@ -132,10 +133,10 @@ def load_risk(
 
 
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
-    """The environment that a run flies in; a guide's, where one flies its first steps."""
+    """The environment of a run; a scripted controller acts in it first where ``guide`` names one."""
     parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
-    anything_that_is_called: Any = Callable
-    guide = build(settings.guide, anything_that_is_called, packages=packages)
+    callable_type: Any = Callable
+    guide = build(settings.guide, callable_type, packages=packages)
     if guide is None:
         return make_env(*parts, packages=packages, seed=seed)
     env = cast(GuidedEnv, make_env(*parts, packages=packages, seed=seed, kind=GuidedEnv))
@@ -147,7 +148,7 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
 
 
 def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path) -> BackwardReward | None:
-    """The write-path transform that pays arriving flights again, or None."""
+    """The write-path transform that relabels the rewards of successful episodes, or None."""
     return build(
         settings.backward_reward,
         BackwardReward,
@@ -187,9 +188,9 @@ def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device
 
 
 def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
-    """What each vehicle's exploration noise is multiplied by: from 1/√ratio to √ratio, evenly in the logarithm.
+    """The factor of each vehicle's exploration noise: from 1/√ratio to √ratio, evenly in the logarithm.
 
-    As the actors of Ape-X explore (Horgan et al. 2018, arXiv:1803.00933): some try what others would not.
+    As the actors of Ape-X explore (Horgan et al. 2018, arXiv:1803.00933).
     """
     if vehicles == 1 or ratio == 1.0:
         return 1.0
@@ -197,7 +198,7 @@ def spread(vehicles: int, ratio: float) -> list[list[float]] | float:
 
 
 def make_noise(settings: TrainConfig, sizes: NetworkSizes, device: torch.device) -> AdditiveGaussianModule:
-    """What is added to actions to explore."""
+    """The exploration noise, which is added to actions."""
     sigma = settings.algo.exploration_noise * sizes.limit
     return AdditiveGaussianModule(
         spec=sizes.action_spec(device),
@@ -210,7 +211,7 @@ def make_noise(settings: TrainConfig, sizes: NetworkSizes, device: torch.device)
 
 
 def collector_class(settings: TrainConfig) -> type[FlightCollector]:
-    """The class of the run's collector."""
+    """The collector's class, which must have what a run asks of it."""
     found = find_class(str(settings.collector._target_), BaseCollector, settings.packages)
     if missing := [name for name in OURS if not hasattr(found, name)]:
         raise UavrlError(

@@ -1,9 +1,5 @@
 """An update without what Python, TensorDict and PyTorch's bookkeeping cost around its kernels.
 
-A :class:`Minimizer` is Adam on what a loss says about some parameters. :class:`LossGradients` records the loss and its
-gradients once and replays or compiles them; :class:`FusedAdam` and :class:`FusedSoftUpdate` make one call of all
-parameters.
-
 Why not the stock tools: ``torch.compile`` of the same losses with PyTorch's fused Adam and TorchRL's ``SoftUpdate``
 takes an update 1.41 times as long (``benchmarks/update.py``).
 """
@@ -74,15 +70,9 @@ class LossGradients:
     same order, hence the same numbers. ``compiled`` hands the recorded operations to TorchInductor, which
     fuses them (it rounds differently in the last digits, needs a C++ compiler, and is ``captured`` where that fails).
 
-    A recording holds as long as the loss takes the same branches: ``mode`` names them, and each mode, set of
+    A recording holds as long as the loss takes the same branches: ``mode()`` names them, and each mode, set of
     entries, batch size, type and device is recorded once. Parameters and buffers must be changed in place.
-
-    Args:
-        loss_method: gives the reduced loss and metadata.
-        parameters: leaves.
-        execution: ``"eager"``, ``"captured"`` or ``"compiled"``.
-        in_keys: what the loss reads of a batch, None for all there is.
-        mode: names the branches that the loss would take now.
+    ``in_keys`` are what the loss reads of a batch, None for all there is.
 
     Examples:
         >>> weight = torch.nn.Parameter(torch.ones(3))
@@ -106,7 +96,7 @@ class LossGradients:
         self.in_keys = in_keys
         self.execution = execution
         self.mode = mode
-        self._recorded: dict[Hashable, _Recording] = {}
+        self._recorded: dict[Hashable, Callable[[Sequence[Tensor]], Gradients]] = {}
 
     def __call__(self, batch: TensorDictBase) -> Gradients:
         """The loss on ``batch [B]``, its metadata and its gradients."""
@@ -120,7 +110,9 @@ class LossGradients:
             self._recorded[key] = self._record(batch, list(entries), inputs)
         return self._recorded[key](inputs)
 
-    def _record(self, batch: TensorDictBase, keys: list[Any], inputs: list[Tensor]) -> _Recording:
+    def _record(
+        self, batch: TensorDictBase, keys: list[Any], inputs: list[Tensor]
+    ) -> Callable[[Sequence[Tensor]], Gradients]:
         names: list[str] = []
 
         def flat(*leaves: Tensor) -> tuple[Tensor, ...]:
@@ -134,25 +126,16 @@ class LossGradients:
         devices = {leaf.device.index for leaf in inputs if leaf.is_cuda}
         with torch.random.fork_rng(devices):  # recording draws random numbers; replaying draws them again
             graph = make_fx(flat)(*inputs)
-        return _Recording(graph, names, inputs, self.execution == "compiled")
+        constants = _lift_constants(graph) if self.execution == "compiled" else []
+        run = _compile(graph, [*inputs, *constants]) if self.execution == "compiled" else graph
+        recorded = tuple(names)
 
+        @torch.no_grad()
+        def replay(inputs: Sequence[Tensor]) -> Gradients:
+            loss, *rest = run(*inputs, *constants)
+            return Gradients(loss, dict(zip(recorded, rest, strict=False)), tuple(rest[len(recorded) :]))
 
-class _Recording:
-    """The operations of one pass, and the names of what they give."""
-
-    def __init__(self, graph: GraphModule, names: Sequence[str], inputs: list[Tensor], compiled: bool) -> None:
-        self.names = list(names)
-        self.constants: list[Tensor] = []
-        self.run: Callable[..., Any] = graph
-        if compiled:
-            self.constants = _lift_constants(graph)
-            self.run = _compile(graph, [*inputs, *self.constants])
-
-    @torch.no_grad()
-    def __call__(self, inputs: Sequence[Tensor]) -> Gradients:
-        loss, *rest = self.run(*inputs, *self.constants)
-        count = len(self.names)
-        return Gradients(loss, dict(zip(self.names, rest, strict=False)), tuple(rest[count:]))
+        return replay
 
 
 def _lift_constants(graph: GraphModule) -> list[Tensor]:
@@ -200,13 +183,7 @@ class FusedAdam(torch.optim.Adam):
 
     ``torch.optim.Adam.step`` regroups its tensors at every call; :meth:`descend` gathers them once. The kernel walks
     through the memory of each tensor and asks for no strides, so what it is given is first laid out as the parameter.
-
-    Args:
-        params: the parameters.
-        lr: step size.
-
-    Raises:
-        UavrlError: for a parameter that shares or skips memory, such as an expanded one.
+    A parameter that shares or skips memory, such as an expanded one, is refused.
 
     Examples:
         >>> weight = torch.nn.Parameter(torch.ones(2))
@@ -233,22 +210,10 @@ class FusedAdam(torch.optim.Adam):
             self._gathered = self._gather()
         parameters, averages, squares, steps = self._gathered
         add(steps, 1)
-        group = self.param_groups[0]
-        fused_adam(
-            parameters,
-            [_laid_out(gradient, like) for gradient, like in zip(gradients, parameters, strict=True)],
-            averages,
-            squares,
-            [],
-            steps,
-            lr=group["lr"],
-            beta1=group["betas"][0],
-            beta2=group["betas"][1],
-            weight_decay=0.0,
-            eps=group["eps"],
-            amsgrad=False,
-            maximize=False,
-        )
+        laid_out = [_laid_out(gradient, like) for gradient, like in zip(gradients, parameters, strict=True)]
+        lr, (beta1, beta2), eps = (self.param_groups[0][name] for name in ("lr", "betas", "eps"))
+        settings = {"lr": lr, "beta1": beta1, "beta2": beta2, "weight_decay": 0.0, "eps": eps}
+        fused_adam(parameters, laid_out, averages, squares, [], steps, amsgrad=False, maximize=False, **settings)
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what ``state_dict`` gave."""

@@ -23,7 +23,7 @@ _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 def make_logger(part: Part, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
     """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``."""
-    with _told(choice):
+    with _wandb_errors(choice):
         return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / LOGS))
 
 
@@ -33,29 +33,25 @@ def require_login(part: Part, packages: Iterable[str] = ()) -> None:
         return
     if issubclass(find_class(str(part._target_), Logger, packages), OneRunWandbLogger):
         os.environ.setdefault(*WANDB_SILENT)
-        with _told("wandb"):
+        with _wandb_errors("wandb"):
             importlib.import_module("wandb").login(verify=False)
 
 
 @contextmanager
-def _told(choice: str) -> Iterator[None]:
+def _wandb_errors(choice: str) -> Iterator[None]:
     """Turns what wandb raises, and a missing package, into a sentence."""
     try:
         yield
     except Exception as error:
         if type(error).__module__.partition(".")[0] == "wandb":
+            reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
             raise UavrlError(
-                f"logger=wandb could not begin ({_first_line(error)}): log in with wandb login, or keep "
-                f"logger.offline=true."
+                f"logger=wandb could not begin ({reason}): log in with wandb login, or keep logger.offline=true."
             ) from error
         if not isinstance(error, ImportError):
             raise
         package = (error.name or choice).partition(".")[0]
         raise UavrlError(f"logger={choice} needs the package {package}: run pip install 'uavrl[{package}]'.") from error
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
 
 
 class OneRunWandbLogger(WandbLogger):
@@ -70,10 +66,8 @@ class OneRunWandbLogger(WandbLogger):
         if not name.exists():
             with replacing(name) as partial:
                 partial.write_text(uuid.uuid4().hex[:8], encoding="utf-8")
-        mode = "offline" if offline else "online"
-        super().__init__(
-            exp_name=exp_name, log_dir=log_dir, id=name.read_text(encoding="utf-8"), project=project, mode=mode
-        )
+        own = {"id": name.read_text(encoding="utf-8"), "mode": "offline" if offline else "online"}
+        super().__init__(exp_name=exp_name, log_dir=log_dir, project=project, **own)
 
     def log_scalar(self, name: str, value: float, step: int | None = None, *args: Any, **kwargs: Any) -> None:
         """Logs a value, unless its step is shown already: what is sent to wandb cannot be taken back."""
@@ -113,25 +107,17 @@ def close(logger: Logger | None) -> None:
 
 
 def truncate_logs(logger: Logger, run_dir: Path, steps: int, reached: int) -> None:
-    """Drops what was logged after the steps of a checkpoint, by a process that went on until ``reached``.
-
-    Whoever goes on from a checkpoint logs the steps after it again.
-    """
+    """Drops what a process that went on until ``reached`` logged after a checkpoint's steps: it is logged again."""
     if isinstance(logger, OneRunWandbLogger):
         logger.shown = reached
     if isinstance(logger, TensorboardLogger):
         logger.experiment.close()
         logger.experiment.purge_step = steps + 1  # the next value opens a file that begins with it
-    _truncate_csv(run_dir, steps)
-
-
-def _truncate_csv(run_dir: Path, steps: int) -> None:
-    """Rewrites the CSV logger's files; one that is not the logger's is left alone."""
     for path in (run_dir / LOGS).glob("*/scalars/*.csv"):
         rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
         whole = [row for row in rows if row.endswith("\n")]
         if not all(_ROW.fullmatch(row) for row in whole):
-            continue
+            continue  # it is not the CSV logger's
         kept = [row for row in whole if int(row.partition(",")[0]) <= steps]
         if len(kept) < len(rows):
             with replacing(path) as partial:

@@ -53,9 +53,12 @@ def multiplied_by(name: str, threads: int = 1) -> Iterator[Products]:
 
     Products on other devices than the CPU stay as they are.
     """
-    chosen = chosen_products(name, threads)
-    with _multiplied_by(chosen):
+    chosen, before = chosen_products(name, threads), _ON_CPU.fp32_precision
+    multiply_by(chosen)
+    try:
         yield chosen
+    finally:
+        _ON_CPU.fp32_precision = before
 
 
 def multiply_by(products: Products) -> None:
@@ -91,25 +94,18 @@ def denormals_flushed() -> Iterator[None]:
         torch.set_flush_denormal(flushed_before)
 
 
-@contextmanager
-def _multiplied_by(products: Products) -> Iterator[None]:
+def product(products: Products, one: Tensor, other: Tensor) -> Tensor:
+    """``one @ other`` by this library, whatever the process multiplies by."""
     before = _ON_CPU.fp32_precision
     multiply_by(products)
     try:
-        yield
+        return one @ other
     finally:
         _ON_CPU.fp32_precision = before
 
 
-def product(products: Products, one: Tensor, other: Tensor) -> Tensor:
-    """``one @ other`` by this library, whatever the process multiplies by."""
-    with _multiplied_by(products):
-        return one @ other
-
-
 def _probe() -> tuple[Tensor, Tensor]:
-    rows, inner, columns = PROBE
-    generator = torch.Generator().manual_seed(0)  # the process's own stays as it is
+    generator, (rows, inner, columns) = torch.Generator().manual_seed(0), PROBE
     return torch.randn(rows, inner, generator=generator), torch.randn(inner, columns, generator=generator)
 
 

@@ -1,4 +1,4 @@
-"""What a person reads of a run while it goes on: the progress line, and warnings of settings that learn little."""
+"""The progress line of a run, and warnings of settings with which little is learned."""
 
 import logging
 import math
@@ -16,13 +16,13 @@ SPAN = 60.0  # s that the speed is measured over
 SHORTEST = 3.0  # s from which on a speed says something
 
 
-def steps_left(flights: int, steps_a_flight: float, max_steps: int) -> float:
-    """About how many steps ``flights`` more will take.
+def steps_left(episodes: int, steps_per_episode: float, max_steps: int) -> float:
+    """About how many steps ``episodes`` more will take.
 
-    Flights that collide soon are short, and lengthen as a policy learns: the rest is taken to last half of
-    ``max_steps`` on average, or as long as the last ones where that is longer.
+    Episodes lengthen as a policy learns: the rest is taken to last half of ``max_steps`` on average, or as long as the
+    last ones where that is longer.
     """
-    return flights * max(steps_a_flight, max_steps / 2)
+    return episodes * max(steps_per_episode, max_steps / 2)
 
 
 class Progress:
@@ -45,11 +45,8 @@ class Progress:
         last_step: int | None = None,
         until_success: float | None = None,
     ) -> None:
-        self._window = window
-        self._random_steps = random_steps
-        self._first = "the guide flies" if guided else "flying at random"
-        self._max_steps = max_steps
-        self._episodes = episodes
+        self._window, self._episodes, self._max_steps, self._random_steps = window, episodes, max_steps, random_steps
+        self._first = "the scripted controller acts" if guided else "acting at random"
         self._by_steps = last_step is not None
         self._last_step = math.inf if last_step is None else last_step
         self._goal = "" if until_success is None else f" of {until_success:.0%}"
@@ -71,8 +68,10 @@ class Progress:
     def update(self, episodes: int, steps: int, rates: Mapping[str, float], mean_return: float) -> None:
         """Shows the state after ``episodes`` episodes and ``steps`` steps."""
         beside = f"{episodes:,} episodes" if self._by_steps else f"{steps:,} steps"
+        left, speed = self._left(episodes, steps), self._speed()
+        beside += "" if speed is None else f", {speed:.0f} steps/s"
         self._bar.set_postfix_str(
-            f"{self._left(episodes, steps)} | {beside}{self._speed_text()} | "
+            f"{left} | {beside} | "
             f"last {min(self._window, max(episodes, 1))}: success {rates['arrived']:.1%}{self._goal}, "
             f"collision {rates['collided']:.1%}, time-out {rates['timed_out']:.1%}, return {mean_return:.1f}",
             refresh=False,
@@ -80,28 +79,25 @@ class Progress:
         self._bar.update(self._gone(episodes, steps) - self._bar.n)
 
     def _gone(self, episodes: int, steps: int) -> int:
-        """What the bar fills with; tqdm forgets a total that is passed, as the last flight passes the last step."""
+        """What the bar fills with; tqdm forgets a total that is passed, as the last episode passes the last step."""
         return min(steps if self._by_steps else episodes, self._total)
 
     def _left(self, episodes: int, steps: int) -> str:
         if steps <= self._random_steps:
             return f"{self._first} until step {self._random_steps:,}"
         if self._compiled:  # the first updates are compiled meanwhile
-            self._take(steps)
+            now = time.monotonic()
+            self._times.append((now, steps))
+            while now - self._times[0][0] > SPAN and len(self._times) > 2:
+                self._times.popleft()
         self._compiled = True
         speed = self._speed()
         if speed is None:
             return "time left not known yet"
         done, before = self._before
-        a_flight = (steps - before) / max(episodes - done, 1)
-        left = min(steps_left(self._episodes - episodes, a_flight, self._max_steps), max(self._last_step - steps, 0))
+        length = (steps - before) / max(episodes - done, 1)
+        left = min(steps_left(self._episodes - episodes, length, self._max_steps), max(self._last_step - steps, 0))
         return f"{self._at_most}{tqdm.format_interval(left / speed)} left"
-
-    def _take(self, steps: int) -> None:
-        now = time.monotonic()
-        self._times.append((now, steps))
-        while now - self._times[0][0] > SPAN and len(self._times) > 2:
-            self._times.popleft()
 
     def _speed(self) -> float | None:
         """Steps per second of late, or None."""
@@ -109,47 +105,31 @@ class Progress:
             return None
         return max(self._times[-1][1] - self._times[0][1], 1) / seconds
 
-    def _speed_text(self) -> str:
-        return "" if (speed := self._speed()) is None else f", {speed:.0f} steps/s"
-
     def close(self) -> None:
         """Leaves the line as it is."""
         self._bar.close()
-
-
-def expected_steps(episodes: int, max_steps: int) -> int:
-    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take."""
-    return max(episodes * min(max_steps, 50), episodes * max_steps // 6)
 
 
 def warn_of_random_steps(settings: TrainConfig) -> None:
     """Before the run: its random steps may not end before it does."""
     random_steps, episodes, steps = settings.algo.random_steps, settings.trainer.episodes, settings.trainer.steps
     length = f"trainer.episodes={episodes}" if steps is None else f"trainer.steps={steps}"
-    if settings.guided:  # whose flights are learned from at once
-        if random_steps >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf):
-            log.warning(
-                "algo.random_steps=%d: the guide may fly the whole run, %s, and the policy nothing. Choose fewer "
-                "random steps or a longer run.",
-                random_steps,
-                length,
-            )
-        return
-    if steps is not None and random_steps >= steps:
-        log.warning(
-            "algo.random_steps=%d: nothing is learned before, and the run ends by then, by trainer.steps=%d. Choose "
-            "fewer random steps or a longer run.",
-            random_steps,
-            steps,
+    max_steps = settings.env.get("max_steps", 6 * random_steps)
+    # Random episodes end after about 50 steps, or after a sixth of many that they may take.
+    expected = max(episodes * min(max_steps, 50), episodes * max_steps // 6)
+    if settings.guided:  # its episodes are learned from at once
+        late = random_steps >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf)
+        said = f"the scripted controller may act for the whole run, {length}, and the policy never"
+    elif steps is not None and random_steps >= steps:
+        late, said = True, f"nothing is learned before, and the run ends by then, by {length}"
+    else:
+        late = random_steps > expected
+        said = (
+            f"nothing is learned before, and trainer.episodes={episodes} episodes may be over by then, since random "
+            f"ones last about {expected} steps together"
         )
-    elif random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6))):
-        log.warning(
-            "algo.random_steps=%d: nothing is learned before, and trainer.episodes=%d flights may be over by then, "
-            "since random ones last about %d steps together. Choose fewer random steps or a longer run.",
-            random_steps,
-            episodes,
-            expected,
-        )
+    if late:
+        log.warning("algo.random_steps=%d: %s. Choose fewer random steps or a longer run.", random_steps, said)
 
 
 def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> None:

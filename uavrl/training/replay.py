@@ -54,7 +54,7 @@ class Experience:
         return updates
 
     def batches(self, count: int) -> Iterator[TensorDictBase]:
-        """That many batches of random transitions; a prioritised buffer draws each when the one before is learned."""
+        """``count`` batches of random transitions; a prioritised buffer draws each when the one before is learned."""
         at_once = 1 if self.prioritized else BATCHES_AT_ONCE
         for done in range(0, count, at_once):
             drawn = self.buffer.sample(min(at_once, count - done) * self.batch_size)

@@ -81,23 +81,15 @@ def _write(config: DictConfig, run_dir: Path) -> None:
 def train(
     config: DictConfig, run_dir: Path, *, resume: bool = False, begun: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Trains until the configured number of episodes or steps is flown, or until the policy is good enough.
+    """Trains until there are enough episodes or steps, or the policy is good enough; ``create_run`` made ``run_dir``.
 
-    Args:
-        config: complete.
-        run_dir: made by :func:`create_run`.
-        resume: whether to go on from the newest checkpoint.
-        begun: called once all is built: what can be refused was not.
+    ``begun`` is called once all is built: what can be refused was not.
     """
     if resume:
         check_links(run_dir, TRAINING)
     products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
-    with (
-        locked(run_dir),
-        denormals_flushed(),
-        multiplied_by(products, config.trainer.threads),
-        stoppable() as stop,
-    ):
+    threads = config.trainer.threads
+    with locked(run_dir), denormals_flushed(), multiplied_by(products, threads), stoppable() as stop:
         try:
             return _train(config, run_dir, stop, begun, resume=resume)
         except BaseException as error:
@@ -113,7 +105,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     if resume and never_began(run_dir):
-        log.info("%s was stopped before its first flight: it starts anew.", run_dir)
+        log.info("%s was stopped before its first episode: it starts anew.", run_dir)
         _clear(run_dir)
         _write(config, run_dir)
         resume = False
@@ -147,9 +139,8 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
             until_success=settings.trainer.until_success,
         )
         if trainer.finished:
-            log.info(
-                "%s has ended: trainer.episodes, trainer.steps or trainer.until_success must ask for more.", run_dir
-            )
+            more = "trainer.episodes, trainer.steps or trainer.until_success must ask for more"
+            log.info("%s has ended: %s.", run_dir, more)
         else:
             with logging_redirect_tqdm():  # what is logged meanwhile stands above the line, not in it
                 trainer.train()
@@ -246,7 +237,7 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
     address = config.collector.get("address")
     if address is not None and "collector.address" not in changed:  # what a Ray cluster sends is unpickled
         raise UavrlError(
-            f"{run_dir} was flown on the Ray cluster {address}, and a run's folder may not choose whom this machine "
+            f"{run_dir} was trained on the Ray cluster {address}, and a run's folder may not choose whom this machine "
             f"trusts: add collector=ray collector.address={address}, or collector.address=null for this machine alone."
         )
     chosen = OmegaConf.select(overrides, "choices") or {}

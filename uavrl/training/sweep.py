@@ -11,16 +11,13 @@ from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, EPISODES, SUMMARY
 from uavrl.training.run import free
 
-NAME_DIGITS = 6
-
 
 def run_folder(config: DictConfig) -> Path:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and returns it.
 
-    What does not change what is learned (as ``trainer.episodes``, or what the machine at hand has) is not part of the
-    fingerprint: all machines that share a sweep find its runs, and one that is started again for longer runs goes on.
+    All machines that share a sweep find its runs so, and one that is started again for longer runs goes on.
     """
-    run_dir = Path(f"{Path(config.run_dir).expanduser()}_{fingerprint(config)[:NAME_DIGITS]}")
+    run_dir = Path(f"{Path(config.run_dir).expanduser()}_{fingerprint(config)[:6]}")
     OmegaConf.update(config, "run_dir", str(run_dir))
     return run_dir
 
@@ -45,8 +42,8 @@ def is_begun(run_dir: Path) -> bool:
 
 def summary_lines(run_dirs: list[Path]) -> str:
     """What stands of a sweep, a line for each run."""
-    lines = [f"  {run_dir}: {_flown(run_dir, 'episodes'):,} episodes" for run_dir in run_dirs]
-    return "\n".join([f"The sweep's {len(run_dirs)} runs:", *lines])
+    lines = (f"\n  {run_dir}: {_flown(run_dir, 'episodes'):,} episodes" for run_dir in run_dirs)
+    return f"The sweep's {len(run_dirs)} runs:{''.join(lines)}"
 
 
 def _flown(run_dir: Path, what: str) -> int:

@@ -10,25 +10,18 @@ from hydra.core.config_store import ConfigStore
 
 from uavrl import losses, transforms
 
+# fmt: off
 GROUPS: dict[str, tuple[type, ...]] = {
     "transform": (
-        transforms.TruncatedIcosahedron,
-        transforms.RangeImage,
-        transforms.NavigationObservation,
-        transforms.NavigationState,
-        transforms.NavigationReward,
-        transforms.TraditionalReward,
+        transforms.TruncatedIcosahedron, transforms.RangeImage, transforms.NavigationObservation,
+        transforms.NavigationState, transforms.NavigationReward, transforms.TraditionalReward,
     ),
     "loss": (
-        losses.TD3Loss,
-        losses.DDPGLoss,
-        losses.SACLoss,
-        losses.Fork,
-        losses.LifeGuard,
-        losses.Imitation,
+        losses.TD3Loss, losses.DDPGLoss, losses.SACLoss, losses.Fork, losses.LifeGuard, losses.Imitation,
         losses.PSAELoss,
     ),
 }
+# fmt: on
 
 
 def register_in_torchrl() -> None:

@@ -28,8 +28,8 @@ from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms.rewards import RewardTerms
 
 WAITED_FOR = (
-    "No episode has ended for a while: flights go on for up to env.max_steps steps, or the updates after one are being "
-    "made, trainer.updates_per_step for each of its steps; the first ones are compiled."
+    "No episode has ended for a while: one takes up to env.max_steps steps, or the updates after one are being made, "
+    "trainer.updates_per_step for each of its steps; the first ones are compiled."
 )
 
 
@@ -40,12 +40,11 @@ def barrier_seed(seed: int, episodes: int) -> int:
 
 @dataclass(kw_only=True, eq=False)
 class EpisodeTrainer:
-    """Trains until enough episodes or steps are flown, or enough flights arrive; every checkpoint is a barrier.
+    """Trains until there are enough episodes, steps or successes; every checkpoint is a barrier.
 
-    When a checkpoint is due, the open flights end and are learned from; what begins meanwhile is dropped whatever its
-    end. Then no flight is open that counts, and the environment is built anew from a seed that depends on the run's
-    seed and the number of episodes alone. A resumed process passes the same barrier, so that its run is bit-identical
-    to one that was never stopped.
+    When a checkpoint is due, the open episodes end and are learned from; what begins meanwhile is dropped whatever its
+    end. Then the environment is built anew from a seed that depends on the run's seed and the number of episodes alone.
+    A resumed process passes the same barrier, so that its run is bit-identical to one that was never stopped.
     """
 
     collector: FlightCollector  # yields one whole episode a batch
@@ -60,9 +59,9 @@ class EpisodeTrainer:
     metadata: dict[str, Any]  # goes into each checkpoint's manifest
     episodes: int
     steps: int | None  # of whole episodes, which end the training before
-    until_success: float | None  # the share of the last ``episode_log.window`` flights that ends the training before
+    until_success: float | None  # the success rate over ``episode_log.window`` episodes that ends the training before
     learns_after: int  # steps
-    judged_after: int  # steps; flights that ended before are a guide's, and say nothing of the policy
+    judged_after: int  # steps; episodes that ended before are a scripted controller's, and say nothing of the policy
     seed: int
     checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
     reward_terms: RewardTerms | None = None  # the named terms of the reward
@@ -114,7 +113,7 @@ class EpisodeTrainer:
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
-        """Keeps what was learned when nobody flies any more."""
+        """Saves what was learned when the collector's processes have died."""
         try:
             yield
         except FlyingEnded:
@@ -130,19 +129,23 @@ class EpisodeTrainer:
         for done, batch in enumerate(self.experience.batches(updates)):
             new = self.stepper.step(None, batch)
             self.experience.update_priority(batch)
-            losses = new if losses is None else _mean(losses, new, done)
-        if losses is not None:
-            self._check(losses)
-            self.log.add({"optim_steps": self.stepper.updates, **losses}, self.collected_frames)
+            losses = new if losses is None else losses * done / (done + 1) + new / (done + 1)  # their mean
+        if losses is None:
+            return
+        if not math.isfinite(value := losses["loss_value"].item()):
+            raise UavrlError(
+                f"The critic's loss became {value} after {self.stepper.updates} updates: lower the learning rates; the "
+                f"last checkpoint is untouched."
+            )
+        self.log.add({"optim_steps": self.stepper.updates, **losses}, self.collected_frames)
 
     def record(self, batch: TensorDictBase) -> None:
-        """Writes the episodes of a batch down, shows progress, and logs what is worth it."""
+        """Writes the episodes of a batch to ``episodes.csv``, the progress line and the logger."""
         self._silence.heard()
         steps = self.collected_frames - len(batch)
         for trajectory in split_episodes(batch):
             steps += len(trajectory)
-            episode = summarize(trajectory, self.episode_log.count + 1, steps, self.reward_terms)
-            self.episode_log.add(episode)
+            self.episode_log.add(summarize(trajectory, self.episode_log.count + 1, steps, self.reward_terms))
         rates, mean_return = self.episode_log.rates(), self.episode_log.mean_return()
         self.progress.update(self.episode_log.count, self.collected_frames, rates, mean_return)
         values = {
@@ -156,13 +159,6 @@ class EpisodeTrainer:
             values |= {} if part is None else part.diagnostics()
         self.log.add(values, self.collected_frames)
 
-    def _check(self, losses: TensorDictBase) -> None:
-        if not math.isfinite(value := losses["loss_value"].item()):
-            raise UavrlError(
-                f"The critic's loss became {value} after {self.stepper.updates} updates: lower the learning rates; the "
-                f"last checkpoint is untouched."
-            )
-
     @property
     def seconds(self) -> float:
         """Wall-clock time that the run has trained for, in all its processes; what a resume drops left out."""
@@ -170,7 +166,7 @@ class EpisodeTrainer:
 
     @property
     def finished(self) -> bool:
-        """Whether enough episodes or steps are flown, or enough of the last flights arrived."""
+        """Whether there are enough episodes or steps, or enough of the last episodes were a success."""
         log = self.episode_log
         flown = log.count >= self.episodes or (self.steps is not None and self.collected_frames >= self.steps)
         trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
@@ -178,10 +174,10 @@ class EpisodeTrainer:
         return flown or (trained and own)
 
     def save_if_due(self) -> None:
-        """Saves once the flights have ended that were open when a checkpoint became due.
+        """Saves once the episodes have ended that were open when a checkpoint became due.
 
         A run that was asked to stop goes on to its next checkpoint where that comes soon: one more would change what
-        is flown after it. Flights in a process of their own never come again, and are saved at once.
+        comes after it. Episodes of another process never come again, and are saved at once.
         """
         steps = self.collected_frames - self._last_save
         anywhere = self.collector.flies_elsewhere
@@ -198,22 +194,21 @@ class EpisodeTrainer:
             self._write()
 
     def barrier(self) -> None:
-        """Builds the environment anew; flights in a process of their own go on."""
+        """Builds the environment anew; episodes in another process go on."""
         count = self.episode_log.count
         self.steps_flown = self.collector.state_dict()["frames"]
         self.collector.start_anew(barrier_seed(self.seed, count), self.episodes - count)
         self.stop.begin()
 
     def _write(self) -> None:
-        metadata = {
-            **self.metadata,
+        progress = {
             "episodes": self.episode_log.count,
             "seconds": self.seconds,
             "collected_frames": self.collected_frames,
         }
         with naming(self.rotation.directory):
             require_room(self.rotation.directory.parent, 2 * self._checkpoint_size())  # files, then the archive of them
-            self.rotation.save(self.checkpoint, step=self.collected_frames, metadata=metadata)
+            self.rotation.save(self.checkpoint, step=self.collected_frames, metadata=self.metadata | progress)
 
     def _checkpoint_size(self) -> float:
         """About how many bytes a checkpoint takes: the networks, Adam's moments of them, and the transitions."""
@@ -227,8 +222,3 @@ class EpisodeTrainer:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self.collected_frames, self._last_save = state_dict["collected_frames"], state_dict["last_save"]
-
-
-def _mean(mean: TensorDictBase, new: TensorDictBase, done: int) -> TensorDictBase:
-    """The mean of ``done + 1`` losses, of the mean of the others and the last."""
-    return mean * done / (done + 1) + new / (done + 1)

@@ -15,9 +15,7 @@ from uavrl.training.compiled import Execution, FusedSoftUpdate, Minimizer
 
 
 class ActorCriticStepper(OptimizationStepper):
-    """Critics and models every step; actor and target networks every ``policy_delay`` steps (Algorithm 3.1).
-
-    While ``actor_learns`` is false, actor and targets stay as they are.
+    """Critics and models every step; actor and targets every ``policy_delay``, while ``actor_learns`` (Algorithm 3.1).
 
     Args:
         loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its enhancers say what else is trained.
@@ -26,7 +24,7 @@ class ActorCriticStepper(OptimizationStepper):
         temperature_lr: Adam's step for SAC's temperature.
         policy_delay: critic steps for each step of actor and targets.
         tau: share of the online networks in each target update (Eq. 2.9).
-        execution: how losses are run: ``"eager"``, ``"captured"`` or ``"compiled"``.
+        execution: as in :class:`~uavrl.training.compiled.LossGradients`.
     """
 
     updates_replay_priority = True
