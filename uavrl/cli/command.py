@@ -61,10 +61,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
 
 
 class _Mistakes:
-    """Turns what Hydra raises into a sentence; errors of the command itself pass.
-
-    Hydra answers some mistakes by its own errors, and others by whatever breaks inside it.
-    """
+    """Turns what Hydra raises, or what breaks inside it, into a sentence; errors of the command itself pass."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -93,13 +90,13 @@ def explained(error: Exception, name: str) -> str:
         return f"The override {error.override!r} cannot be read: {_readable(str(error.override))}."
     if isinstance(error, BrokenProcessPool):
         return (
-            "A process that flew runs of the sweep was killed, often for want of memory: start the same command again, "
-            "which goes on with its runs, and with fewer at a time where memory was short (hydra.launcher.n_jobs=1)."
+            "A process of the sweep was killed, often for want of memory: start the same command again, which goes on "
+            "with its runs, and with fewer at a time where memory was short (hydra.launcher.n_jobs=1)."
         )
     if isinstance(error, OSError) and error.filename is not None:
         return (
-            f"{error.filename} cannot be written ({error.strerror}): a sweep writes there what it flies; start it in "
-            f"another folder, or choose one with hydra.sweep.dir=FOLDER."
+            f"{error.filename} cannot be written ({error.strerror}): a sweep writes there; start it in another folder, "
+            f"or choose one with hydra.sweep.dir=FOLDER."
         )
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)

@@ -73,11 +73,9 @@ def configure_logging() -> None:
 
 @contextmanager
 def command_process() -> Iterator[None]:
-    """Around all that a command does.
+    """Around all that a command does: a mistake ends in one sentence, in whatever encoding the terminal has.
 
-    A mistake ends in one sentence. Texts are shown in whatever encoding the terminal has. Processes that are started
-    import nothing from the working folder, which may be the run folder of somebody else: what a user wants to be
-    imported is installed, or stands in ``PYTHONPATH``.
+    Processes that are started import nothing from the working folder, which may be the run folder of somebody else.
     """
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"

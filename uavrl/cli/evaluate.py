@@ -1,4 +1,4 @@
-"""``uavrl-evaluate``: flies fixed tasks with the policy of a run, or with a policy that learns nothing."""
+"""``uavrl-evaluate``: rolls out the policy of a run, or a baseline, in fixed tasks."""
 
 import json
 from dataclasses import asdict
@@ -36,7 +36,7 @@ def main(config: DictConfig) -> None:
 
 
 def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
-    """Flies the tasks of one evaluation, and writes what came of them with the overrides that made it."""
+    """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it."""
     settings = validate(config, EvaluateConfig)
     folder = policy_folder(settings.run, settings.policy)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.

@@ -32,10 +32,7 @@ class ExportConfig:
 @command("export")
 def main(config: DictConfig) -> None:
     """Writes weights and configuration; evaluation and replay take the folder as ``run=``."""
-    _export(validate(config, ExportConfig))
-
-
-def _export(settings: ExportConfig) -> None:
+    settings = validate(config, ExportConfig)
     folder, output = policy_folder(settings.run, settings.policy), Path(str(settings.output))
     if folder is None:
         names = packaged_policies()
@@ -44,12 +41,12 @@ def _export(settings: ExportConfig) -> None:
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.rollout.actor import TOLD, export_policy, load_actor
 
-    config, actor, known = load_actor(folder, settings.checkpoint, "cpu", settings.packages)
+    trained, actor, known = load_actor(folder, settings.checkpoint, "cpu", settings.packages)
     about = {key: known[key] for key in ("run", *TOLD) if key in known}
-    export_policy(actor, config, {"run": folder.resolve().name, **about}, output)
+    export_policy(actor, trained, {"run": folder.resolve().name, **about}, output)
     steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"
     then = command_line("uavrl-evaluate", run=output)
-    print(f"The policy after {steps} steps is in {output}. See how well it flies: {then}")
+    print(f"The policy after {steps} steps is in {output}. Its success rate: {then}")
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ from uavrl.config import conf_dir
 
 ABOUT = {
     "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),
-    "evaluate": ("uavrl-evaluate", "Flies fixed tasks without noise and tells how often they are solved."),
-    "replay": ("uavrl-replay", "Flies a few tasks and writes a page that plays them back."),
+    "evaluate": ("uavrl-evaluate", "Rolls out a policy in fixed tasks without noise: its success rate."),
+    "replay": ("uavrl-replay", "Writes a page that plays a few tasks back, flown without noise."),
     "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
     "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
@@ -27,26 +27,13 @@ EXAMPLES = {
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
 MOST_USED = {
-    "config": [
-        "run_dir",
-        "resume",
-        "seed",
-        "device",
-        "trainer.episodes",
-        "trainer.steps",
-        "trainer.until_success",
-        "env.num_uavs",
-        "env.world.obstacles",
-        "algo.random_steps",
-        "algo.hidden",
-        "buffer.capacity",
-        "packages",
-    ],
-    "evaluate": ["run", "policy", "episodes", "suite", "valleys", "output", "seed", "checkpoint", "num_uavs"],
-    "replay": ["run", "policy", "task", "tasks", "output", "checkpoint"],
-    "report": ["runs", "output", "window", "threshold", "title"],
-    "export": ["run", "policy", "output", "checkpoint"],
-    "pretrain": ["run", "output", "seed"],
+    "config": "run_dir resume seed device trainer.episodes trainer.steps trainer.until_success env.num_uavs "
+    "env.world.obstacles algo.random_steps algo.hidden buffer.capacity packages",
+    "evaluate": "run policy episodes suite valleys output seed checkpoint num_uavs",
+    "replay": "run policy task tasks output checkpoint",
+    "report": "runs output window threshold title",
+    "export": "run policy output checkpoint",
+    "pretrain": "run output seed",
 }
 LONGEST = 24  # characters of a name beside its meaning
 _KEY = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>.*?)(?:\s+#\s*(?P<meaning>.*))?$")
@@ -58,12 +45,6 @@ class Key(NamedTuple):
     name: str
     value: str
     meaning: str
-
-
-def wanted(arguments: list[str]) -> str | None:
-    """Which help the command line asks for: ``short``, ``all``, or none."""
-    asked = {"--help": "short", "-h": "short", "--help=all": "all"}
-    return next((asked[argument] for argument in arguments if argument in asked), None)
 
 
 def help_text(name: str, *, every_key: bool = False) -> str:
@@ -90,7 +71,8 @@ def help_text(name: str, *, every_key: bool = False) -> str:
         shown = {key.name: f"{key.meaning} ({key.value})" if key.value else key.meaning for key in known.values()}
         lines += ["", "All keys, with their default in brackets", *_table({k: v for k, v in shown.items() if v})]
     else:
-        lines += ["", "Keys that are used most", *_table({name: known[name].meaning for name in MOST_USED[name]})]
+        most_used = {key: known[key].meaning for key in MOST_USED[name].split()}
+        lines += ["", "Keys that are used most", *_table(most_used)]
         lines += ["", f"All keys: {command} --help=all    What a command line comes to: {command} … --cfg job"]
     return "\n".join(lines)
 
@@ -143,7 +125,7 @@ def _table(rows: dict[str, str]) -> list[str]:
 
 def show(name: str) -> bool:
     """Prints the help that the command line asks for; False where it asks for none."""
-    which = wanted(sys.argv[1:])
-    if which is not None:
-        print(help_text(name, every_key=which == "all"))
-    return which is not None
+    asked = [argument for argument in sys.argv[1:] if argument in ("--help", "-h", "--help=all")]
+    if asked:
+        print(help_text(name, every_key=asked[0] == "--help=all"))
+    return bool(asked)

@@ -4,17 +4,11 @@ import sys
 from importlib import import_module
 
 from uavrl.cli.errors import command_process
+from uavrl.cli.help import ABOUT
 from uavrl.config.sentences import did_you_mean
 from uavrl.errors import UavrlError
 
-COMMANDS = {
-    "train": "trains one policy, or one for each combination of values",
-    "evaluate": "flies fixed tasks and tells how often a policy solves them",
-    "replay": "writes a page that plays flights back",
-    "report": "compares runs in one page",
-    "export": "writes a run's policy to a folder of its own",
-    "pretrain": "learns the trajectory classifier of ABR⁺ from a run",
-}
+COMMANDS = {command.removeprefix("uavrl-"): about for command, about in ABOUT.values()}
 
 
 def main() -> None:

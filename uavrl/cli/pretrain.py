@@ -12,10 +12,6 @@ from uavrl.config import validate
 @command("pretrain")
 def main(config: DictConfig) -> None:
     """Makes one artifact."""
-    _pretrain(config)
-
-
-def _pretrain(config: DictConfig) -> None:
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
     from uavrl.pretraining.settings import PretrainConfig
@@ -30,10 +26,8 @@ def _pretrain(config: DictConfig) -> None:
     print(f"The classifier says the right one for {learned['held_out_accuracy']:.1%} of held-out states")
     print("Class sizes")
     for name, sizes in about["class_sizes"].items():
-        print(
-            f"  {name}: {sizes['classes']} classes, mean {sizes['mean']:.2f}, largest {sizes['largest']}, "
-            f"SD {sizes['sd']:.2f}"
-        )
+        spread = f"mean {sizes['mean']:.2f}, largest {sizes['largest']}, SD {sizes['sd']:.2f}"
+        print(f"  {name}: {sizes['classes']} classes, {spread}")
     print(f"Artifact: {about['output']}")
     chosen = {"backward_reward": "abr_plus", "backward_reward.artifact": Path(about["output"])}
     print(f"Train with it, and with that run's perception: {command_line('uavrl-train', **chosen)}")

@@ -24,14 +24,13 @@ def reached(folder: Path) -> str:
     if not evaluations:
         raise UavrlError(f"{folder} holds no evaluation: run {evaluate} first.")
     try:
-        summary, evaluation = (
-            json.loads(path.read_text(encoding="utf-8")) for path in (folder / SUMMARY, evaluations[-1])
-        )
+        files = (folder / SUMMARY, evaluations[-1])
+        summary, evaluation = (json.loads(path.read_text(encoding="utf-8")) for path in files)
         success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
-        again = f"{evaluate} flies it again, uavrl-export keeps the policy on its own"
+        again = f"{evaluate} evaluates it again, uavrl-export keeps the policy on its own"
         return (
             f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
-            f"{summary['episodes']} flights, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
+            f"{summary['episodes']} episodes, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
             f"Where:   {folder} ({again})\n"
             f"Look:    open {folder / 'replay.html'} in a browser"
         )

@@ -1,4 +1,4 @@
-"""``uavrl-replay``: flies a few tasks without noise and shows them in a page."""
+"""``uavrl-replay``: rolls out a policy in a few tasks without noise and shows the flights in a page."""
 
 from __future__ import annotations
 
@@ -40,11 +40,12 @@ class ReplayConfig(FlyingConfig):
 
     def __post_init__(self) -> None:
         """Checks what belongs together."""
-        chosen = [key for key in ("task", "tasks", "episodes") if getattr(self, key) is not None]
+        keys = ("task", "tasks", "episodes", "valleys", "checkpoint")
+        given = [key for key in keys if getattr(self, key) is not None]
+        chosen = [key for key in given if key in keys[:3]]
         require(len(chosen) <= 1, "The choice of tasks", "one of task, tasks and episodes", " and ".join(chosen))
-        told = [key for key in ("task", "tasks", "episodes", "valleys", "checkpoint") if getattr(self, key) is not None]
         own = "the only choice, since the file brings its flights"
-        require(self.flight is None or not told, "flight", f"{own} (leave {', '.join(told)} out)", self.flight)
+        require(self.flight is None or not given, "flight", f"{own} (leave {', '.join(given)} out)", self.flight)
         require(self.task is None or self.task >= 0, "task", "a number from 0", self.task)
         listed = self.tasks
         distinct = listed is None or (len(listed) > 0 and min(listed) >= 0 and len(set(listed)) == len(listed))
@@ -63,11 +64,7 @@ class ReplayConfig(FlyingConfig):
 @command("replay")
 def main(config: DictConfig) -> None:
     """Makes one page."""
-    _replay(config, given_overrides())
-
-
-def _replay(config: DictConfig, overrides: list[str]) -> None:
-    settings = validate(config, ReplayConfig)
+    settings, overrides = validate(config, ReplayConfig), given_overrides()
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
         raise UavrlError("Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz, and no two of them.")
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
@@ -84,10 +81,9 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
         shown = loaded() if callable(loaded) else loaded
     for flight in shown.flights:
         summary = flight.summary
-        print(
-            f"task {summary.task}: {summary.outcome.replace('_', ' ')} after {summary.steps} steps, path efficiency "
-            f"{summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
-        )
+        ended = f"{summary.outcome.replace('_', ' ')} after {summary.steps} steps"
+        lengths = f"path efficiency {summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
+        print(f"task {summary.task}: {ended}, {lengths}")
         print("\n".join(f"  {line}" for line in whereabouts_lines(flight.whereabouts)))
     write_page(shown, outputs["output"])
     if settings.data:
@@ -122,27 +118,26 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     chosen, risk = choose(settings, config, overrides, folder, device), None
     if folder is not None and chosen.run is not None:
         if "world" not in chosen.env:
-            raise UavrlError(
-                f"uavrl-replay shows flights in the valley, and {folder} is a run of {chosen.choices.get('env')}: see "
-                f"how it does with {command_line('uavrl-evaluate', run=folder)}."
-            )
+            instead = f"see how it does with {command_line('uavrl-evaluate', run=folder)}"
+            other = f"{folder} is a run of {chosen.choices.get('env')}"
+            raise UavrlError(f"uavrl-replay shows flights in the valley, and {other}: {instead}.")
         if settings.checkpoint is not None or not POLICY.is_in(folder):  # LifeGuard is not exported
             risk = load_risk(chosen.run, checkpoint_path(folder, settings.checkpoint), device)
         chosen.source["run"] = folder.resolve().name
     source = {**chosen.source, "env": chosen.choices.get("env", ""), "seed": settings.seed}
 
-    def flown() -> Recording:
-        parts = (chosen.env, chosen.perception, chosen.reward)
+    def record() -> Recording:
+        parts, tasks = (chosen.env, chosen.perception, chosen.reward), settings.task_numbers
         context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": 1}
-        context["tasks"] = settings.task_numbers  # valleys that none of them needs are not built
+        context["tasks"] = tasks  # valleys that none of them needs are not built
         env = make_env(*parts, keep_cloud=True, measure_clearance=True, **context)
-        told: dict[str, Any] = {"seed": settings.seed, "source": source, "risk": risk, "max_points": settings.points}
+        kept: dict[str, Any] = {"seed": settings.seed, "source": source, "risk": risk, "max_points": settings.points}
         try:
-            return record_flights(env, chosen.policy, settings.task_numbers, progress=settings.progress, **told)
+            return record_flights(env, chosen.policy, tasks, progress=settings.progress, **kept)
         finally:
             env.close()
 
-    return flown
+    return record
 
 
 if __name__ == "__main__":

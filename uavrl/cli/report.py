@@ -27,9 +27,8 @@ class ReportConfig:
 
     def __post_init__(self) -> None:
         """Checks that page and facts are two files."""
-        require(
-            self.facts.resolve() != Path(self.output).resolve(), "json", "another file than output", str(self.facts)
-        )
+        apart = self.facts.resolve() != Path(self.output).resolve()
+        require(apart, "json", "another file than output", str(self.facts))
 
     @property
     def facts(self) -> Path:
@@ -54,10 +53,7 @@ def _matching(name: str) -> list[Path]:
 @command("report")
 def main(config: DictConfig) -> None:
     """Reads run folders, writes the report and says what it left out."""
-    _report(validate(config, ReportConfig))
-
-
-def _report(settings: ReportConfig) -> None:
+    settings = validate(config, ReportConfig)
     # Imported here: --help and a mistyped key answer without loading anything.
     from uavrl.reporting.page import page
     from uavrl.reporting.report import make_report
@@ -72,8 +68,7 @@ def _report(settings: ReportConfig) -> None:
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
     print(f"{_count(report.runs, 'run')} in {_count(report.groups, 'group')} (seeds): {groups}")
     best = report.groups[0]
-    success = best["last"]["success"]
-    rate, low, high = (f"{100 * success[name]:.1f}" for name in ("rate", "low", "high"))
+    rate, low, high = (f"{100 * best['last']['success'][name]:.1f}" for name in ("rate", "low", "high"))
     print(
         f"Best: {best['label']}, success rate {rate} % over the last episodes ({low}-{high} %). "
         f"Open {output} in a browser; {facts} holds the facts."

@@ -35,10 +35,9 @@ Evaluate = Callable[[DictConfig, list[str], Path], dict[str, Any]]
 
 
 def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list[str]) -> None:
-    """Flies the scenarios, as many at a time as there are processors, and prints their table.
+    """Evaluates the scenarios, as many at a time as there are processors, and prints their table.
 
-    Each is an evaluation of its own in a file of its own; one that is there already, of the same policy and tasks, is
-    not flown again.
+    Each has a file of its own; one that is there already, of the same policy and tasks, is not made again.
     """
     from uavrl.rollout.summary import reached, scenarios, suite_table
 
@@ -55,7 +54,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     flown = {name: result for name, result in there.items() if result is not None}
     for name in flown:
         log.info("%s is there already", outputs[name])
-    flown |= _flown(evaluate, {n: (configs[n], told[n], outputs[n]) for n in chosen if n not in flown})
+    flown |= _evaluated(evaluate, {n: (configs[n], told[n], outputs[n]) for n in chosen if n not in flown})
     results = {name: flown[name] for name in chosen}
     known = {name: {k: value for k, value in result.items() if k != "flights"} for name, result in results.items()}
     with replacing(folder / "suite.json") as partial:
@@ -81,25 +80,23 @@ def _folder(settings: EvaluateConfig, kept: list[str]) -> Path:
     return folder
 
 
-def _flown(
-    evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]]
-) -> dict[str, dict[str, Any]]:
-    """The results of some scenarios, each flown in a process of its own."""
+def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]]) -> dict[str, Any]:
+    """The results of some scenarios, each in a process of its own."""
     results = {}
     with _processes(min(machine_processors(), max(len(scenarios), 1))) as pool:
         with interrupts_held_back():
-            flying = {name: pool.submit(evaluate, *scenario) for name, scenario in scenarios.items()}
-        for name, each in flying.items():
+            futures = {name: pool.submit(evaluate, *scenario) for name, scenario in scenarios.items()}
+        for name, each in futures.items():
             try:
                 results[name] = each.result()
             except BrokenProcessPool as error:
                 raise UavrlError(
-                    f"{name}: a process that flew was killed, often for want of memory: start the same command again, "
-                    f"which flies what is missing."
+                    f"{name}: its process was killed, often for want of memory: start the same command again, which "
+                    f"evaluates what is missing."
                 ) from error
             except UavrlError as error:
                 raise UavrlError(f"{name}: {error}") from error
-            log.info("%s is flown", name)
+            log.info("%s is evaluated", name)
     return results
 
 
@@ -115,7 +112,7 @@ def machine_processors(quota: Path = CPU_QUOTA) -> int:
 
 @contextmanager
 def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with this one: what flies when an error is raised is flown to its end, but for Ctrl-C."""
+    """Processes that end with this one; on an error they finish their evaluations first, on Ctrl-C they do not."""
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
     try:
         yield pool
@@ -129,7 +126,7 @@ def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin() -> None:
-    """In a process that flies."""
+    """In each of the processes."""
     configure_logging()
     logging.getLogger().setLevel(logging.WARNING)
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -139,20 +136,17 @@ def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        os.kill(os.getpid(), signal.SIGKILL)  # nobody waits for what flies here
+        os.kill(os.getpid(), signal.SIGKILL)  # nobody waits for its result
 
 
 def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, Any] | None:
     """The result in a file, if it is of these tasks and younger than the policy, else None."""
     try:
         result = json.loads(output.read_text(encoding="utf-8"))
-        same = (result["overrides"], result["episodes"], result["seed"]) == (
-            distinguishing(told),
-            settings.episodes,
-            settings.seed,
-        )
+        wanted = {"overrides": distinguishing(told), "episodes": settings.episodes, "seed": settings.seed}
+        same = all(result[key] == value for key, value in wanted.items())
         result["outcomes"] = outcomes_of(result)  # which a file from before there were any tells by its flights
-    except (FileNotFoundError, ValueError, KeyError, TypeError):  # something else, or damaged: it is flown again
+    except (FileNotFoundError, ValueError, KeyError, TypeError):  # something else, or damaged: it is made again
         return None
     return result if same and output.stat().st_mtime >= _changed(settings) else None
 

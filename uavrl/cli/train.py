@@ -5,7 +5,7 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -19,6 +19,7 @@ from uavrl.cli.memory import require_memory
 from uavrl.command_line import command_line
 from uavrl.config import TrainConfig, resolve, validate, validate_run
 from uavrl.errors import FolderTaken, Stopped, UavrlError
+from uavrl.runs.episodes import RATES
 from uavrl.runs.files import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
 
@@ -26,40 +27,31 @@ log = logging.getLogger(__name__)
 LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
 
 
-@dataclass
-class _Swept:
-    """What this process has met of a sweep."""
-
-    ended: list[Path] = field(default_factory=list)
-    elsewhere: list[Path] = field(default_factory=list)  # flown by other processes
-
-
-_swept = _Swept()
+_ended: list[Path] = []  # of a sweep's runs, by this process
+_elsewhere: list[Path] = []  # those of other processes
 
 
 def main() -> None:
     """Trains one run, or a sweep: several processes may share one, and each stays until all of its runs have ended."""
-    told = False
-    while True:
-        _swept.ended.clear()
-        _swept.elsewhere.clear()
+    for attempt in count():
+        _ended.clear()
+        _elsewhere.clear()
         _command()
-        if not _swept.elsewhere:
+        if not _elsewhere:
             break
-        if not told:
-            log.info("Waiting for other processes to end %s of the sweep's runs, or to die.", len(_swept.elsewhere))
-        told = True
+        if attempt == 0:
+            log.info("Waiting for other processes to end %s of the sweep's runs, or to die.", len(_elsewhere))
         with one_sentence():
             time.sleep(LOOK_AGAIN)
-    if _swept.ended:
+    if _ended:
         from uavrl.training.sweep import summary_lines
 
-        print(summary_lines(_swept.ended))
+        print(summary_lines(_ended))
 
 
 @command("config")
 def _command(config: DictConfig) -> None:
-    """Trains one run; in a sweep a run that fails does not keep the others from flying."""
+    """Trains one run; in a sweep a run that fails does not stop the others."""
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         with one_sentence():
             _train(config)
@@ -134,7 +126,7 @@ def _check_machine(config: DictConfig) -> None:
 
 
 def _train_in_sweep(config: DictConfig) -> None:
-    """Trains a combination, goes on with it, or leaves it alone where it is finished or another process flies it."""
+    """Trains a combination, goes on with it, or leaves it alone where it is finished or another process trains it."""
     _check(validate(config))
     if config.resume is not None:
         raise UavrlError(
@@ -148,14 +140,14 @@ def _train_in_sweep(config: DictConfig) -> None:
 
     run_dir = run_folder(config)
     config = resolve(config)
-    if run_dir in (*_swept.ended, *_swept.elsewhere):
+    if run_dir in (*_ended, *_elsewhere):
         raise UavrlError(
             f"Two combinations of the sweep mean the same run {run_dir}: they differ in nothing that is learned from; "
-            f"fly them apart, each with a run_dir of its own."
+            f"give each a run_dir of its own."
         )
     if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):
         print(f"Finished: {run_dir}")
-        _swept.ended.append(run_dir)
+        _ended.append(run_dir)
         return
     try:
         _check_machine(config)
@@ -168,9 +160,9 @@ def _train_in_sweep(config: DictConfig) -> None:
                 _fly(config, create_run(config), resume=False)
     except FolderTaken as taken:
         log.info("%s", taken)
-        _swept.elsewhere.append(run_dir)
+        _elsewhere.append(run_dir)
     else:
-        _swept.ended.append(run_dir)
+        _ended.append(run_dir)
 
 
 def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
@@ -180,10 +172,10 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
         print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}", flush=True)
 
     summary = train(config, run_dir, resume=resume, begun=tell)
-    rates = ", ".join(f"{100 * rate:.0f} % {name.replace('_', ' ')}" for name, rate in summary["rates"].items())
-    print(f"{summary['episodes']:,} episodes, {summary['steps']:,} steps; of the last ones {rates}.")
+    rates = ", ".join(f"{key.replace('_', '-')} {summary['rates'][name]:.0%}" for key, name in RATES.items())
+    print(f"{summary['episodes']:,} episodes, {summary['steps']:,} steps; over the last ones {rates}.")
     watch = f"; watch it: {command_line('uavrl-replay', run=run_dir)}" if "world" in config.env else ""
-    print(f"See how well it does: {command_line('uavrl-evaluate', run=run_dir)}{watch}")
+    print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir)}{watch}")
 
 
 if __name__ == "__main__":

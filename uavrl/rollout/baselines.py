@@ -48,7 +48,7 @@ class VFHWeights:
     goal: float  #: cost of a direction that leads away from the goal
     level: float  #: cost of a metre off the flight level after a second, in a direction
     turn: float  #: cost of a direction behind the UAV
-    width: float  #: how near a cell must be to a direction to count: the power of the cosine between them
+    width: float  #: how near a cell must be to a direction to count (the power of the cosine between them)
     nearness: float  #: power of what a cell tells over the radius; the greater, the less far things count
     caution: float  #: share of the speed that is left out where the way is full, in [0, 1]
 

@@ -29,16 +29,16 @@ class RecordedFlight:
     velocities: np.ndarray  #: ``[T + 1, 3]`` in m/s, world axes
     goal: np.ndarray  #: ``[3]``, the middle of the goal cylinder in m
     observations: np.ndarray  #: ``[T + 1, W]``, what the policy reads
-    actions: np.ndarray  #: ``[T, 4]``: forward, left, up in m/s and yaw rate in rad/s
+    actions: np.ndarray  #: ``[T, 4]`` – forward, left, up in m/s and yaw rate in rad/s
     rewards: np.ndarray  #: ``[T, R]``, the terms whose sum is the reward
     reward_names: tuple[str, ...]  #: R names
     distances: np.ndarray  #: ``[T + 1]``, to the goal in m
     clearances: np.ndarray  #: ``[T + 1]``, from the hull to the nearest thing in m
     #: ``[T]``, the probability of a collision that LifeGuard sees in each action; ``[0]`` without LifeGuard
     risks: np.ndarray
-    planes: np.ndarray  #: ``[T + 1, K, 4]``: x, y, z in m and yaw in rad
+    planes: np.ndarray  #: ``[T + 1, K, 4]`` – x, y, z in m and yaw in rad
     faces: np.ndarray  #: ``[T + 1, cells]``, the reduction of the scan in m; 0 where a cell reports nothing
-    points: np.ndarray  #: ``[P, 3]`` in m in the sensor's frame: the points of all scans, one scan after the other
+    points: np.ndarray  #: ``[P, 3]`` in m in the sensor's frame – the points of all scans, one scan after the other
     point_ends: np.ndarray  #: ``[T + 1]``, how many points there are up to and with each scan
 
     def cloud(self, moment: int) -> np.ndarray:
@@ -62,7 +62,7 @@ class Scenery:
     goal: np.ndarray  #: ``[2]``, radius and height of the goal cylinder in m
     ball: float  #: Circumradius of the reduction in m
     directions: np.ndarray  #: ``[cells, 3]``, unit vectors through its cells in body axes
-    statistic: str  #: What a face reports: ``"face"``, ``"range"`` or ``"proximity"``
+    statistic: str  #: What a face reports (``"face"``, ``"range"`` or ``"proximity"``)
     sensor: np.ndarray  #: ``[3]``, the LiDAR's centre in body axes in m
 
 
@@ -70,7 +70,7 @@ class Scenery:
 class Recording:
     """Episodes of one policy, kept step by step."""
 
-    source: dict[str, Any]  #: What flew, for a heading: run, checkpoint, seed of the tasks, environment
+    source: dict[str, Any]  #: What flew, for a heading (run, checkpoint, seed of the tasks, environment)
     flights: tuple[RecordedFlight, ...]  #: In the order of the tasks asked for
     sceneries: dict[int | None, Scenery]  #: The valley of each seed that occurs in the flights
 
@@ -97,14 +97,14 @@ def save_recording(recording: Recording, path: Path) -> None:
         "sceneries": list(recording.sceneries),
         "items": {},
     }
-    arrays = {}
+    arrays: dict[str, Any] = {}
     for name, item in items.items():
         values = {field.name: getattr(item, field.name) for field in fields(item)}
         plain = {key: value for key, value in values.items() if not isinstance(value, np.ndarray)}
         about["items"][name] = {k: asdict(v) if isinstance(v, Flight) else v for k, v in plain.items()}
         arrays |= {f"{name}/{key}": value for key, value in values.items() if key not in plain}
     with replacing(path) as partial, partial.open("wb") as file:
-        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
 
 
 def load_recording(path: Path) -> Recording:
