@@ -1,4 +1,4 @@
-"""Flying in one process while another learns."""
+"""Collecting in other processes while one learns."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
@@ -20,14 +20,9 @@ from uavrl.runs.interrupts import interrupts_held_back
 class AsyncCollector(MultiAsyncCollector):
     """TorchRL's asynchronous process collector, as a run needs it.
 
-    The worker flies ``frames_per_batch`` steps ahead while the learner updates, with the weights as they are at each
-    step: both processes hold the same memory. How far these have come depends on how fast both are, hence no two runs
-    are the same. A resumed run starts new episodes.
-
-    Args:
-        create_env_fn: makes an environment, in the worker's process.
-        processes: that fly, each with its own vehicles.
-        **kwargs: as TorchRL's collector has them.
+    Each of ``processes`` workers takes ``frames_per_batch`` steps ahead while the learner updates, with the weights as
+    they are at each step: all share their memory. How far these have come depends on how fast all are, hence no two
+    runs are the same. A resumed run starts new episodes.
 
     Raises:
         UavrlError: when policy and worker cannot share memory.
@@ -57,14 +52,13 @@ class AsyncCollector(MultiAsyncCollector):
             )
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """Yields what was flown, ``frames_per_batch`` steps at a time."""
+        """Yields ``frames_per_batch`` steps at a time."""
         batches = super().iterator()
         while True:
             with _death_told():
-                try:
-                    batch = next(batches)
-                except StopIteration:
-                    return
+                batch = next(batches, None)
+            if batch is None:
+                return
             yield batch
 
     def set_seed(self, *args: Any, **kwargs: Any) -> int:
@@ -78,13 +72,13 @@ class AsyncCollector(MultiAsyncCollector):
             super().reset(*args, **kwargs)
 
     def start_anew(self, seed: int, flights: int) -> None:
-        """Starts new episodes from a seed, another one in each process, unless some fly: these go on. All count."""
+        """Starts new episodes from a seed, another one in each process; open ones go on. All count."""
         if not self.running:
             self.set_seed(seed)
             self.reset()
 
     def wind_down(self) -> bool:
-        """Nothing need end: open flights go on through a checkpoint."""
+        """Nothing need end: open episodes go on through a checkpoint."""
         return True
 
     def shutdown(self, *args: Any, **kwargs: Any) -> None:
@@ -97,7 +91,7 @@ class AsyncCollector(MultiAsyncCollector):
             scheme.shutdown()
 
     def state_dict(self) -> OrderedDict[str, Any]:
-        """How many frames and batches have come from the worker; open flights are not kept."""
+        """How many frames and batches have come from the worker; open episodes are not kept."""
         return OrderedDict(frames=self._frames, iter=self._iter)
 
     def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
@@ -115,7 +109,7 @@ def _death_told() -> Iterator[None]:
 
 
 def _kill(processes: Sequence[BaseProcess]) -> None:
-    """Ends what nobody has shut down. Python's own ending would wait for it: it asks by SIGTERM, which is held back."""
+    """Kills what nobody has shut down: at its end Python would wait for it, having sent a SIGTERM that is blocked."""
     for process in processes:
         if process.is_alive():
             process.kill()

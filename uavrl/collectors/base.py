@@ -10,23 +10,23 @@ OURS = ("flies_elsewhere", "start_anew", "wind_down")  # what TorchRL's collecto
 
 
 class FlightCollector(Protocol):
-    """Yields whole flights, one a batch, and can be told when to begin anew.
+    """Yields whole episodes, one a batch, and can begin anew.
 
-    One of your own subclasses a collector of uavrl's, or one of TorchRL's and has these three beside. With
+    One of your own subclasses a collector of uavrl's, or one of TorchRL's and adds the names in ``OURS``. With
     ``flies_copies = True`` it gets a policy on the CPU, whatever the learner's device is.
     """
 
-    flies_elsewhere: ClassVar[bool]  # than in the learner's process: it makes its environments itself
+    flies_elsewhere: ClassVar[bool]  # in other processes than the learner's: it makes its environments itself
     init_random_frames: int
 
     def __iter__(self) -> Iterator[TensorDictBase]:
-        """The flights that count."""
+        """The episodes that count."""
 
     def start_anew(self, seed: int, flights: int) -> None:
-        """Drops what is open, unless that flies on, and begins from a seed; the first ``flights`` of then on count."""
+        """Drops what is open, unless it goes on, and begins from a seed; the first ``flights`` from then on count."""
 
     def wind_down(self) -> bool:
-        """Begins no flight that counts; tells whether all that count have ended."""
+        """Begins no episode that counts; returns whether all that count have ended."""
 
     def state_dict(self) -> OrderedDict[str, Any]:
         """What a checkpoint keeps."""
@@ -35,4 +35,4 @@ class FlightCollector(Protocol):
         """Restores what :meth:`state_dict` gave."""
 
     def shutdown(self) -> None:
-        """Ends whatever flies."""
+        """Ends all processes."""

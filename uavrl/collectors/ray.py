@@ -1,4 +1,4 @@
-"""Flying in processes on many machines, through Ray, while one learns."""
+"""Collecting in processes on many machines, through Ray, while one learns."""
 
 import copy
 import logging
@@ -28,18 +28,17 @@ from uavrl.upstream import ray_job
 
 log = logging.getLogger(__name__)
 SAFE_PATH = "PYTHONSAFEPATH"  # set in a command: nothing is imported from the working folder
-OBJECTS = 512 * 2**20  # bytes that a Ray of our own keeps for flights and weights on their way
+OBJECTS = 512 * 2**20  # bytes that a Ray of our own keeps for episodes and weights on their way
 
 
 class Worker(Collector):
     """TorchRL's collector under a short name: Ray begins each line that a worker prints with it."""
 
     def __repr__(self) -> str:
-        """The name."""
         return "worker"
 
     def begin(self, seed: int, frames: int) -> None:
-        """Begins anew, as one that has flown so many frames: those with random actions are among the first."""
+        """Begins anew, as one that has collected so many frames: those with random actions are among the first."""
         torch.manual_seed(seed)  # of random actions and of noise
         self.set_seed(seed)
         self._frames = frames
@@ -49,15 +48,14 @@ class Worker(Collector):
 class RayCollector(TorchRLRayCollector):
     """TorchRL's collector of Ray's workers, as a run needs it.
 
-    Every worker flies whole flights in a world of its own and sends each when it has ended. It is answered with the
-    learner's weights of that moment and flies on while the learner updates. Flights and weights go through Ray's object
-    store, which finds its way between machines by itself. How old a flight's weights are depends on how fast everybody
-    is, hence no two runs are the same. A resumed run starts new flights.
+    Every worker sends each episode when it has ended, is answered with the learner's weights of that moment, and goes
+    on while the learner updates, all through Ray's object store. How old an episode's weights are depends on how fast
+    everybody is, hence no two runs are the same. A resumed run starts new episodes.
 
     Args:
         create_env_fn: makes an environment, on the worker's machine.
-        policy: what the learner trains; workers fly copies of it on their CPUs.
-        workers: processes that fly, each with its own vehicles.
+        policy: what the learner trains; workers use copies of it on their CPUs.
+        workers: processes, each with its own vehicles.
         address: of a Ray cluster, ``"auto"`` for the one that runs on this machine; None starts one of our own here.
         num_threads: processors of the cluster that each worker takes.
         trajs_per_batch, traj_format, auto_register_policy_transforms, **kwargs: as TorchRL's collector has them.
@@ -110,51 +108,50 @@ class RayCollector(TorchRLRayCollector):
             raise
 
     def iterator(self) -> Iterator[TensorDictBase]:
-        """Yields each batch of flights as it comes; who sent it flies on meanwhile."""
+        """Yields each batch of episodes as it comes; its worker goes on meanwhile."""
         import ray
 
         self._running = True
-        flying = {batch: (worker, told) for worker in self.remote_collectors for batch, told in [self._fly(worker)]}
+        promised = dict(map(self._request, self.remote_collectors))
         while True:
             with _death_told():
-                ended = ray.wait(list(flying))[0][0]
-                worker, told = flying.pop(ended)
-                ray.get(told)
+                ended = ray.wait(list(promised))[0][0]
+                worker, updated = promised.pop(ended)
+                ray.get(updated)
                 batch = ray.get(ended)
-            del ended, told  # their memory is given back
-            promise, told = self._fly(worker)
-            flying[promise] = worker, told
+            del ended, updated  # their memory is given back
+            promised.update([self._request(worker)])
             self._frames += batch.numel()
             self._batches += 1
             yield batch
 
-    def _fly(self, worker: Any) -> tuple[Any, Any]:
-        """Has a worker fly with the weights of now: the promises of its next batch, and that it has taken them."""
-        told = worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
-        return worker.next.remote(), told
+    def _request(self, worker: Any) -> tuple[Any, tuple[Any, Any]]:
+        """Sends a worker the weights of now: the promise of its next batch, the worker, and that it has taken them."""
+        updated = worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
+        return worker.next.remote(), (worker, updated)
 
     def start_anew(self, seed: int, flights: int) -> None:
-        """Starts new flights from a seed, another one in each worker, unless some fly: these go on. All count."""
+        """Starts new episodes from a seed, another one in each worker; open ones go on. All count."""
         if not self._running:
             seeds = np.random.SeedSequence(seed).generate_state(self.num_collectors)
             with _death_told():
                 self.map_fn("begin", [(int(own), self._frames // self.num_collectors) for own in seeds])
 
     def wind_down(self) -> bool:
-        """Nothing need end: open flights go on through a checkpoint."""
+        """Nothing need end: open episodes go on through a checkpoint."""
         return True
 
     def shutdown(self, *args: Any, **kwargs: Any) -> None:
         """Ends the workers, and leaves the cluster that was joined or started for them."""
         try:
             super().shutdown(*args, **kwargs)
-        except Exception:  # what has ended the workers may have ended Ray, too; the run tells of that
+        except Exception:  # what has ended the workers may have ended Ray, too; the run says so
             log.debug("Ray's workers did not end as asked.", exc_info=True)
         if self._connected:
             _leave()
 
     def state_dict(self) -> OrderedDict[str, Any]:
-        """How many frames and batches have come from the workers; open flights are not kept."""
+        """How many frames and batches have come from the workers; open episodes are not kept."""
         return OrderedDict(frames=self._frames, iter=self._batches)
 
     def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
@@ -190,7 +187,8 @@ def _join(address: str | None, processors: int) -> None:
     try:
         with interrupts_held_back(), _handlers_kept():
             own = {} if address else own
-            job = ray_job(_folders_of_the_user()) if os.environ.get(SAFE_PATH) else None
+            folders = [str(Path(one).absolute()) for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
+            job = ray_job(folders) if os.environ.get(SAFE_PATH) else None
             ray.init(address=address or "local", job_config=job, logging_level=logging.ERROR, **own)  # type: ignore[arg-type]
     except (ConnectionError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
@@ -200,12 +198,6 @@ def _join(address: str | None, processors: int) -> None:
             f"collector.address={address} cannot be reached ({reason}): start Ray there by ray start --head, or leave "
             f"collector.address out."
         ) from error
-
-
-def _folders_of_the_user() -> list[str]:
-    """What ``PYTHONPATH`` names, for workers that were started without it."""
-    named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-    return [str(Path(folder).absolute()) for folder in named if folder]
 
 
 def _leave() -> None:

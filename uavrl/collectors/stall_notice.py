@@ -1,23 +1,19 @@
-"""What the user is told when a run says nothing for a while."""
+"""A message for the user of a run that says nothing for a while."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from types import TracebackType
-
-SECONDS = 30.0
 
 log = logging.getLogger(__name__)
 
 
 class Silence:
-    """Says what is waited for, once in every silence that lasts."""
+    """Logs what is waited for, once in every silence that lasts."""
 
-    def __init__(self, text: str, seconds: float | None = None) -> None:
-        self.text = text
-        self.seconds = SECONDS if seconds is None else seconds
+    def __init__(self, text: str, seconds: float = 30.0) -> None:
+        self.text, self.seconds = text, seconds
         self._last: float | None = time.monotonic()
         self._over = threading.Event()
 
@@ -26,19 +22,17 @@ class Silence:
         self._last = time.monotonic()
 
     def __enter__(self) -> Silence:
-        """Listens, in a thread of its own."""
+        """Begins to wait, in a thread of its own."""
         self.heard()
         self._over.clear()
-        threading.Thread(target=self._listen, daemon=True).start()
+        threading.Thread(target=self._wait, daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Listens no more."""
+    def __exit__(self, *_: object) -> None:
+        """Waits no more."""
         self._over.set()
 
-    def _listen(self) -> None:
+    def _wait(self) -> None:
         while not self._over.wait(self.seconds / 10):
             if self._last is not None and time.monotonic() - self._last >= self.seconds:
                 self._last = None

@@ -1,4 +1,4 @@
-"""Flying and learning in turn, in one process."""
+"""Collecting and learning in turn, in one process."""
 
 import math
 from collections.abc import Iterator
@@ -9,12 +9,11 @@ from torchrl.collectors import Collector
 
 
 class SyncCollector(Collector):
-    """TorchRL's collector in this process, which counts flights by when they begin and never by how they end.
+    """TorchRL's collector in this process, which selects episodes by their start, so that no outcome is favoured.
 
-    Whoever stops counting at some moment and drops what is open drops long flights more often than short ones. Here all
-    flights up to the last that counts are yielded, and none that begins later; until told otherwise all count. The
-    environment numbers them: it emits ``task``, 0, 1, 2 … in the order in which they begin after ``set_seed``, and
-    knows ``tasks_begun``.
+    All episodes up to the last that counts are yielded, and none that begins later; at first all count. The environment
+    numbers them: it emits ``task``, 0, 1, 2 … in the order in which they begin after ``set_seed``, and knows
+    ``tasks_begun``.
     """
 
     flies_elsewhere: ClassVar[bool] = False
@@ -31,13 +30,13 @@ class SyncCollector(Collector):
         self.reset()
 
     def wind_down(self) -> bool:
-        """Counts no flight that begins after the first call; tells whether all that count have ended."""
+        """Counts no episode that begins after the first call; returns whether all that count have ended."""
         self._counted = min(self._counted, self.getattr_env("tasks_begun"))
         return self._ended == self._counted
 
     def __iter__(self) -> Iterator[TensorDictBase]:
-        """Yields the flights that count."""
-        for flight in super().__iter__():
-            if flight["task"][0].item() < self._counted:
+        """Yields the episodes that count."""
+        for episode in super().__iter__():
+            if episode["task"][0].item() < self._counted:
                 self._ended += 1
-                yield flight
+                yield episode
