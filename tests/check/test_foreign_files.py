@@ -6,7 +6,6 @@ import hashlib
 import json
 import pickle
 import shutil
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,21 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from omegaconf import OmegaConf
 
 from tests.helpers.commands import SMALL_EVALUATION, TINY, content, in_process, newest
 from tests.helpers.finished import finished_run
 from tests.helpers.foreign import (
-    CHANGES,
     COMPONENTS,
     EVERYTHING,
     FOREIGN_CONFIGS,
-    MANIFESTS,
-    NO_FLIGHTS,
     PLACES,
-    Members,
     Payload,
-    place,
     plant,
     rewrite,
 )
@@ -86,40 +79,6 @@ def test_a_pickle_in_a_checkpoint_is_refused_by_every_command(
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-def test_a_checkpoint_that_uavrl_did_not_write_is_refused(
-    change: Callable[[Members, Path], None], run_dir: Path, tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    mark = tmp_path / "ran"
-    rewrite(newest(run_dir), lambda members: change(members, mark))
-    before = content(tmp_path)
-    for main, arguments in commands(run_dir, tmp_path)[::3]:
-        assert "which uavrl does not write: none of it was loaded" in refused(main, *arguments)
-    assert not mark.exists() and content(tmp_path) == before
-
-
-def test_a_compressed_checkpoint_is_refused(run_dir: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
-    def swell(members: Members) -> None:
-        name = place(members, "policy") + "/state.json"
-        members[name] += b" " * 20_000_000
-
-    rewrite(newest(run_dir), swell, zipfile.ZIP_DEFLATED)
-    assert newest(run_dir).stat().st_size < 10_000_000
-    for main, arguments in commands(run_dir, tmp_path):
-        assert "members that are compressed" in refused(main, *arguments)
-
-
-@pytest.mark.parametrize("manifest", MANIFESTS)
-def test_a_manifest_that_is_none_is_refused(
-    manifest: bytes, run_dir: Path, tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    for path in (run_dir / "checkpoints").iterdir():  # all: a run goes back to an older one that is whole
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("manifest.json", manifest)
-    for main, arguments in commands(run_dir, tmp_path):
-        assert str(newest(run_dir)) in refused(main, *arguments)
-
-
 # ---------------------------------------------------------------------- a policy on its own
 
 
@@ -169,25 +128,6 @@ def test_a_configuration_runs_nothing_and_tells_nothing(
     assert content(tmp_path) == before
 
 
-def test_a_source_in_the_folder_is_not_read(
-    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
-) -> None:
-    """Types of arguments are worked out, and one can be any program."""
-    (policy / "theirs.py").write_text(
-        "class X:\n    def __init__(self, x: [c for c in ().__class__.__base__.__subclasses__() if c.__name__ == "
-        "'_wrap_close'][0].__init__.__globals__['system']('touch ran')): ...\n"
-    )
-    monkeypatch.chdir(tmp_path)
-    original = OmegaConf.load(policy / "config.yaml")
-    for target in (f"uavrl.{policy}/theirs.X", "uavrl./proc/self/cwd/given/theirs.X"):
-        changed = original.copy()
-        changed.reward._target_ = target
-        OmegaConf.save(changed, policy / "config.yaml")
-        for main, arguments in commands(policy, tmp_path)[:2]:
-            assert "which is no name of a class" in refused(main, *arguments)
-    assert not (tmp_path / "ran").exists()
-
-
 # ---------------------------------------------------------------------- an artifact, and recorded flights
 
 
@@ -234,18 +174,6 @@ def test_a_run_takes_nothing_from_an_artifacts_folder_but_the_artifact(tmp_path:
     assert in_process(train_command.main, *with_artifact(artifact, tmp_path / "run")) == 0
     assert {path.name for path in (tmp_path / "run/artifact").iterdir()} == {"artifact.json", "artifact.safetensors"}
     assert not (tmp_path / "ran").exists()
-
-
-@pytest.mark.parametrize("write", NO_FLIGHTS)
-def test_flights_that_are_pickles_are_refused(
-    write: Callable[[Path, Path], None], tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    path = tmp_path / "flights.npz"
-    write(path, tmp_path / "ran")
-    before = content(tmp_path)
-    sentence = refused(replay_command.main, f"flight={path}", f"output={tmp_path / 'r.html'}")
-    assert f"{path} holds no flights, or is damaged" in sentence
-    assert content(tmp_path) == before
 
 
 @pytest.fixture(scope="module")

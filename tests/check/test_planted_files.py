@@ -12,27 +12,10 @@ import pytest
 from tests.helpers.commands import SMALL_EVALUATION, TINY
 
 ROOT = Path(__file__).parents[2]
-PLANTED = [
-    "pickle",
-    "torch",
-    "html",
-    "types",
-    "json",
-    "socket",
-    "hydra",
-    "numpy",
-    "pybullet",
-    "embreex",
-    "joblib",
-    "submitit",
-    "ray",
-    "cloudpickle",
-    "tensordict",
-    "torchrl",
-    "multiprocessing",
-    "sitecustomize",
-    "usercustomize",
-]
+PLANTED = (
+    *("pickle", "torch", "html", "types", "json", "socket", "hydra", "numpy", "pybullet", "embreex", "joblib", "ray"),
+    *("submitit", "cloudpickle", "tensordict", "torchrl", "multiprocessing", "sitecustomize", "usercustomize"),
+)
 RAN = "ran"
 TRAINING = {
     "async": ["collector=async"],

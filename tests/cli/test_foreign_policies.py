@@ -12,9 +12,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+import stable_baselines3 as sb3
 import torch
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from tensordict import TensorDict
 
 from tests.helpers.commands import in_process
@@ -25,6 +29,7 @@ from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
 from uavrl.rollout.policies import file_of_policy, packaged_policies
+from uavrl.rollout.sb3 import NEGATIVE, StableBaselinesPolicy, _untouched
 
 SHORT = ["episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
 CLIMBER = '''
@@ -45,45 +50,36 @@ class Climber:
 '''
 
 
-def empty_env() -> Any:
-    """As wide as the valley, and like it: of three frames most cells are empty, altitude and angles may be negative."""
-    import gymnasium
+class Empty(gymnasium.Env):
+    """As wide as the valley, and like it: most cells of three frames are empty, altitude and angles of any sign."""
 
-    class Empty(gymnasium.Env):
-        observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (105,), np.float32)
-        action_space = gymnasium.spaces.Box(-2.0, 2.0, (4,), np.float32)
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (105,), np.float32)
+    action_space = gymnasium.spaces.Box(-2.0, 2.0, (4,), np.float32)
 
-        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
-            super().reset(seed=seed)
-            return self._seen(), {}
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        super().reset(seed=seed)
+        return self._seen(), {}
 
-        def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-            return self._seen(), 0.0, False, False, {}
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        return self._seen(), 0.0, False, False, {}
 
-        def _seen(self) -> np.ndarray:
-            seen = self.np_random.uniform(0.5, 1.0, (3, 35)) * (self.np_random.random((3, 35)) < 0.2)
-            seen[:, 32:] = self.np_random.uniform(-1.0, 1.0, (3, 3))
-            return seen.ravel().astype(np.float32)
-
-    return Empty()
+    def _seen(self) -> np.ndarray:
+        seen = self.np_random.uniform(0.5, 1.0, (3, 35)) * (self.np_random.random((3, 35)) < 0.2)
+        seen[:, 32:] = self.np_random.uniform(-1.0, 1.0, (3, 3))
+        return seen.ravel().astype(np.float32)
 
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A small untrained model of each kind that acts in another way: TD3 squashes its actions, PPO clips them."""
-    sb3 = pytest.importorskip("stable_baselines3")
     folder = tmp_path_factory.mktemp("models")
     for kind in (sb3.TD3, sb3.PPO):
-        kind("MlpPolicy", empty_env(), policy_kwargs={"net_arch": [8]}, seed=3).save(folder / kind.__name__)
+        kind("MlpPolicy", Empty(), policy_kwargs={"net_arch": [8]}, seed=3).save(folder / kind.__name__)
     return {name: folder / f"{name}.zip" for name in ("TD3", "PPO")}
 
 
 @pytest.mark.parametrize("name", ["TD3", "PPO"])
 def test_a_model_of_stable_baselines_acts_as_in_its_own_library(models: dict[str, Path], name: str) -> None:
-    import stable_baselines3 as sb3
-
-    from uavrl.rollout.sb3 import StableBaselinesPolicy
-
     states = torch.randn(5, 105)
     acted = StableBaselinesPolicy(models[name])(TensorDict({"observation": states}, [5]))["action"]
     expected, _ = getattr(sb3, name).load(models[name]).predict(states.numpy(), deterministic=True)
@@ -92,14 +88,9 @@ def test_a_model_of_stable_baselines_acts_as_in_its_own_library(models: dict[str
         StableBaselinesPolicy(models[name])(TensorDict({"observation": states[:, :35]}, [5]))
 
 
-def learned(
-    name: str, path: Path, normalized: bool = True, learns: bool = True, norm_obs: bool = True
-) -> tuple[Any, Any]:
+def learned(name: str, path: Path, normalized: bool = True, learns: bool = True, norm_obs: bool = True) -> Any:
     """A model that has seen a few steps, saved, and the VecNormalize around its environment, which is not."""
-    import stable_baselines3 as sb3
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    env: Any = DummyVecEnv([empty_env])
+    env: Any = DummyVecEnv([Empty])
     env = VecNormalize(env, norm_obs=norm_obs) if normalized else env
     few = {"n_steps": 32, "batch_size": 32, "n_epochs": 1} if name == "PPO" else {"learning_starts": 100}
     model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, seed=3, **few)
@@ -111,9 +102,6 @@ def learned(
 
 @pytest.mark.parametrize(("name", "file"), [("TD3", "vecnormalize.pkl"), ("PPO", "m_vecnormalize_64_steps.pkl")])
 def test_a_model_that_saw_normalized_observations_takes_their_statistics(name: str, file: str, tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3")
-    from uavrl.rollout.sb3 import StableBaselinesPolicy
-
     path = tmp_path / "m_64_steps.zip"
     model, env = learned(name, path)
     with pytest.raises(UavrlError, match=r"VecNormalize had changed: put .* beside it as vecnormalize.pkl"):
@@ -131,11 +119,6 @@ def test_a_model_that_saw_normalized_observations_takes_their_statistics(name: s
 )
 def test_states_of_the_valley_are_told_from_normalized_ones(name: str, last_action: bool) -> None:
     """Each of some hundreds of recorded states, as if it were the last one of a training."""
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.running_mean_std import RunningMeanStd
-
-    from uavrl.rollout.sb3 import NEGATIVE, _untouched
-
     flown = recorded(name)
     states = flown["observation"].double().numpy()
     if last_action:  # that of three frames of 32 faces, altitude and goal angles; two in a row are much alike
@@ -158,7 +141,6 @@ class Bomb:
 def test_statistics_are_opened_once_the_model_is_trusted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
-    pytest.importorskip("stable_baselines3")
     monkeypatch.chdir(tmp_path)
     learned("TD3", tmp_path / "model.zip")
     Path("vecnormalize.pkl").write_bytes(pickle.dumps(Bomb()))
@@ -169,9 +151,6 @@ def test_statistics_are_opened_once_the_model_is_trusted(
 @pytest.mark.parametrize("name", ["TD3", "PPO"])
 def test_statistics_of_another_model_are_left_out(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """One that has learned from observations as they are. One that has not learned at all takes what lies beside it."""
-    pytest.importorskip("stable_baselines3")
-    from uavrl.rollout.sb3 import StableBaselinesPolicy
-
     _, env = learned(name, tmp_path / "other.zip")
     env.save(str(tmp_path / "vec_normalize.pkl"))
     states = torch.rand(5, 105)
@@ -185,9 +164,6 @@ def test_statistics_of_another_model_are_left_out(name: str, tmp_path: Path, cap
 
 
 def test_rewards_that_were_normalized_need_no_statistics(tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3")
-    from uavrl.rollout.sb3 import StableBaselinesPolicy
-
     model, _ = learned("PPO", tmp_path / "model.zip", norm_obs=False)
     states = torch.rand(5, 105)
     acted = StableBaselinesPolicy(tmp_path / "model.zip")(TensorDict({"observation": states}, [5]))["action"]
@@ -199,9 +175,6 @@ def test_rewards_that_were_normalized_need_no_statistics(tmp_path: Path) -> None
     [(b"nothing", "cannot be opened"), (pickle.dumps([1.0]), r"shape \(105,\)"), (None, r"shape \(105,\)")],
 )
 def test_statistics_of_something_else_are_named(content: bytes | None, told: str, tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3")
-    from uavrl.rollout.sb3 import StableBaselinesPolicy
-
     _, env = learned("TD3", tmp_path / "model.zip")
     if content is None:
         env.observation_space = type(env.observation_space)(-1.0, 1.0, (35,))
@@ -232,26 +205,18 @@ def pickled_elsewhere(key: str) -> Callable[[str], str]:
 def test_a_model_of_other_versions_names_them_where_it_cannot_be_opened(
     models: dict[str, Path], tmp_path: Path
 ) -> None:
-    import stable_baselines3 as sb3
-
-    from uavrl.rollout.sb3 import StableBaselinesPolicy
-
     older = "- OS: Linux-5.15 # 66\n- Python: 3.8.10\n- Stable-Baselines3: 1.6.2\n- Numpy: 1.21.0\n"
     changes = {"data": pickled_elsewhere("observation_space"), "system_info.txt": lambda _: older}
     saved, here = "Stable-Baselines3 1.6.2 and NumPy 1.21.0", f"Stable-Baselines3 {sb3.__version__} and NumPy "
     with pytest.raises(UavrlError, match=f"saved with {saved}, and cannot be opened with {here}{np.__version__}"):
         StableBaselinesPolicy(rewritten(models["TD3"], tmp_path / "older.zip", changes))
     del changes["system_info.txt"]
-    with pytest.raises(
-        UavrlError, match=r"is no model that Stable-Baselines3 saved \(No module named 'numpy\._core_of"
-    ):
+    with pytest.raises(UavrlError, match=r"is no model that Stable-Baselines3 saved \(No module named 'numpy"):
         StableBaselinesPolicy(rewritten(models["TD3"], tmp_path / "damaged.zip", changes))
 
 
 def test_what_flying_does_not_need_of_a_model_is_not_unpickled(models: dict[str, Path], tmp_path: Path) -> None:
     """Schedules are what breaks between versions of Python."""
-    from uavrl.rollout.sb3 import StableBaselinesPolicy
-
     path = rewritten(models["PPO"], tmp_path / "m.zip", {"data": pickled_elsewhere("lr_schedule")})
     states = TensorDict({"observation": torch.randn(5, 105)}, [5])
     acted = [StableBaselinesPolicy(model)(states.clone())["action"] for model in (models["PPO"], path)]
@@ -269,7 +234,6 @@ def test_a_model_of_stable_baselines_is_evaluated_once_it_is_trusted(
 
 @pytest.mark.parametrize("content", [None, b"", b"PK\x03\x04 nothing"])
 def test_a_file_that_is_no_model_is_named(content: bytes | None, tmp_path: Path, refused: Callable[..., str]) -> None:
-    pytest.importorskip("stable_baselines3")
     path = tmp_path / "model.zip"
     if content is not None:
         path.write_bytes(content)

@@ -8,20 +8,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from tests.helpers.commands import TINY, in_process
-from uavrl.cli import train as train_command
-
-
-def runs_in(folder: Path) -> dict[int, Path]:
-    """The run folders below a folder by their seed."""
-    return {int(OmegaConf.load(path).seed): path.parent for path in folder.glob("*/config.yaml")}
-
-
-def sweep(folder: Path, *arguments: str) -> int:
-    """A sweep below a folder, in this process."""
-    return in_process(
-        train_command.main, "-m", *TINY, f"run_dir={folder / 'run'}", f"hydra.sweep.dir={folder / 'sweep'}", *arguments
-    )
+from tests.helpers.sweeps import runs_in, sweep
 
 
 def test_each_value_of_a_sweep_gets_its_own_run(tmp_path: Path) -> None:

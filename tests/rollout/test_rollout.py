@@ -207,12 +207,12 @@ def test_flights_in_several_valleys_are_also_counted_valley_by_valley() -> None:
     }
     lines = [line for line in table(result).splitlines() if line.startswith("success in valley")]
     assert [line.split()[3:5] for line in lines] == [["7", "75.0%"], ["9", "25.0%"], ["10", "50.0%"]]
-    assert lines[0].endswith("30.1% – 95.4%, 4 flown")
+    assert lines[0].endswith("30.1% – 95.4%, 4 episodes")
     assert "success_by_valley" not in summarize(flights[:4])
 
 
 def test_no_flights_are_refused() -> None:
-    with pytest.raises(ValueError, match="at least one flight"):
+    with pytest.raises(ValueError, match="at least one episode"):
         summarize([])
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
 
-from tests.helpers.damage import halve
+from tests.helpers.damage import flip_in_the_networks, halve
 from tests.helpers.runs import assert_same_run, small_config
 from uavrl.errors import UavrlError
-from uavrl.runs.checkpoint import RandomState, checkpoint_to_resume, rotation
+from uavrl.runs.checkpoint import RandomState, rotation
 from uavrl.runs.config import read_config
 from uavrl.training.run import create_run, train
 from uavrl.training.trainer import EpisodeTrainer
@@ -33,19 +34,23 @@ def test_a_resumed_run_is_bit_identical(tmp_path: Path) -> None:
     assert_same_run(whole, cut)
 
 
-def test_a_damaged_checkpoint_is_passed_over_and_set_aside(run_dir: Path) -> None:
-    older, newest = rotation(run_dir).checkpoints()
-    halve(newest)
-    damaged = newest.read_bytes()
-    assert checkpoint_to_resume(run_dir, read_config(run_dir)) == older
-    assert newest.with_name(f"unused-{newest.name}").read_bytes() == damaged and not newest.exists()
-
-
-def test_a_checkpoint_that_knows_lost_episodes_is_passed_over(run_dir: Path) -> None:
-    older, _ = rotation(run_dir).checkpoints()
-    rows = (run_dir / "episodes.csv").read_text().splitlines(keepends=True)
-    (run_dir / "episodes.csv").write_text("".join(rows[:3]))
-    assert checkpoint_to_resume(run_dir, read_config(run_dir)) == older
+@pytest.mark.parametrize("harm", [halve, flip_in_the_networks, "lost"], ids=["halved", "flipped", "lost"])
+def test_a_run_goes_back_to_the_checkpoint_before_one_that_is_damaged_or_knows_lost_episodes(
+    harm: Callable[[Path], None] | str, finished: Path, run_dir: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    _, newest = rotation(run_dir).checkpoints()
+    if callable(harm):
+        harm(newest)
+        reason = f"The checkpoint {newest} is damaged"
+    else:
+        csv = run_dir / "episodes.csv"
+        csv.write_text("".join(csv.read_text().splitlines(keepends=True)[:3]))
+        reason = f"The checkpoint {newest} follows episode 4, and {csv} has lost those after 2."
+    passed_over = newest.read_bytes()
+    train(read_config(run_dir), run_dir, resume=True)
+    assert reason in caplog.text and "goes back to the one before, after episode 0" in caplog.text
+    assert newest.with_name(f"unused-{newest.name}").read_bytes() == passed_over
+    assert (run_dir / "episodes.csv").read_bytes() == (finished / "episodes.csv").read_bytes()
 
 
 @pytest.mark.parametrize("frames", [1, 4])
