@@ -63,10 +63,9 @@ def policy() -> TensorDictModule:
     return TensorDictModule(torch.nn.Linear(1, 1), ["observation"], ["action"])
 
 
-def collector(env: type[EnvBase], actor: TensorDictModule) -> AsyncCollector:
-    return AsyncCollector(
-        env, policy=actor, frames_per_batch=5, total_frames=-1, trajs_per_batch=1, traj_format="cat", device="cpu"
-    )
+def collector(env: type[EnvBase], actor: TensorDictModule, **more: int) -> AsyncCollector:
+    whole = {"trajs_per_batch": 1, "traj_format": "cat"}
+    return AsyncCollector(env, policy=actor, frames_per_batch=5, total_frames=-1, device="cpu", **whole, **more)
 
 
 def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
@@ -107,16 +106,7 @@ class Seeded(Counter):
 
 @pytest.mark.slow
 def test_two_processes_fly_tasks_of_their_own() -> None:
-    flown = AsyncCollector(
-        Seeded,
-        processes=2,
-        policy=policy(),
-        frames_per_batch=5,
-        total_frames=-1,
-        trajs_per_batch=1,
-        traj_format="cat",
-        device="cpu",
-    )
+    flown = collector(Seeded, policy(), processes=2)
     try:
         flown.start_anew(11, 100)
         seen = set()

@@ -27,14 +27,8 @@ from uavrl.training.run import create_run, train
 PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
 DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
-GUIDED = [
-    "guide=vfh",
-    "enhancer=imitation",
-    "perception.reduction=range_image",
-    "algo.random_steps=60",
-    "perception.last_action=true",
-    "buffer.mirror=true",
-]
+SEEN = ["perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true"]
+GUIDED = ["guide=vfh", "enhancer=imitation", "algo.random_steps=60", *SEEN]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 
@@ -175,7 +169,5 @@ def test_a_stopped_run_says_how_to_go_on_and_leaves_nothing(tmp_path: Path) -> N
     finally:
         process.kill()
     assert process.returncode == 130
-    (told,) = [
-        line for line in err.splitlines() if "are still being built" not in line
-    ]  # as they are for long at times
+    (told,) = [line for line in err.splitlines() if "are still being built" not in line]  # as they are at times
     assert told.startswith("uavrl: stopped after episode ") and f"uavrl-train resume={tmp_path / 'run'}" in told

@@ -7,19 +7,10 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from tests.helpers.commands import DEFAULT_VALLEY
-from tests.helpers.runs import small_config
+from tests.helpers.runs import EASY, small_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sweep import is_finished
-
-EASY = [
-    *DEFAULT_VALLEY,
-    "env.world.goal_radius=18",
-    "env.world.obstacles=0",
-    "env.max_steps=40",
-    "algo.random_steps=10000",
-]
 
 
 def test_a_run_ends_with_the_flight_that_makes_its_last_step_and_goes_on_when_given_more(tmp_path: Path) -> None:

@@ -58,6 +58,9 @@ ABR = [  # some goals are so near that random flights arrive; one class for near
     "trainer.episodes=20",  # none of the first 16 arrives
 ]
 
+NO_OBSTACLES = ["env.world.goal_radius=18", "env.world.obstacles=0"]
+EASY = [*DEFAULT_VALLEY, *NO_OBSTACLES, "env.max_steps=40", "algo.random_steps=10000"]  # random flights, half arrive
+
 
 def small_config(run_dir: Path, *overrides: str, base: Sequence[str] = SMALL) -> DictConfig:
     return with_run_dir(run_dir, *base, *overrides)

@@ -25,11 +25,15 @@ def test_a_folder_that_is_no_run_keeps_its_files(tmp_path: Path, name: str, mist
     assert precious.read_text() == "mine"
 
 
-def test_the_folder_of_another_process_stays(tmp_path: Path) -> None:
+def test_the_folder_of_another_process_and_what_is_worth_keeping_stay(tmp_path: Path) -> None:
     run = tmp_path / "run"
     with pytest.raises(FolderTaken), made_folder(run, "checkpoint*"):
         raise FolderTaken("Another process trains there.")
     assert run.exists()
+    with pytest.raises(ValueError), made_folder(tmp_path / "kept", "checkpoint*"):
+        (tmp_path / "kept/checkpoint").touch()
+        raise ValueError
+    assert (tmp_path / "kept/checkpoint").exists()
 
 
 def test_each_of_several_that_begin_at_once_gets_a_folder_of_its_own(tmp_path: Path) -> None:

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 
-from tests.helpers.commands import DEFAULT_VALLEY
-from tests.helpers.runs import LIFEGUARD, small_config
+from tests.helpers.runs import EASY, LIFEGUARD, small_config
 from uavrl.config import validate
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.losses import LifeGuard
 from uavrl.rollout.actor import load_actor
-from uavrl.runs.episodes import Episode, EpisodeLog, read_episodes, split_episodes
+from uavrl.runs.episodes import Episode, read_episodes
 from uavrl.training.build import build_trainer
 from uavrl.training.run import create_run, seed_everything, train
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
@@ -98,27 +97,16 @@ def test_after_an_episode_of_t_steps_come_t_updates(learning: Run) -> None:
     assert run.updates == expected
 
 
-def test_no_update_comes_before_the_random_steps_are_flown(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.random_steps=500")
-    assert run.updates == [0, 0, 0, 0]
-
-
-@pytest.mark.parametrize("per_step", [0.3125, 1.5])
-def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
-    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.random_steps=0", f"trainer.updates_per_step={per_step}")
-    assert run.updates == [math.floor(per_step * e.total_steps) for e in run.episodes]
+@pytest.mark.parametrize(("per_step", "random_steps"), [(0.3125, 0), (1.5, 0), (1.5, 500)])
+def test_fractions_of_an_update_add_up_after_the_random_steps(
+    per_step: float, random_steps: int, tmp_path: Path
+) -> None:
+    asked = [f"algo.random_steps={random_steps}", f"trainer.updates_per_step={per_step}"]
+    run = flown(tmp_path / "run", "trainer.episodes=4", *asked)
+    assert run.updates == [0 if random_steps else math.floor(per_step * e.total_steps) for e in run.episodes]
 
 
 # ---------------------------------------------------------------------- when a run ends, and how long it took
-
-
-EASY = [
-    *DEFAULT_VALLEY,
-    "env.world.goal_radius=18",
-    "env.world.obstacles=0",
-    "env.max_steps=40",
-    "algo.random_steps=10000",
-]
 
 
 def test_a_run_ends_by_itself_once_enough_of_the_last_flights_arrive(tmp_path: Path) -> None:
@@ -147,11 +135,8 @@ def test_the_buffer_holds_exactly_the_logged_steps(noisy: Run) -> None:
 def test_a_time_out_is_done_and_not_terminated(tmp_path: Path) -> None:
     run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.random_steps=0", lift=0.0)
     timed_out = [s[-1] for s, e in zip(run.stored_episodes(), run.episodes, strict=True) if e.outcome == "timed_out"]
-    assert timed_out
-    for last in timed_out:
-        assert last["next", "done"].item()
-        assert not last["next", "terminated"].item()
-        assert not last["next", "arrived"].item()
+    ends = [[last["next", key].item() for key in ("done", "terminated", "arrived")] for last in timed_out]
+    assert ends == [[True, False, False]] * len(timed_out) and timed_out
 
 
 def test_a_collision_is_done_and_terminated(tmp_path: Path) -> None:
@@ -195,14 +180,11 @@ def test_actions_are_random_at_first_and_noisy_ones_of_the_policy_later(noisy: R
     assert torch.corrcoef(noise.T).fill_diagonal_(0).abs().max() < 0.35
 
 
-def test_without_noise_the_actions_are_the_policys(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "algo.exploration_noise=0")
-    expected = policy_of(run, run.stored["observation"])
-    torch.testing.assert_close(run.stored["action"], expected, atol=1e-5, rtol=0)
-
-
-def test_noisy_actions_stay_within_the_limits(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.random_steps=0", lift=1.99)
+def test_without_noise_the_actions_are_the_policys_and_noisy_ones_stay_within_the_limits(tmp_path: Path) -> None:
+    calm, noisy = ([f"algo.exploration_noise={noise}", "algo.random_steps=0"] for noise in (0, 0.1))
+    run = flown(tmp_path / "calm", *FROZEN, *calm, "trainer.episodes=2")
+    torch.testing.assert_close(run.stored["action"], policy_of(run, run.stored["observation"]), atol=1e-5, rtol=0)
+    run = flown(tmp_path / "noisy", *FROZEN, *noisy, "trainer.episodes=4", lift=1.99)
     assert run.stored["action"].abs().max() == 2.0
 
 
@@ -252,13 +234,6 @@ def test_a_loss_that_is_no_number_ends_the_run_and_leaves_the_checkpoints(tmp_pa
     assert {p: p.read_bytes() for p in (tmp_path / "run/checkpoints").iterdir()} == before
 
 
-# ---------------------------------------------------------------------- episodes.csv
-
-
-def row(number: int, outcome: str = "arrived") -> Episode:
-    return Episode(number, 10 * number, outcome, -1.5 * number, 10, 0.1, 0.2, 0.3, 4.0, 5.0, 6.0, 7, number)
-
-
 def test_training_gives_denormal_arithmetic_back(tmp_path: Path) -> None:
     config = small_config(tmp_path / "run", "trainer.episodes=3")
     during: list[bool] = []
@@ -274,60 +249,6 @@ def test_training_gives_denormal_arithmetic_back(tmp_path: Path) -> None:
     assert not halves_to_zero()
 
 
-def test_the_log_cuts_its_file_back_to_the_checkpoint(tmp_path: Path) -> None:
-    path = tmp_path / "episodes.csv"
-    log = EpisodeLog(path, window=2)
-    for number in (1, 2, 3):
-        log.add(row(number))
-    state, whole = log.state_dict(), path.read_bytes()
-    for number in (4, 5):
-        log.add(row(number, "collided"))
-    with path.open("a") as file:
-        file.write("6,60,arr")
-    other = EpisodeLog(path, window=2)
-    other.load_state_dict(state)
-    assert path.read_bytes() == whole
-    assert read_episodes(path) == [row(1), row(2), row(3)]
-    assert (other.count, other.rates()["arrived"], other.mean_return()) == (3, 1.0, -3.75)
-    other.add(row(4, "timed_out"))
-    assert other.rates() == {"arrived": 0.5, "collided": 0.0, "timed_out": 0.5}
-    assert [e.episode for e in read_episodes(path)] == [1, 2, 3, 4]
-
-
-def test_the_log_keeps_what_each_term_of_the_reward_adds(tmp_path: Path) -> None:
-    path = tmp_path / "episodes.csv"
-    log = EpisodeLog(path, window=2)
-    paid = [{"progress": 1.0, "arrival": 0.0}, {"progress": 2.5, "arrival": 200.0}, {"progress": 3.5, "arrival": 0.0}]
-    rows = [replace(row(number), terms=terms) for number, terms in enumerate(paid, start=1)]
-    for each in rows:
-        log.add(each)
-    assert path.read_text().splitlines()[0].endswith(",task,return_progress,return_arrival")
-    assert read_episodes(path) == rows
-    assert log.mean_terms() == {"progress": 3.0, "arrival": 100.0}
-    other = EpisodeLog(path, window=2)
-    other.load_state_dict({"count": 2})
-    assert other.mean_terms() == {"progress": 1.75, "arrival": 100.0}
-    other.add(rows[2])
-    assert read_episodes(path) == rows
-
-
-def test_a_file_from_before_there_were_terms_goes_on_without(tmp_path: Path) -> None:
-    path = tmp_path / "episodes.csv"
-    EpisodeLog(path).add(row(1))
-    log = EpisodeLog(path)
-    log.load_state_dict({"count": 1})
-    log.add(replace(row(2), terms={"progress": 1.0}))
-    assert read_episodes(path) == [row(1), row(2)]
-    assert log.mean_terms() == {}
-
-
-def test_the_terms_of_a_runs_returns_are_logged_beside_them(finished: Path) -> None:
-    episodes = read_episodes(finished / "episodes.csv")
-    for episode in episodes:
-        assert list(episode.terms) == ["progress", "altitude", "heading", "elevation", "arrival", "collision"]
-        assert sum(episode.terms.values()) == pytest.approx(episode.episode_return, abs=1e-4)
-
-
 def test_the_trainer_logs_the_mean_of_each_term(tmp_path: Path) -> None:
     config = small_config(tmp_path / "run", "trainer.episodes=3", "reward=traditional", "logger.interval=1")
     train(config, create_run(config))
@@ -336,41 +257,6 @@ def test_the_trainer_logs_the_mean_of_each_term(tmp_path: Path) -> None:
     step, value = logged.read_text().splitlines()[-1].split(",")
     assert int(step) == episodes[-1].total_steps
     assert float(value) == pytest.approx(sum(episode.terms["progress"] for episode in episodes) / 3, abs=1e-4)
-
-
-def test_a_reward_may_leave_a_term_out_of_an_episode(tmp_path: Path) -> None:
-    path = tmp_path / "episodes.csv"
-    log = EpisodeLog(path)
-    log.add(replace(row(1), terms={"progress": 1.0}))
-    log.add(row(2))
-    assert math.isnan(read_episodes(path)[1].terms["progress"])
-
-
-@pytest.mark.parametrize("terms", [{}, {"progress": 1.0}])
-def test_a_row_of_another_length_is_damage(terms: dict[str, float], tmp_path: Path) -> None:
-    path = tmp_path / "episodes.csv"
-    EpisodeLog(path).add(replace(row(1), terms=terms))
-    with path.open("a") as file:
-        file.write("2,20,arrived,5.0\n")
-    with pytest.raises(UavrlError, match=r"episodes\.csv is damaged: expected rows of 1\d columns, got 4 in one"):
-        read_episodes(path)
-
-
-def test_the_log_refuses_a_file_that_is_too_short(tmp_path: Path) -> None:
-    path = tmp_path / "episodes.csv"
-    log = EpisodeLog(path)
-    log.add(row(1))
-    before = path.read_bytes()
-    with pytest.raises(UavrlError, match=r"at least 2 episodes .* found 1"):
-        EpisodeLog(path).load_state_dict({"count": 2})
-    assert path.read_bytes() == before
-
-
-@pytest.mark.parametrize("done", [[False, True, False], [False], [False, False, True, False]])
-def test_half_an_episode_is_refused(done: list[bool]) -> None:
-    batch = TensorDict({"next": {"done": torch.tensor(done)[:, None]}}, [len(done)])
-    with pytest.raises(ValueError, match="whole episodes"):
-        list(split_episodes(batch))
 
 
 def test_a_lifeguard_that_is_not_heard_changes_nothing_but_what_is_drawn(
