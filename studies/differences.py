@@ -15,11 +15,11 @@ import json
 from pathlib import Path
 
 import numpy as np
-from run_statistics import FEWEST, difference
+from run_statistics import FEWEST, difference, difference_of_rates
 
 from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
-from uavrl.runs.episodes import difference_of_rates, wilson
+from uavrl.runs.episodes import wilson
 
 
 def arrivals(place: str) -> tuple[int, int]:

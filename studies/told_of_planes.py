@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 import torch
+from run_statistics import difference_of_rates
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -27,7 +28,7 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.rollout import fly
-from uavrl.runs.episodes import difference_of_rates, wilson
+from uavrl.runs.episodes import wilson
 
 Known = Literal["nothing", "in view, straight on", "all, straight on", "all, as they will fly"]
 KNOWN: tuple[Known, ...] = ("nothing", "in view, straight on", "all, straight on", "all, as they will fly")

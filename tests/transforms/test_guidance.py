@@ -110,7 +110,7 @@ def test_a_guides_costs_can_be_given(tmp_path: Path) -> None:
 
 def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_path: Path) -> None:
     alone = small_config(tmp_path / "a", "enhancer=imitation")
-    with pytest.raises(UavrlError, match="guide must be a guide's name"):
+    with pytest.raises(UavrlError, match="guide must be a scripted controller"):
         train(alone, create_run(alone))
     calm = small_config(tmp_path / "b", "algo.n_steps=3")
     calm.packages, calm.enhancer = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}

@@ -4,8 +4,9 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 
@@ -34,25 +35,29 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
     register_run_name()
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], None]:
+        begun = False  # whether Hydra has handed over to the command itself
+
         @wraps(function)
         def composed(config: DictConfig) -> None:
-            mistakes.composed = True
+            nonlocal begun
+            begun = True
             configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
             with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
                 choices = HydraConfig.get().runtime.choices
                 check_choices(choices, _command_line()[0])
                 function(with_choices(config, choices) if "env" in config else config)
 
-        mistakes = _Mistakes(name)
         by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(composed)
 
         @wraps(function)
         def main() -> None:
+            nonlocal begun
+            begun = False
             with command_process():
                 if show(name):
                     return
                 configure_logging()
-                with mistakes:
+                with _explaining(name, lambda: begun):
                     by_hydra()
 
         return main
@@ -60,27 +65,23 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
     return decorate
 
 
-class _Mistakes:
+@contextmanager
+def _explaining(name: str, begun: Callable[[], bool]) -> Iterator[None]:
     """Turns what Hydra raises, or what breaks inside it, into a sentence; errors of the command itself pass."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self.composed = False  # whether the command itself has begun
-        self._by_us = True
-
-    def __enter__(self) -> None:
-        self.composed = False
-        self._by_us = os.environ.get(FULL_ERROR) != "1"  # else the user asked for Hydra's own errors
-        if self._by_us:
-            os.environ[FULL_ERROR] = "1"
-
-    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        if not self._by_us:
-            return
+    if os.environ.get(FULL_ERROR) == "1":  # the user asked for Hydra's own errors
+        yield
+        return
+    os.environ[FULL_ERROR] = "1"
+    try:
+        yield
+    except (UavrlError, BrokenPipeError):
+        raise
+    except Exception as error:
+        if begun() and not isinstance(error, HydraException | OmegaConfBaseException):
+            raise
+        raise UavrlError(explained(error, name)) from error
+    finally:
         del os.environ[FULL_ERROR]
-        expected = (HydraException, OmegaConfBaseException) if self.composed else Exception
-        if isinstance(error, expected) and not isinstance(error, UavrlError | BrokenPipeError):
-            raise UavrlError(explained(error, self._name)) from error
 
 
 def explained(error: Exception, name: str) -> str:

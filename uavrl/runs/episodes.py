@@ -75,21 +75,6 @@ def wilson(count: int, total: int) -> dict[str, float]:
     return {"rate": count / total, "low": float(interval.low), "high": float(interval.high)}
 
 
-def difference_of_rates(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float, float]:
-    """Of two rates of :func:`wilson`, with its 95 % interval: the difference, its lower and its upper end.
-
-    Source: Newcombe (1998), Interval estimation for the difference between independent proportions, method 10.
-
-    Examples:
-        >>> tuple(round(end, 4) for end in difference_of_rates(wilson(56, 70), wilson(48, 80)))
-        (0.2, 0.0524, 0.3339)
-    """
-    found = one["rate"] - other["rate"]
-    below = math.hypot(one["rate"] - one["low"], other["high"] - other["rate"])
-    above = math.hypot(one["high"] - one["rate"], other["rate"] - other["low"])
-    return found, found - below, found + above
-
-
 def outcomes_of(result: Mapping[str, Any]) -> str | None:
     """How each task of an evaluation ended, a letter each; None where a file holds neither outcomes nor episodes.
 

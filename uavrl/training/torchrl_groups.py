@@ -46,10 +46,5 @@ def register_in_torchrl() -> None:
 
 def _defaults(member: type) -> dict[str, Any]:
     parameters = inspect.signature(member.__init__).parameters.values()  # type: ignore[misc]
-    given = {one.name: one.default for one in parameters if one.default is not inspect.Parameter.empty}
-    plain = (bool, int, float, str, tuple, list, type(None))
-    return {
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in given.items()
-        if isinstance(value, plain)
-    }
+    given = {one.name: list(one.default) if isinstance(one.default, tuple) else one.default for one in parameters}
+    return {name: value for name, value in given.items() if isinstance(value, bool | int | float | str | list | None)}
