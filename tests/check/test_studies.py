@@ -402,8 +402,8 @@ def test_a_model_of_workers_grows_until_the_learner_is_busy(said: Said) -> None:
 
 def test_the_walkers_time_is_shared_out(tmp_path: Path) -> None:
     output = tmp_path / "numbers.json"
-    command = [sys.executable, str(STUDIES / "walker.py"), "trainer.execution=captured", "env.max_steps=100"]
-    search = f"{ROOT / 'benchmarks'}:{ROOT}"
+    command = [sys.executable, str(STUDIES / "walker_speed.py"), "trainer.execution=captured", "env.max_steps=100"]
+    search = f"{ROOT / 'benchmarks'}:{ROOT / 'examples/walker'}:{ROOT}"
     subprocess.run(
         [*command, "--steps", "50", "--json", str(output)], check=True, cwd=tmp_path, env={"PYTHONPATH": search}
     )
