@@ -2,7 +2,7 @@
 
     PYTHONPATH=benchmarks:examples/walker python studies/walker_speed.py [--steps N] [--json FILE] [OVERRIDES]
 
-It is the example's `env=bipedal_hardcore learner=td3_lg_walker` through its real trainer, with 300 random steps; an
+It is `uavrl-train env=bipedal_hardcore learner=td3_lg_walker` through its real trainer, with 300 random steps; an
 override is e.g. `trainer.execution=captured`. Episodes in the random steps and the first one after them, and with that
 compilation, are left out.
 """
@@ -60,12 +60,12 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     }
     with tempfile.TemporaryDirectory() as folder, watch.watching(places):
         config = compose(
+            "packages=[walker]",
             "env=bipedal_hardcore",
             "learner=td3_lg_walker",
             f"run_dir={folder}/run",
             f"algo.random_steps={RANDOM_STEPS}",
             "trainer.progress=false",
-            "packages=[walker]",
             *overrides,
             own=[EXAMPLE / "conf"],
         )
