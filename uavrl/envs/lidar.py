@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from uavrl.envs.embree import EmbreeScene, TriangleMesh
 from uavrl.envs.limits import require_finite
@@ -45,9 +46,9 @@ class LidarConfig:
         4.0
     """
 
-    max_range: float = 100.0
+    max_range: Annotated[float, Field(le=1000)] = 100.0
     min_range: float = 0.0
-    range_noise: float = 0.0
+    range_noise: Annotated[float, Field(le=100)] = 0.0
     dropout: float = 0.0
     motion_distortion: bool = False
 

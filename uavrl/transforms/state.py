@@ -1,10 +1,12 @@
 """From the raw scan to the policy's state, in one piece."""
 
 from collections.abc import Iterator
+from typing import Annotated
 
+from pydantic import Field
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
-from uavrl.ranges import Count, Positive
+from uavrl.ranges import Positive
 from uavrl.transforms.functional import Statistic
 from uavrl.transforms.last_action import LastAction
 from uavrl.transforms.observation import Angles, NavigationObservation
@@ -46,11 +48,11 @@ class NavigationState(Compose):
 
     def __init__(
         self,
-        radius: Positive = 4.0,
+        radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         statistic: Statistic | None = None,
         flight_level: Positive = 3.5,
         angles: Angles = "folded",
-        frames: Count = 3,
+        frames: Annotated[int, Field(ge=1, le=1000)] = 3,
         *,
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
