@@ -24,8 +24,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from uavrl.cli.errors import one_sentence
-from uavrl.envs.bodies import STATIC, add_fixed
-from uavrl.envs.bullet import pybullet, silenced
+from uavrl.envs.bullet import STATIC, add_fixed, pybullet, silenced
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.vlp16 import NUM_RAYS, firing_directions

@@ -21,7 +21,7 @@ from uavrl.cli import train as train_command
 from uavrl.collectors.stall_notice import Silence
 from uavrl.configs import to_dataclass
 from uavrl.configs.memory import bytes_needed, require_memory
-from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.world import WorldConfig

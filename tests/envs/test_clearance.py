@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl.envs.bullet import pybullet
-from uavrl.envs.clearance import SAMPLE_SPACING, surface_samples
+from uavrl.envs.bullet import SAMPLE_SPACING, pybullet, surface_samples
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import plane_mesh

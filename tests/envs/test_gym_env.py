@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import AddRenderObservation
 
-from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 

@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import SerialEnv, check_env_specs
 
-from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg, wrap_degrees
+from uavrl.envs.interface import goal_course_deg, goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics

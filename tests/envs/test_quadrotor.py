@@ -97,7 +97,7 @@ def test_mixer_row_does_not_depend_on_other_rows():
 
 def test_command_frame_is_yaw_aligned_even_when_tilted():
     tilted = Rotation.from_euler("ZYX", [np.pi / 2, 0.4, 0.0]).as_matrix()[None]  # yaw, then pitch
-    velocity, turning = to_world(np.array([[1.0, 0.5, 2.0, 0.0]]), tilted)
+    velocity, turning = to_world(np.array([[1.0, 0.5, 2.0, 0.0]]), tilted, np.zeros(1))
     np.testing.assert_allclose(velocity, [[-0.5, 1.0, 2.0]], atol=1e-12)
     assert not turning.any()
 

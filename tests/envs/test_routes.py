@@ -9,9 +9,8 @@ import pytest
 from pybullet_utils.bullet_client import BulletClient
 
 from tests.helpers.geometry import bullet_world, convex_body, embree, pierced
-from uavrl.envs.mesh import Mesh
+from uavrl.envs.mesh import Mesh, icosphere, loft, turned
 from uavrl.envs.routes import STEP, plan_routes, smoothed
-from uavrl.envs.shapes import icosphere, loft, turned
 from uavrl.envs.terrain import HeightField
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import Valley, World, WorldConfig

@@ -14,10 +14,8 @@ from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import cKDTree
 
 from tests.helpers.geometry import bullet_world, cast, embree, point_triangle_distance
-from uavrl.envs.free_space import FreeSpace, surface_points
-from uavrl.envs.mesh import Mesh
-from uavrl.envs.shapes import blob, icosphere, loft
-from uavrl.envs.tasks import FlightMap, Task, flight_map
+from uavrl.envs.mesh import Mesh, blob, icosphere, loft
+from uavrl.envs.tasks import FlightMap, FreeSpace, Task, flight_map, surface_points
 from uavrl.envs.terrain import HeightField
 from uavrl.envs.world import Valley, World, WorldConfig
 

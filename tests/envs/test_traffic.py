@@ -139,8 +139,8 @@ def test_positions_and_yaws_are_the_last_of_the_path(world):
     for _ in range(50):
         last = traffic.advance(24, 0.05)[-1]
         np.testing.assert_allclose(traffic.positions, last[:, :3], atol=1e-6)
-        np.testing.assert_allclose(np.cos(traffic.yaws - last[:, 3]), 1.0, atol=1e-9)
-        assert (np.abs(traffic.yaws) <= np.pi).all()
+        np.testing.assert_allclose(np.cos(traffic.poses()[:, 3] - last[:, 3]), 1.0, atol=1e-9)
+        assert (np.abs(traffic.poses()[:, 3]) <= np.pi).all()
 
 
 def test_planes_begin_spread_over_their_routes():
@@ -163,7 +163,7 @@ def test_no_flight_starts_within_the_keep_out_of_a_plane(world):
 
 def test_static_world_has_no_traffic():
     traffic = Traffic(World(WorldConfig(obstacles=5)), np.random.default_rng(0))
-    assert traffic.positions.shape == (0, 3) and traffic.yaws.shape == (0,)
+    assert traffic.positions.shape == (0, 3) and traffic.poses().shape == (0, 4)
     assert traffic.advance(24, 0.1).shape == (24, 0, 4)
 
 

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
-from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.register import register_envs
 from uavrl.envs.world import WorldConfig
 

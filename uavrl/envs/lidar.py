@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from uavrl.envs.embree import EmbreeScene, TriangleMesh
 from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.ray_culling import RayCuller
@@ -21,6 +19,13 @@ from uavrl.envs.vlp16 import (
     NUM_RAYS,
     firing_directions,
 )
+from uavrl.errors import MissingSimulator
+
+try:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+except ModuleNotFoundError as error:
+    raise MissingSimulator(error.name or "embreex") from error
 
 __all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
 
@@ -73,12 +78,11 @@ def _embree_scene(mesh: Mesh) -> EmbreeScene:
 
 
 class Lidar:
-    """Casts whole VLP-16 scans of any number of vehicles at once.
+    """Casts whole VLP-16 scans of any number of vehicles at once; the vehicles do not see each other.
 
     One Embree call casts a vehicle's rays against the static scene; at short range, only those that pass near a
     triangle (`uavrl.envs.ray_culling.RayCuller`), which changes no result. Moving bodies live in a small Embree scene
-    of their own, in the body's frame: only rays that can hit a body's bounding sphere are carried there, and only where
-    it is within range. The vehicles do not see each other.
+    of their own, in the body's frame: only rays that can hit a body's bounding sphere are carried there.
 
     Args:
         meshes: static triangle meshes in the world frame. May be empty.
@@ -87,21 +91,16 @@ class Lidar:
 
     Attributes:
         directions: ``float32 [28928, 3]``, read-only, as `uavrl.envs.vlp16.firing_directions` gives them.
-        num_points: points in one scan: 28,928.
 
     Examples:
         A wall 2 m ahead, seen from the origin:
 
-        >>> import numpy as np
-        >>> from uavrl.envs.mesh import Mesh
-        >>> corners = [[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]]
-        >>> lidar = Lidar([Mesh(np.array(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32))])
+        >>> wall = Mesh([[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]], [[0, 1, 2], [0, 2, 3]])
+        >>> lidar = Lidar([wall])
         >>> cloud = lidar.scan(np.zeros((1, 3)), np.eye(3)[None])
         >>> cloud.shape, round(float(cloud[0, 0, 0]), 4), bool(np.isnan(cloud[0, 904 * 16]).all())
         ((1, 28928, 3), 2.0, True)
     """
-
-    num_points: ClassVar[int] = NUM_RAYS
 
     def __init__(self, meshes: Sequence[Mesh], moving: Mesh | None = None, config: LidarConfig | None = None) -> None:
         self.config = LidarConfig() if config is None else config
@@ -132,17 +131,17 @@ class Lidar:
     ) -> np.ndarray:
         """Casts one scan per vehicle.
 
-        With motion distortion the pose is that of the first firing and moves on with constant velocities, and each
-        point is given in the sensor frame at its own firing, as the device gives it. Moving bodies stand still
-        during a scan.
+        With motion distortion, which alone needs velocities, the pose is that of the first firing and moves on with
+        constant velocities, and each point is given in the sensor frame at its own firing, as the device gives it.
+        Moving bodies stand still during a scan.
 
         Args:
             positions: ``[N, 3]``, sensor positions in the world in metres.
             rotations: ``[N, 3, 3]``, sensor-to-world rotation matrices.
             moving_poses: ``[K, 4]``, (x, y, z, yaw) of the moving bodies in metres and radians.
-            velocities: ``[N, 3]``, world-frame velocities in m/s. Needed for motion distortion only.
-            angular_velocities: ``[N, 3]``, world-frame angular velocities in rad/s. Needed for motion distortion only.
-            rng: source of range noise and dropout. Needed for these only.
+            velocities: ``[N, 3]``, world-frame velocities in m/s.
+            angular_velocities: ``[N, 3]``, world-frame angular velocities in rad/s.
+            rng: source of range noise and dropout, which need it.
 
         Returns:
             ``float32 [N, 28928, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
@@ -180,7 +179,7 @@ class Lidar:
                 _cast(self._static_scene, origins, directions, rays, ranges[vehicle], self._reach)
             for pose in poses:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
-        self._spoil(ranges, rng)
+        self._add_noise(ranges, rng)
         return (self._columns[:, None] * ranges).transpose(1, 2, 0)
 
     def _build_culler(self) -> RayCuller | None:
@@ -213,7 +212,7 @@ class Lidar:
         from_body = to_body @ (origins - pose[:3, None].astype(np.float32))
         _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
 
-    def _spoil(self, ranges: np.ndarray, rng: np.random.Generator | None) -> None:
+    def _add_noise(self, ranges: np.ndarray, rng: np.random.Generator | None) -> None:
         """Applies noise, dropout and the minimum range."""
         config = self.config
         if config.range_noise > 0.0 or config.dropout > 0.0:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh
-from uavrl.envs.shapes import blob, tube, turned
+from uavrl.envs.mesh import Mesh, blob, tube, turned
 from uavrl.envs.terrain import HeightField
 
 ROOT = -1.2  # m: obstacles reach this far below the ground at their middle, so that none floats over a slope

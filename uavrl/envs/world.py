@@ -6,7 +6,7 @@ from itertools import cycle
 
 import numpy as np
 
-from uavrl.envs.limits import in_turn, require_finite, whole
+from uavrl.envs.limits import require_finite, whole
 from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
@@ -28,6 +28,11 @@ LARGEST = {
     "plane_speed": 100.0,
     "plane_wingspan": 20.0,
 }
+
+
+def in_turn(counts: Iterable[int] | int) -> tuple[int, ...]:
+    """The numbers that valleys take in turn, of which there may be one."""
+    return (counts,) if isinstance(counts, int) else tuple(counts)
 
 
 @dataclass
