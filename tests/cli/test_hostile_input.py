@@ -29,7 +29,7 @@ from uavrl.errors import UavrlError
 from uavrl.runs.files import made_folder
 from uavrl.training.loggers import require_login
 from uavrl.transforms import TruncatedIcosahedron
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 MISTAKES = {
     "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",

@@ -17,7 +17,7 @@ from tests.helpers.scenes import LEVEL, ORIGIN, box, clutter, poses
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.vlp16 import FIRING_TIMES, NUM_RAYS
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 
 def ranges(cloud: np.ndarray) -> np.ndarray:

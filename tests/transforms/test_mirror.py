@@ -14,7 +14,7 @@ from tests.helpers.flights import small_env
 from uavrl.envs import NavigationEnv
 from uavrl.envs.simulation import Simulation
 from uavrl.transforms import Mirror, NavigationState, TruncatedIcosahedron, mirror_action, mirror_observation
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.observation import navigation_observation
 
 LEFT_RIGHT = torch.tensor([1.0, -1.0, 1.0])

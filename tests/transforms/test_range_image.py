@@ -15,7 +15,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
 from uavrl.transforms import REDUCTIONS, Mirror, NavigationState, RangeImage, mirror_observation
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image, range_image_directions
 
 

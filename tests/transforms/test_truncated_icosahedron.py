@@ -17,8 +17,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from tests.helpers.contracts import TransformContract
-from uavrl.transforms.functional import truncated_icosahedron, truncated_icosahedron_faces
-from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+from uavrl.transforms.icosahedron import TruncatedIcosahedron, truncated_icosahedron, truncated_icosahedron_faces
 
 PHI = (1 + 5**0.5) / 2
 NAN = math.nan

@@ -20,8 +20,7 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
-from uavrl.transforms.reductions import Reduction
-from uavrl.transforms.state import ACTION_LIMIT
+from uavrl.transforms.state import ACTION_LIMIT, Reduction
 
 WIDTH, HEIGHT = 480, 360  # pixels
 BEHIND, ABOVE, AHEAD = 3.0, 1.2, 2.0  # m from the UAV: the camera's place, and the point that it looks at

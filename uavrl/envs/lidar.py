@@ -39,7 +39,7 @@ class LidarConfig:
 
     Args:
         max_range: farthest range in metres. The device reaches 100 m; cut to the circumradius of the reduction (4 m),
-            `uavrl.transforms.functional.truncated_icosahedron` gives the identical result for less than half the time.
+            `uavrl.transforms.icosahedron.truncated_icosahedron` gives the identical result for less than half the time.
         min_range: points nearer than this are not reported, in metres; 0 is off. The device has 0.9.
         range_noise: standard deviation of the range error in metres; 0 is off. About 0.01 for the device.
         dropout: probability in [0, 1) that a hit is not reported.

@@ -8,7 +8,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from uavrl.transforms.reductions import REDUCTIONS, Reduction
+from uavrl.transforms.state import REDUCTIONS, Reduction
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 

@@ -57,7 +57,7 @@ def traditional_terms(
 
     Args:
         distance_tm1: distance to the goal before the step, ``[*B]``, m.
-        distance_t: distance to the goal after the step, ``[*B]``, m.
+        distance_t: the same after the step.
         arrived_t: bool ``[*B]``.
         collided_t: bool ``[*B]``; wins where both are true.
         arrived_reward: r_g.
@@ -121,7 +121,7 @@ def navigation_terms(
 
     Args:
         distance_tm1: distance to the goal before the step, ``[*B]``, m.
-        distance_t: distance to the goal after the step, ``[*B]``, m.
+        distance_t: the same after the step.
         altitude_t: height z, ``[*B]``, m.
         heading_deg_t: h, angle between the UAV's head and the goal, ``[*B]``, degrees in [0, 360).
         elevation_deg_t: g, angle between the UAV's position and the goal, ``[*B]``, degrees in [0, 360).
@@ -271,17 +271,9 @@ class NavigationReward(SumOfTerms):
     """The thesis's reward for navigation (Chansuparp (2022), Eq. 3.6), see :func:`navigation_terms`.
 
     Args:
-        weights: w_1 to w_4.
-        flight_level: p_approAlt, m.
-        collided_reward: r_collided (-50, or -10 with LifeGuard).
-        arrived_reward: added on arrival; 0 is the thesis's.
-        altitude_term: ``"absolute"`` or the thesis's ``"literal"`` form.
-        distance: key of the distance to the goal, m.
-        altitude: key of the altitude, m.
-        heading: key of h, degrees.
-        elevation: key of g, degrees.
-        arrived: key of the bool that tells an arrival.
-        collided: key of the bool that tells a collision.
+        weights, flight_level, collided_reward, arrived_reward, altitude_term: as in :func:`navigation_terms`.
+        distance, altitude, heading, elevation: keys of what it reads, in m and degrees.
+        arrived, collided: keys of the bools that say how an episode has ended.
         out_key: where the reward goes.
 
     Raises:
