@@ -11,13 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
-from uavrl.envs.interface import (
-    checked_action,
-    goal_course_deg,
-    goal_elevation_deg,
-    goal_heading_deg,
-    navigation_specs,
-)
+from uavrl.envs.interface import checked_action, goal_elevation_deg, goal_heading_deg, navigation_specs
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
@@ -29,7 +23,6 @@ from uavrl.errors import UavrlError
 from uavrl.ranges import Count
 from uavrl.transforms.state import ACTION_LIMIT
 
-GoalAngle = Literal["elevation", "course"]
 Hidden = Literal["planes"]
 TICKS = PHYSICS_RATE // CONTROL_RATE  # physics steps in a step
 _Made = TypeVar("_Made")
@@ -60,7 +53,6 @@ class NavigationEnv(EnvBase):
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
         max_steps: steps until an episode is truncated (Table 4.1: 300).
-        goal_angle: ``"elevation"``, or ``"course"`` for the other reading of g.
         blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
@@ -88,7 +80,6 @@ class NavigationEnv(EnvBase):
         airframe: Airframe | None = None,
         aerodynamics: Aerodynamics | None = None,
         max_steps: Count = 300,
-        goal_angle: GoalAngle = "elevation",
         blind: bool = False,
         blind_to: Hidden | None = None,
         measure_clearance: bool = False,
@@ -97,13 +88,10 @@ class NavigationEnv(EnvBase):
         device: torch.device | str = "cpu",
     ) -> None:
         num_uavs, max_steps = whole("num_uavs", num_uavs, 1), whole("max_steps", max_steps, 1)
-        if goal_angle not in ("elevation", "course"):
-            raise ValueError(f"goal_angle must be 'elevation' or 'course', got {goal_angle!r}.")
         if blind_to not in (None, "planes"):
             raise ValueError(f"blind_to must be None or 'planes', got {blind_to!r}.")
         super().__init__(device=device, batch_size=torch.Size([num_uavs]))
         self.num_uavs, self.max_steps = num_uavs, max_steps
-        self.goal_angle = goal_angle
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
@@ -227,15 +215,11 @@ class NavigationEnv(EnvBase):
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
         simulation = self.simulation
         position, velocity = simulation.position, simulation.velocity
-        if self.goal_angle == "course":
-            elevation = goal_course_deg(position, velocity, self._goal)
-        else:
-            elevation = goal_elevation_deg(position, self._goal)
         data = {
             "point_cloud": self._scan(index),
             "altitude": position[:, 2],
             "heading_deg": goal_heading_deg(position, simulation.yaw, self._goal),
-            "elevation_deg": elevation,
+            "elevation_deg": goal_elevation_deg(position, self._goal),
             "distance": self._distance(),
             "position": position,
             "velocity": velocity,

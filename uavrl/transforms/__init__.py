@@ -15,7 +15,6 @@ from uavrl.transforms.rewards import (
     traditional_terms,
 )
 from uavrl.transforms.state import REDUCTIONS, NavigationState
-from uavrl.transforms.walker import WalkerReward, walker_reward
 
 __all__ = [
     "REDUCTIONS",
@@ -29,7 +28,6 @@ __all__ = [
     "SumOfTerms",
     "TraditionalReward",
     "TruncatedIcosahedron",
-    "WalkerReward",
     "mirror_action",
     "mirror_observation",
     "navigation_observation",
@@ -37,5 +35,4 @@ __all__ = [
     "navigation_terms",
     "traditional_reward",
     "traditional_terms",
-    "walker_reward",
 ]
