@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 
 from tests.helpers.vehicles import GRID, seen, world
+from uavrl.envs.bullet import SAMPLE_SPACING, pybullet, surface_samples
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
+from uavrl.envs.traffic import plane_mesh
+from uavrl.envs.world import World, WorldConfig
 
 NO_DRAG = Aerodynamics(force_coefficients=(0.0, 0.0, 0.0), moment_coefficients=(0.0, 0.0, 0.0))
 WALL = Mesh([[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]], [[0, 1, 2], [0, 2, 3]])  # the plane x = 2
 WING = Mesh([[0.2, -1, 0], [-0.2, -1, 0], [-0.2, 1, 0], [0.2, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+
+
+UAVS, PLANES = 8, 3
 
 
 def command(*entries: float) -> np.ndarray:
@@ -29,10 +35,6 @@ def test_hover_holds(lidar_mass):
             simulation.step(np.zeros((1, 4)))
             assert np.abs(simulation.position - [0, 0, 3.5]).max() < 1e-3
             assert abs(simulation.yaw[0]) < 1e-6
-
-
-# Without the LiDAR's weight, drag takes more of what the tilt limit allows: in four corners (the fastest descending
-# circles) no controller comes closer than 10.7 %.
 
 
 def test_velocities_reverse_within_two_seconds():
@@ -115,19 +117,6 @@ def test_wind_carries_a_falling_vehicle_and_a_hovering_one_resists():
         assert simulation.velocity[0, 0] > 3.0
 
 
-def test_gusts_shake_and_repeat():
-    def flight(seed: int) -> np.ndarray:
-        air = Aerodynamics(gust_intensity=2.0)
-        with world(aerodynamics=air, rng=np.random.default_rng(seed)) as simulation:
-            for _ in range(20):
-                simulation.step(np.zeros((1, 4)))
-            return simulation.position
-
-    assert np.abs(flight(0) - [0, 0, 3.5]).max() > 1e-3
-    np.testing.assert_array_equal(flight(0), flight(0))
-    assert (flight(0) != flight(1)).any()
-
-
 def test_applied_forces_and_torques_act_in_the_frames_they_are_meant_in():
     """One rotor alone, on a yawed vehicle without weight on the others: linear and angular acceleration by hand."""
     air, airframe = NO_DRAG, Airframe()
@@ -185,23 +174,6 @@ def test_vehicles_neither_touch_nor_disturb_each_other():
         np.testing.assert_allclose(flight([row])[:, 0], together[:, row], atol=1e-9)
 
 
-def test_bit_identical_when_rebuilt():
-    def flight() -> np.ndarray:
-        rng = np.random.default_rng(3)
-        with world(3, (WALL,), plane_mesh=WING, plane_count=1) as simulation:
-            simulation.place_planes(np.array([[0.0, 5.0, 3.5, 0.0]]))
-            for _ in range(50):
-                touched = simulation.step(rng.uniform(-2, 2, (3, 4)) + command(0.5, 0, 0, 0))
-                if touched.any():
-                    rows = np.flatnonzero(touched)
-                    simulation.reset(rows, np.tile([0.0, 0.0, 3.5], (len(rows), 1)), np.zeros(len(rows)))
-            return np.concatenate(
-                [simulation.position.ravel(), simulation.rotation.ravel(), simulation.velocity.ravel()]
-            )
-
-    np.testing.assert_array_equal(flight(), flight())
-
-
 # ---------------------------------------------------------------------- contacts
 
 
@@ -249,15 +221,6 @@ def test_yawed_plane_reaches_where_its_wing_is():
         assert simulation.step(np.zeros((1, 4)), np.tile(across, (24, 1, 1))).all()
 
 
-def test_closest_distance():
-    with world(2, (WALL,), plane_mesh=WING, plane_count=1) as simulation:
-        simulation.place_planes(np.array([[0.0, 50.0, 3.5, 0.0]]))
-        simulation.reset(np.array([1]), np.array([[-9.0, 0.0, 3.5]]), np.zeros(1))
-        np.testing.assert_allclose(simulation.closest_distance(), [2 - 0.35, 5.0], atol=2e-3)
-        simulation.place_planes(np.array([[-0.2, 1.85, 3.5, 0.0]]))
-        np.testing.assert_allclose(simulation.closest_distance(), [1.85 - 1 - 0.35, 5.0], atol=5e-3)
-
-
 def test_large_meshes_are_split_without_loss():
     rng = np.random.default_rng(0)
     mesh = Mesh(rng.normal(size=(300, 3)), rng.integers(300, size=(1000, 3)))
@@ -298,7 +261,50 @@ def test_settings_that_make_no_world_are_refused(settings):
         Simulation([], **settings)
 
 
-def test_close_twice():
-    simulation = Simulation([], 1)
+# ---------------------------------------------------------------------- clearance
+
+
+def looked_at_everything(simulation: Simulation) -> np.ndarray:
+    """Without any bound: all bodies, all triangles within 5 m."""
+    found = np.full(simulation.count, 5.0)
+    for row, vehicle in enumerate(simulation._vehicles):
+        for body in simulation._statics + simulation._planes:
+            points = pybullet.getClosestPoints(vehicle, body, 5.0, physicsClientId=simulation._client)
+            found[row] = min([found[row], *(point[8] for point in points)])
+    return found
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_closest_distance_is_that_of_looking_at_everything(seed: int) -> None:
+    valley, rng = World(WorldConfig(seeds=(seed,), size=(26.0, 20.0), obstacles=20)), np.random.default_rng(seed)
+    simulation = Simulation(valley.meshes, UAVS, plane_mesh=plane_mesh(2.0), plane_count=PLANES)
+    found, expected = [], []
+    for _ in range(15):
+        places = rng.uniform([-12, -9, 0.3, -3], [12, 9, 9, 3], (UAVS + PLANES, 4))
+        simulation.place_planes(places[UAVS:])
+        simulation.reset(np.arange(UAVS), places[:UAVS, :3], places[:UAVS, 3])
+        simulation.step(rng.uniform(-2, 2, (UAVS, 4)))  # tilts them
+        found.append(simulation.closest_distance())
+        expected.append(looked_at_everything(simulation))
     simulation.close()
-    simulation.close()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+    assert np.min(expected) < 0.0 < 1.5 < np.max(expected), "inside and far from things"
+
+
+def test_a_plane_is_found_beyond_and_before_the_static_geometry() -> None:
+    wall = Mesh([[4, -9, -9], [4, 9, -9], [4, 9, 9], [4, -9, 9]], [[0, 1, 2], [0, 2, 3]])  # the plane x = 4
+    plane = plane_mesh(2.0)
+    nose = float(plane.vertices[:, 0].max())
+    for meshes, away, expected in (([wall], 3.0, 3.0 - 0.35), ([wall], 9.0, 4.0 - 0.35), ([], 9.0, 5.0)):
+        simulation = Simulation(meshes, 1, plane_mesh=plane, plane_count=1)
+        simulation.place_planes(np.array([[-away - nose, 0.0, 0.0, 0.0]]))
+        assert simulation.closest_distance()[0] == pytest.approx(expected, abs=0.01)
+        simulation.close()
+
+
+def test_samples_lie_on_the_surface_and_leave_no_part_of_it_out() -> None:
+    pole = Mesh([[0, 0, 0], [0.1, 0, 0], [0, 0, 9]], [[0, 1, 2]])
+    samples = surface_samples(pole, SAMPLE_SPACING)
+    assert not samples[:, 1].any() and (samples.min(0) >= 0).all()
+    edge = np.stack([0 * np.arange(91), 0 * np.arange(91), np.arange(91) / 10], -1)
+    assert np.linalg.norm(edge[:, None] - samples, axis=-1).min(1).max() < SAMPLE_SPACING
