@@ -30,12 +30,9 @@ _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
 
 
 class Camera:
-    """A camera that follows the first vehicle of an environment from behind.
+    """A camera that follows the first vehicle of an environment, which has been reset, from behind.
 
     It draws in a PyBullet world of its own, in which nothing moves by itself: the physics does not notice it.
-
-    Args:
-        env: that has been reset.
     """
 
     def __init__(self, env: NavigationEnv) -> None:
@@ -58,9 +55,8 @@ class Camera:
         return pybullet.createMultiBody(0, -1, shape, **self._at)
 
     def _cylinder(self, radius: float, length: float, colour: tuple[float, ...]) -> int:
-        shape = pybullet.createVisualShape(
-            pybullet.GEOM_CYLINDER, radius=radius, length=length, rgbaColor=(*colour, 1.0), **self._at
-        )
+        size = {"radius": radius, "length": length, "rgbaColor": (*colour, 1.0)}
+        shape = pybullet.createVisualShape(pybullet.GEOM_CYLINDER, **size, **self._at)
         return pybullet.createMultiBody(0, -1, shape, **self._at)
 
     def picture(self, goal: np.ndarray) -> np.ndarray:
@@ -75,9 +71,8 @@ class Camera:
         eye = position - BEHIND * ahead + [0.0, 0.0, ABOVE]
         view = pybullet.computeViewMatrix(eye.tolist(), (position + AHEAD * ahead).tolist(), (0, 0, 1))
         lens = pybullet.computeProjectionMatrixFOV(60.0, WIDTH / HEIGHT, 0.1, 100.0)
-        drawn = pybullet.getCameraImage(
-            WIDTH, HEIGHT, view, lens, shadow=0, renderer=pybullet.ER_TINY_RENDERER, **self._at
-        )
+        drawer = {"shadow": 0, "renderer": pybullet.ER_TINY_RENDERER}
+        drawn = pybullet.getCameraImage(WIDTH, HEIGHT, view, lens, **drawer, **self._at)
         return np.reshape(drawn[2], (HEIGHT, WIDTH, 4))[..., :3].astype(np.uint8)
 
     def _put(self, body: int, position: np.ndarray, attitude: np.ndarray = LEVEL) -> None:

@@ -160,17 +160,16 @@ class Lidar:
             raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
         if rng is None and (self.config.range_noise > 0.0 or self.config.dropout > 0.0):
             raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
-        if self.config.motion_distortion:
+        moved = self.config.motion_distortion
+        if moved:
             velocities = _checked("velocities", velocities, positions.shape)
             angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
-        else:
-            velocities = angular_velocities = None
         ranges = np.full((len(positions), NUM_RAYS), np.nan, dtype=np.float32)
         near = None if self._culler is None else self._culler.candidates(positions, rotations)
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
             origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ self._columns
             speed = 0.0
-            if velocities is not None and angular_velocities is not None:
+            if moved and velocities is not None and angular_velocities is not None:
                 origins = origins + (velocities[vehicle, :, None] * FIRING_TIMES).astype(np.float32)
                 directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
                 speed = float(np.linalg.norm(velocities[vehicle]))

@@ -84,10 +84,8 @@ def loft(rings: np.ndarray) -> Mesh:
     below = (np.arange(count - 1) * points)[:, None]
     a, b, c, d = below + ring, below + after, below + after + points, below + ring + points
     sides = [np.stack(corners, -1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
-    first, last = count * points, count * points + 1
-    top = (count - 1) * points
-    caps = [np.stack([after, ring, np.full(points, first)], -1)]
-    caps.append(np.stack([ring + top, after + top, np.full(points, last)], -1))
+    middle, top = np.full(points, count * points), (count - 1) * points
+    caps = [np.stack([after, ring, middle], -1), np.stack([ring + top, after + top, middle + 1], -1)]
     vertices = np.concatenate([rings.reshape(-1, 3), rings[:1].mean(1), rings[-1:].mean(1)])
     mesh = Mesh(vertices, np.concatenate(sides + caps))
     return mesh if signed_volume(mesh) > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])

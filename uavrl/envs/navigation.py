@@ -64,10 +64,7 @@ class NavigationEnv(EnvBase):
         ValueError: for settings out of range, a world without solvable tasks, NaN actions, or a step after ``close``.
 
     Examples:
-        >>> from torchrl.envs import check_env_specs
-        >>> env = NavigationEnv(num_uavs=2)
-        >>> check_env_specs(env)
-        >>> env.rollout(3)["next", "point_cloud"].shape
+        >>> NavigationEnv(num_uavs=2).rollout(3)["next", "point_cloud"].shape
         torch.Size([2, 3, 28928, 3])
     """
 
@@ -128,7 +125,9 @@ class NavigationEnv(EnvBase):
 
     def _rebuild(self) -> None:
         """Builds physics, traffic and generators anew from the seed; meshes and the ray-casting scene stay."""
-        self.close_simulation()
+        if self._simulation is not None:
+            self._simulation.close()
+            self._simulation = None
         seeds = np.random.SeedSequence(self._seed).spawn(3)
         traffic_rng, self._lidar_rng, gusts = map(np.random.default_rng, seeds)
         self._traffic, meshes, air = Traffic(self.world, traffic_rng), self.world.meshes, self.aerodynamics
@@ -213,22 +212,13 @@ class NavigationEnv(EnvBase):
 
     def _observe(self, index: np.ndarray, arrived: np.ndarray, collided: np.ndarray) -> dict[str, np.ndarray]:
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
-        simulation = self.simulation
-        position, velocity = simulation.position, simulation.velocity
-        data = {
-            "point_cloud": self._scan(index),
-            "altitude": position[:, 2],
-            "heading_deg": goal_heading_deg(position, simulation.yaw, self._goal),
-            "elevation_deg": goal_elevation_deg(position, self._goal),
-            "distance": self._distance(),
-            "position": position,
-            "velocity": velocity,
-            "goal": self._goal,
-            "arrived": arrived,
-            "collided": collided,
-            "world_seed": self._world_seed,
-            "task": self._task,
-        }
+        simulation, goal = self.simulation, self._goal
+        position = simulation.position
+        data = {"point_cloud": self._scan(index), "position": position, "velocity": simulation.velocity, "goal": goal}
+        data |= {"altitude": position[:, 2], "distance": self._distance(), "arrived": arrived, "collided": collided}
+        data |= {"world_seed": self._world_seed, "task": self._task}
+        data["heading_deg"] = goal_heading_deg(position, simulation.yaw, goal)
+        data["elevation_deg"] = goal_elevation_deg(position, goal)
         if self.measure_clearance:
             data["clearance"] = simulation.closest_distance()
         return data
@@ -289,20 +279,15 @@ class NavigationEnv(EnvBase):
             tensors[key] = torch.as_tensor(values, dtype=self._dtypes[key], device=self.device)
         return TensorDict(tensors, batch_size=self.batch_size, device=self.device)
 
-    def close_simulation(self) -> None:
-        """Frees the PyBullet world, if there is one."""
-        if self._simulation is not None:
-            self._simulation.close()
-            self._simulation = None
-
     def _require_open(self) -> None:
         if self.is_closed:
             raise UavrlError("The environment is closed and has freed its simulation: make a new one.")
 
     def _free(self) -> None:
         """Frees the PyBullet world, the ray-casting scene and the valleys."""
-        self.close_simulation()
-        self._lidar = self._traffic = None
+        if self._simulation is not None:
+            self._simulation.close()
+        self._simulation = self._lidar = self._traffic = None
         for made in ("world", "_no_returns"):
             self.__dict__.pop(made, None)
 

@@ -149,12 +149,14 @@ class Simulation:
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
         shape = (self.substeps, len(self._planes), 4)
         path = [] if plane_path is None else self._checked_poses(plane_path, shape).tolist()
-        touched = np.zeros(self.count, dtype=bool)
+        touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
         for substep in range(self.substeps):
             if path:
                 self._move_planes(path[substep])
             if substep % self._tracking_period == 0:
-                self._track(target)
+                lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
+                velocity = self._twist_world[:, 0]
+                self._controller.track(target, self.rotation, velocity, self._twist, lift, period)
             self._push()
             pybullet.stepSimulation(physicsClientId=self._client)
             self._read()
@@ -197,12 +199,6 @@ class Simulation:
         self._twist_world = state[:, 7:].reshape(-1, 2, 3)
         self.rotation = rotation_from_quaternion(state[:, 3:7])
         self._twist = np.matmul(self._twist_world, self.rotation)  # rows times R = Rᵀ times columns: body axes
-
-    def _track(self, target: np.ndarray) -> None:
-        """Runs the controller's outer loop."""
-        lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
-        period = self._tracking_period * self._dt
-        self._controller.track(target, self.rotation, self._twist_world[:, 0], self._twist, lift, period)
 
     def _push(self) -> None:
         """Runs the inner loop and the rotors, and applies thrust, drag and moments at the centres of mass."""

@@ -54,15 +54,12 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
     """Reduces point clouds to 72 distances, one for each cell of 15 degrees of azimuth and 10 of elevation.
 
     A VLP-16 sees 15 degrees up and down. Of the 32 faces of a truncated icosahedron a dozen lie there, each some 40
-    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells. Only returns
-    count, see `uavrl.transforms.reduction.is_return`: misses are NaN, infinite or zeros.
+    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells.
 
     Args:
-        points: ``[*B, P, 3]`` in metres, float32 or float64, in the sensor frame (x forward, y left, z up), in any
-            order; ``P`` may be 0.
+        points: ``[*B, P, 3]``, as in `uavrl.transforms.icosahedron.truncated_icosahedron`.
         radius: of the ball in metres.
-        statistic: as in `uavrl.transforms.icosahedron.truncated_icosahedron`; ``"face"`` is the distance to the point
-            where the cell's middle meets the ball.
+        statistic: as there; ``"face"`` is the distance to the point where the cell's middle meets the ball.
 
     Returns:
         ``[*B, 72]`` in metres within [0, ``radius``] (``"face"``: cut there), in the order of
