@@ -250,12 +250,25 @@ def part(space: FreeSpace, radius: float, allowed: np.ndarray | None = None) -> 
     return space.largest_part(np.ones(space.clearance.shape, bool) if allowed is None else allowed, radius).tolist()
 
 
-def test_a_ball_passes_between_neighbours_with_room_for_it_halfway() -> None:
-    """With clearances c1 and c2 at h apart, it has (c1 + c2 - h) / 2 at least: here h = 1 and the ball's radius 0.5."""
-    assert part(space_of([[[1.0]], [[1.0]], [[1.0]], [[0.9]]]), 0.5) == [[[True]], [[True]], [[True]], [[False]]]
-    assert part(space_of([[[1.0, 1.0, 1.0, 0.9]]]), 0.5) == [[[True, True, True, False]]]
-    assert part(space_of([[[0.5, 1.5, 0.6, 1.2]]]), 0.5) == [[[True, True, True, False]]]
-    assert part(space_of([[[1.0], [1.0], [0.4], [1.0]]]), 0.5) == [[[True], [True], [False], [False]]]
+@pytest.mark.parametrize(
+    ("clearance", "expected"),
+    [
+        ([1.0, 1.0, 1.0, 0.9], [1, 1, 1, 0]),
+        ([0.5, 1.5, 0.6, 1.2], [1, 1, 1, 0]),
+        ([1.0, 1.0, 0.4, 1.0], [1, 1, 0, 0]),
+        ([0.4, 0.4], [0, 0]),
+        ([1.0], [1]),
+        ([[1, 1, 0], [0, 0, 1], [0, 0, 1], [0, 0, 1]], [[0, 0, 0], [0, 0, 1], [0, 0, 1], [0, 0, 1]]),
+    ],
+)
+def test_a_ball_passes_between_neighbours_with_room_for_it_halfway(clearance: list, expected: list) -> None:
+    """With clearances c1 and c2 at h apart, it has (c1 + c2 - h) / 2 at least: here h = 1 and the ball's radius 0.5.
+
+    It passes no corners, and of two sides the larger is taken.
+    """
+    given, wanted = np.array(clearance, float), np.array(expected, bool)
+    for shape in ((*given.shape, 1, 1)[:3], (1, 1, *given.shape)[-3:]):
+        assert part(space_of(given.reshape(shape).tolist()), 0.5) == wanted.reshape(shape).tolist()
 
 
 def test_the_step_along_each_axis_counts() -> None:
@@ -265,27 +278,14 @@ def test_the_step_along_each_axis_counts() -> None:
     assert np.sum(part(space_of(clearance, x=2.0, y=2.0, z=2.0), 0.3)) == 1
 
 
-def test_corners_are_not_passed_and_the_larger_side_is_taken() -> None:
-    clear = np.array([[1, 1, 0], [0, 0, 1], [0, 0, 1], [0, 0, 1]], dtype=float)
-    expected = [[False, False, False], [False, False, True], [False, False, True], [False, False, True]]
-    assert part(space_of(clear[:, :, None].tolist()), 0.5) == np.array(expected)[:, :, None].tolist()
-    assert part(space_of(clear[None].tolist()), 0.5) == [expected]
-
-
 def test_a_way_in_the_third_dimension_joins() -> None:
     """Two halves of a layer that a wall parts are joined over its top."""
-    clear = np.ones((3, 1, 2))
+    clear, allowed = np.ones((3, 1, 2)), np.ones((3, 1, 2), dtype=bool)
     clear[1, 0, 0] = 0.0
     assert np.sum(part(space_of(clear.tolist()), 0.5)) == 5
-    allowed = np.ones((3, 1, 2), dtype=bool)
     allowed[1, 0, 1] = False
     assert np.sum(part(space_of(clear.tolist()), 0.5, allowed)) == 2
-
-
-def test_nothing_is_free_where_nothing_is() -> None:
-    assert part(space_of([[[0.4, 0.4]]]), 0.5) == [[[False, False]]]
-    assert part(space_of([[[1.0, 1.0]]]), 0.5, np.zeros((1, 1, 2), bool)) == [[[False, False]]]
-    assert part(space_of([[[1.0]]]), 0.5) == [[[True]]]
+    assert not np.any(part(space_of(clear.tolist()), 0.5, allowed & False))
 
 
 def test_surface_points_leave_no_gap() -> None:

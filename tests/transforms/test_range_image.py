@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs import TransformedEnv, check_env_specs
 
-from tests.helpers.contracts import TransformContract
+from tests.helpers.clouds import CloudContract
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
@@ -138,17 +138,6 @@ def test_the_state_of_a_flight() -> None:
         NavigationState(reduction="cube")  # type: ignore[arg-type]
 
 
-class TestTransform(TransformContract):
+class TestTransform(CloudContract):
     def make_transform(self) -> RangeImage:
         return RangeImage()
-
-    def make_data(self, *batch: int) -> TensorDict:
-        return TensorDict(
-            {"point_cloud": torch.randn(*batch, 60, 3, generator=torch.Generator().manual_seed(0))}, batch
-        )
-
-    @staticmethod
-    def make_env() -> object:
-        from tests.transforms.test_truncated_icosahedron import CloudEnv
-
-        return CloudEnv((3,))
