@@ -126,7 +126,7 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UavrlError(
-                f"render_mode must be rgb_array or None, got {render_mode!r}: to watch a policy fly, use uavrl-replay, "
+                f"render_mode must be rgb_array or None, got {render_mode!r}: to watch a policy, use uavrl-replay, "
                 "which shows its episodes in a page."
             )
         self.render_mode = render_mode
@@ -160,7 +160,7 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observation(), self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Flies for 0.1 s."""
+        """Advances by 0.1 s."""
         if self._state is None:
             raise UavrlError("Reset the environment before the first step.")
         if np.shape(action) != (4,):

@@ -43,7 +43,7 @@ def _sections(span: np.ndarray, chord: np.ndarray, lead: np.ndarray, thickness: 
 
 
 class Leg:
-    """The flight of one plane along a route of its valley, and the plane's own source of the next ones."""
+    """One plane's way along a route of its valley, and the plane's own source of the next ones."""
 
     def __init__(self, rng: np.random.Generator, routes: Sequence[np.ndarray], speed: tuple[float, float]) -> None:
         self._rng, self._routes, self._speeds = rng, routes, speed

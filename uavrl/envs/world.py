@@ -46,8 +46,8 @@ class WorldConfig:
         size: Extent of a valley along x and y in m.
         obstacles: Number of obstacles per valley, or a list of numbers that the valleys take in turn.
         obstacle_scale: Factor on all lengths of the obstacles.
-        flight_level: Height in m (world z) at which flights start.
-        ceiling: Height above the ground in m at which a flight ends; the goal cylinder reaches up to it.
+        flight_level: Height in m (world z) at which episodes start.
+        ceiling: Height above the ground in m at which an episode ends; the goal cylinder reaches up to it.
         goal_radius: Radius of the goal cylinder in m.
         min_goal_distance: Least horizontal distance from start to goal in m.
         min_clearance: Least distance in m from start and goal, at flight level, to the geometry.
@@ -254,7 +254,7 @@ class World:
         drawn = draw_valley(self.config, rng)
         if drawn not in self.built:
             raise UavrlError(
-                f"The task flies in the valley of seed {self.config.seeds[drawn]}, which was not built: name the task "
+                f"The task is set in the valley of seed {self.config.seeds[drawn]}, which was not built: name the task "
                 f"when the environment is made, or leave out tasks."
             )
         return self.built.index(drawn)

@@ -77,8 +77,7 @@ def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Te
     """Returns the normals and the centres ``[3, 7]`` of 3 pentagons and 4 hexagons, and the face ids ``[8 * 7]``.
 
     Mirroring at the planes x = 0, y = 0 and z = 0 maps the solid onto itself, so the 7 faces whose normals have no
-    negative coordinate stand for all. The ids are those of their images, mirrored along z in every second row of 7,
-    along y in every second pair of rows, and along x in the last four.
+    negative coordinate stand for all. The ids are those of their images: bit 2 of the row mirrors x, bit 1 y, bit 0 z.
     """
     faces = _faces(radius, torch.float64, torch.device("cpu"))
     first = (faces.normals > -1e-9).all(dim=-1).nonzero()[:, 0]
@@ -92,18 +91,15 @@ def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Te
 def truncated_icosahedron_faces(
     radius: float = 4.0, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> TruncatedIcosahedronFaces:
-    """Returns the faces in the order in which `truncated_icosahedron` reports them.
+    """Returns the faces in the order in which `truncated_icosahedron` reports them, as tensors that one may change.
 
     Pentagons come first (0-11), then hexagons (12-31), each group sorted by the z of its centre, lowest first, then by
     azimuth ``atan2(y, x)`` in [0, 2π). Pentagon normals are the cyclic permutations of (0, ±1, ±φ).
 
     Args:
         radius: circumradius in metres: the distance from the origin to the 60 vertices.
-        dtype: type of the tensors.
-        device: device of the tensors.
-
-    Returns:
-        `TruncatedIcosahedronFaces`, fresh tensors that the caller may change.
+        dtype: of the tensors.
+        device: of the tensors.
 
     Examples:
         >>> faces = truncated_icosahedron_faces(4.0)

@@ -24,10 +24,9 @@ def navigation_observation(
 ) -> Tensor:
     """Chansuparp (2022), §3.2: o = (f_1 … f_32, z, h, g), scaled for a network.
 
-    The faces are divided by the ball's radius and the altitude becomes z / p_approAlt - 1. The angles
-    are folded to [-1, 1] with 0 = facing the goal, because the thesis's 0 to 360 degrees jump exactly
-    there. For comparison ``angles="raw"`` keeps 0 to 360 degrees, and ``"turns"`` divides them by 360:
-    they still jump, but are as small as the other numbers.
+    The faces are divided by the ball's radius and the altitude becomes z / p_approAlt - 1. The angles are folded to
+    [-1, 1] with 0 = facing the goal, because the thesis's 0 to 360 degrees jump exactly there. For comparison
+    ``angles="raw"`` keeps the degrees, and ``"turns"`` divides them by 360: they still jump, but are small.
 
     Args:
         faces: ``[*B, 32]``, m; or another reduction's ``[*B, cells]``.
@@ -118,7 +117,7 @@ class NavigationObservation(ObservationTransform):
 class LastAction(Transform):
     """Writes beside an observation which action led to it, zeros after a reset.
 
-    What a vehicle was told a moment ago says how it moves now. Join it to the observation by TorchRL's ``CatTensors``.
+    A vehicle's last command says how it moves now. Join it to the observation by TorchRL's ``CatTensors``.
 
     Args:
         in_keys: key of the action.
