@@ -12,7 +12,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
-from torchrl.envs import SerialEnv, check_env_specs
+from torchrl.envs import check_env_specs
 
 from uavrl.envs.interface import goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
@@ -67,9 +67,6 @@ def place(env: NavigationEnv, uav: int, position: list[float] | np.ndarray, yaw:
     env.simulation.reset(np.array([uav]), np.asarray(position, dtype=float)[None], np.array([yaw]))
 
 
-# ---------------------------------------------------------------------- TorchRL's contract
-
-
 @pytest.mark.parametrize(
     "kwargs",
     [{"measure_clearance": True}, {"world": replace(SMALL, planes=1, plane_wingspan=1.2, plane_keep_out=2.0)}],
@@ -77,16 +74,6 @@ def place(env: NavigationEnv, uav: int, position: list[float] | np.ndarray, yaw:
 )
 def test_specs_hold(make: Callable[..., NavigationEnv], kwargs: dict[str, Any]) -> None:
     check_env_specs(make(**kwargs))
-
-
-def test_specs_hold_in_one_process() -> None:
-    env = SerialEnv(2, lambda: NavigationEnv(2, lidar=NEAR, world=SMALL))
-    check_env_specs(env)
-    assert env.batch_size == (2, 2)
-    env.close()
-
-
-# ---------------------------------------------------------------------- resets and seeds
 
 
 def test_a_partial_reset_leaves_the_others_untouched(make: Callable[..., NavigationEnv]) -> None:
@@ -164,9 +151,6 @@ def test_a_collector_takes_a_seed(make: Callable[..., NavigationEnv]) -> None:
         collector.shutdown()
 
 
-# ---------------------------------------------------------------------- how episodes end
-
-
 def test_time_out_is_truncated_not_terminated(make: Callable[..., NavigationEnv]) -> None:
     env = make(1, max_steps=3)
     state, ends = env.reset(), []
@@ -208,9 +192,6 @@ def test_the_environments_own_reward_is_the_progress(make: Callable[..., Navigat
         after = env.step(act(state, 2.0, 0.0, 0.0, 0.0))["next"]
         torch.testing.assert_close(after["reward"], state["distance"] - after["distance"], rtol=0, atol=1e-5)
         state = after
-
-
-# ---------------------------------------------------------------------- what is emitted
 
 
 def test_heading_is_counted_left_from_the_head_and_elevation_up_from_the_horizon() -> None:
@@ -278,9 +259,6 @@ def test_uavs_do_not_see_each_other(make: Callable[..., NavigationEnv]) -> None:
     assert np.isnan(alone[0]).all()
     after = env.step(act(state))["next"]
     assert not after["collided"].any()
-
-
-# ---------------------------------------------------------------------- misuse
 
 
 @pytest.mark.parametrize(

@@ -33,9 +33,6 @@ def restart(simulation: Simulation, rows: np.ndarray) -> None:
     simulation.reset(rows, START.repeat(len(rows), 0), np.zeros(len(rows)))
 
 
-# ---------------------------------------------------------------------- control
-
-
 @pytest.mark.parametrize("lidar_mass", [0.83, 0.0])
 def test_hover_holds(lidar_mass):
     with world(airframe=Airframe(lidar_mass=lidar_mass)) as simulation:
@@ -80,9 +77,6 @@ def test_velocity_is_the_derivative_of_the_position():
         before, speed = simulation.position, simulation.velocity
         steps(simulation, 1, 2, 1, 1, 2)
         np.testing.assert_allclose((simulation.position - before) * 240, (simulation.velocity + speed) / 2, atol=0.02)
-
-
-# ---------------------------------------------------------------------- forces
 
 
 def test_free_fall():
@@ -130,9 +124,6 @@ def test_applied_forces_and_torques_act_in_the_frames_they_are_meant_in():
         assert simulation.velocity[0, 2] == pytest.approx((lift / 2.307 - 9.81) / 240, abs=2e-4)
 
 
-# ---------------------------------------------------------------------- long runs and independence
-
-
 def test_random_commands_among_walls_are_recovered_from():
     rng, hits = np.random.default_rng(1), 0
     with world(4, (WALL, FLOOR)) as simulation:
@@ -159,9 +150,6 @@ def test_vehicles_neither_touch_nor_disturb_each_other():
     together = path([0, 1, 2])  # all start at one place
     for row in range(3):
         np.testing.assert_allclose(path([row])[:, 0], together[:, row], atol=1e-9)
-
-
-# ---------------------------------------------------------------------- contacts
 
 
 def test_wall_is_reported_where_it_stands_and_forgotten_after_a_reset():
@@ -218,9 +206,6 @@ def test_large_meshes_are_split_without_loss():
     np.testing.assert_array_equal(corners, mesh.vertices[mesh.faces])
 
 
-# ---------------------------------------------------------------------- what is refused
-
-
 def test_commands_are_clipped_and_nan_refused():
     with world() as one, world() as other:
         steps(one, 1, 9, -9, np.inf, 3)
@@ -247,9 +232,6 @@ def test_commands_are_clipped_and_nan_refused():
 def test_settings_that_make_no_world_are_refused(settings):
     with pytest.raises(ValueError):
         Simulation([], **settings)
-
-
-# ---------------------------------------------------------------------- clearance
 
 
 def looked_at_everything(simulation: Simulation) -> np.ndarray:

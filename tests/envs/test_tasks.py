@@ -42,9 +42,6 @@ def physics(world: World) -> Iterator[tuple[BulletClient, list[int]]]:
     client.disconnect()
 
 
-# --- what a task promises ---------------------------------------------------------------------------------------
-
-
 def test_tasks_keep_the_rules(world: World, tasks: list[Task]) -> None:
     for task in tasks:
         assert task.start.shape == task.goal.shape == (3,)
@@ -108,9 +105,6 @@ def test_dense_valleys_are_solvable(obstacles: int, seed: int) -> None:
     valley = World(WorldConfig(obstacles=obstacles, seeds=(seed,))).valleys[0]
     assert len(valley.flight.candidates) > 100
     assert (np.ptp(valley.flight.candidates, axis=0) > (20.0, 12.0)).all()
-
-
-# --- the corridor -----------------------------------------------------------------------------------------------
 
 
 def way_through(flight: FlightMap, starts: np.ndarray) -> list[np.ndarray]:
@@ -236,9 +230,6 @@ def test_map_bounds_the_clearance_from_below(world: World) -> None:
     for i, j, k in np.random.default_rng(0).permutation(near)[:25]:
         exact = point_triangle_distance(space.points[i, j, k], *corners)
         assert space.clearance[i, j, k] <= exact + 1e-5 <= space.clearance[i, j, k] + 0.1
-
-
-# --- grids ------------------------------------------------------------------------------------------------------
 
 
 def space_of(clearance: list[object], x: float = 1.0, y: float = 1.0, z: float = 1.0) -> FreeSpace:

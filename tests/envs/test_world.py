@@ -20,9 +20,6 @@ def world() -> World:
     return World(WorldConfig(seeds=(0, 1)))
 
 
-# --- building ---------------------------------------------------------------------------------------------------
-
-
 def test_same_seed_same_world():
     first, second = (World(WorldConfig(seeds=(7,))) for _ in range(2))
     assert len(first.meshes) == len(second.meshes)
@@ -59,9 +56,6 @@ def test_scene_is_small_enough_for_physics_and_lidar(world):
     assert max(len(mesh.vertices) for mesh in world.meshes) <= 8_192
 
 
-# --- terrain ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_floor_is_flat_enough_and_walls_tower_over_the_ceiling(seed):
     heights = valley_ground(np.random.default_rng(seed), (40.0, 30.0)).heights
@@ -81,9 +75,6 @@ def test_ground_height_is_the_surface_that_rays_hit(world):
         np.testing.assert_allclose(world.ground_height(xy), 20.0 - down, atol=1e-3)
 
 
-# --- physics and LiDAR see the same ------------------------------------------------------------------------------
-
-
 def test_pybullet_and_embree_agree(world):
     client, _ = bullet_world(world.meshes)
     rng = np.random.default_rng(3)
@@ -101,22 +92,12 @@ def test_pybullet_and_embree_agree(world):
     assert (np.abs(oracle - seen) < 0.01).mean() >= 0.999
 
 
-# --- the rules of the flight ------------------------------------------------------------------------------------
-
-
 def test_out_of_bounds(world):
     origin = world.valleys[1].origin
     ground = world.ground_height(origin[None])[0]
-    local = [
-        (0, 0, 3.5),
-        (0, 0, ground + 4.9),
-        (0, 0, ground + 5.1),
-        (19.9, 0, 9),
-        (20.1, 0, 9),
-        (0, -15.1, 9),
-        (0, 15.1, 9),
-    ]
-    positions = np.array(local, dtype=float) + np.append(origin, 0.0)
+    heights = [(0, 0, 3.5), (0, 0, ground + 4.9), (0, 0, ground + 5.1)]
+    edges = [(19.9, 0, 9), (20.1, 0, 9), (0, -15.1, 9), (0, 15.1, 9)]
+    positions = np.array([*heights, *edges], dtype=float) + np.append(origin, 0.0)
     outside = [False, False, True, False, True, True, True]
     assert world.out_of_bounds(positions, np.ones(7, dtype=int)).tolist() == outside
     assert world.out_of_bounds(positions, np.zeros(7, dtype=int)).all()
@@ -127,9 +108,6 @@ def test_arrived_is_at_any_height_within_the_radius(world):
     offsets = np.array([[0.99, 0, 0], [1.01, 0, 0], [0.8, 0.8, 0], [0.6, -0.7, 2.4], [-0.9, 0, -2.4], [0, 1.1, 2.4]])
     expected = [True, False, False, True, True, False]
     assert world.arrived(goal + offsets, np.repeat(goal, 6, 0)).tolist() == expected
-
-
-# --- mistakes in the config -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

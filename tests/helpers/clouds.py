@@ -1,4 +1,4 @@
-"""An environment that emits random clouds of points, and the contract of what reduces them."""
+"""Random clouds of points, for what reduces them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
-
-from tests.helpers.contracts import TransformContract
 
 
 class CloudEnv(EnvBase):
@@ -35,8 +33,8 @@ class CloudEnv(EnvBase):
         return self._reset(None).update({"reward": torch.ones(*self.batch_size, 1), **flags})
 
 
-class CloudContract(TransformContract):
-    """Subclass, and give ``make_transform``."""
+class OfClouds:
+    """What the contract of a transform of clouds asks for, beside the transform."""
 
     @staticmethod
     def make_env() -> CloudEnv:

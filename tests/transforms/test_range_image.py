@@ -10,7 +10,8 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs import TransformedEnv, check_env_specs
 
-from tests.helpers.clouds import CloudContract
+from tests.helpers.clouds import OfClouds
+from tests.helpers.contracts import TransformContract
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
@@ -138,6 +139,6 @@ def test_the_state_of_a_flight() -> None:
         NavigationState(reduction="cube")  # type: ignore[arg-type]
 
 
-class TestTransform(CloudContract):
+class TestTransform(OfClouds, TransformContract):
     def make_transform(self) -> RangeImage:
         return RangeImage()

@@ -26,7 +26,7 @@ def transitions(*batch: int) -> TensorDict:
     return TensorDict({**frame(), "next": {**frame(), "reward": uniform(1)}}, batch)
 
 
-class RewardContract(TransformContract):
+class OfTransitions:
     @staticmethod
     def make_env() -> SmallEnv:
         return SmallEnv()
@@ -35,7 +35,7 @@ class RewardContract(TransformContract):
         return transitions(*batch)
 
 
-class TestTraditionalReward(RewardContract):
+class TestTraditionalReward(OfTransitions, TransformContract):
     def make_transform(self) -> TraditionalReward:
         return TraditionalReward()
 
@@ -50,7 +50,7 @@ class TestTraditionalReward(RewardContract):
         assert reward.tolist() == [0.75, 50.0, -50.0, -50.0]
 
 
-class TestNavigationReward(RewardContract):
+class TestNavigationReward(OfTransitions, TransformContract):
     def make_transform(self) -> NavigationReward:
         return NavigationReward()
 

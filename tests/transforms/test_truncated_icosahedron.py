@@ -15,7 +15,8 @@ from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from tests.helpers.clouds import CloudContract, CloudEnv
+from tests.helpers.clouds import CloudEnv, OfClouds
+from tests.helpers.contracts import TransformContract
 from uavrl.transforms.icosahedron import TruncatedIcosahedron, truncated_icosahedron, truncated_icosahedron_faces
 
 PHI = (1 + 5**0.5) / 2
@@ -255,7 +256,7 @@ def test_wrong_arguments(arguments: tuple, message: str) -> None:
         truncated_icosahedron(*arguments)
 
 
-class TestTransform(CloudContract):
+class TestTransform(OfClouds, TransformContract):
     def make_transform(self) -> TruncatedIcosahedron:
         return TruncatedIcosahedron()
 

@@ -113,7 +113,11 @@ class Lidar:
         self._moving_scene = None if moving is None else _embree_scene(moving)
         self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
         self._reach = np.float32(self.config.max_range)
-        self._culler = self._build_culler()
+        self._culler: RayCuller | None = None
+        # In a long scan all rays are candidates, and a moving sensor sweeps more: culling would not pay.
+        if self._meshes and self.config.max_range <= _CULLED_RANGE and not self.config.motion_distortion:
+            grid = AZIMUTH_STEPS, AZIMUTH_STEP, np.radians(LASER_ELEVATIONS)
+            self._culler = RayCuller(Mesh.merge(self._meshes), self.config.max_range, *grid)
 
     def __reduce__(self) -> tuple[type[Lidar], tuple[list[Mesh], Mesh | None, LidarConfig]]:
         """Rebuilds the Embree scenes where the sensor is copied or sent to, as they cannot be pickled."""
@@ -180,13 +184,6 @@ class Lidar:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
         self._add_noise(ranges, rng)
         return (self._columns[:, None] * ranges).transpose(1, 2, 0)
-
-    def _build_culler(self) -> RayCuller | None:
-        """Returns the culler if it pays: in a long scan all rays are candidates, and a moving sensor sweeps more."""
-        if self.config.max_range > _CULLED_RANGE or self.config.motion_distortion or not self._meshes:
-            return None
-        elevations = np.radians(LASER_ELEVATIONS)
-        return RayCuller(Mesh.merge(self._meshes), self.config.max_range, AZIMUTH_STEPS, AZIMUTH_STEP, elevations)
 
     def _cast_body(
         self,

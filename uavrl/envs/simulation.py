@@ -160,7 +160,9 @@ class Simulation:
             self._push()
             pybullet.stepSimulation(physicsClientId=self._client)
             self._read()
-            self._mark_contacts(touched)
+            for contact in pybullet.getContactPoints(physicsClientId=self._client):
+                if contact[8] <= CONTACT_DISTANCE:
+                    touched[[self._row[body] for body in contact[1:3] if body in self._row]] = True
         self._publish()
         return touched
 
@@ -228,11 +230,6 @@ class Simulation:
         twist = self._twist.copy()
         twist[:, 0] -= np.matmul((self._wind + self._gust)[:, None], self.rotation)[:, 0]
         return twist
-
-    def _mark_contacts(self, touched: np.ndarray) -> None:
-        for contact in pybullet.getContactPoints(physicsClientId=self._client):
-            if contact[8] <= CONTACT_DISTANCE:
-                touched[[self._row[body] for body in contact[1:3] if body in self._row]] = True
 
     def _publish(self) -> None:
         """Turns the last state into the public quantities."""

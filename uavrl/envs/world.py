@@ -172,17 +172,13 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int)
             f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
             "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
         )
-    return Valley(seed, origin, ground, obstacles, flight, _routes(config, seed, ground, obstacles))
-
-
-def _routes(config: WorldConfig, seed: int, ground: HeightField, obstacles: list[Obstacle]) -> list[np.ndarray]:
-    """Plans the planes' ways, where there are planes."""
-    if not config.planes:
-        return []
-    radius = config.plane_wingspan / 2
-    top = float(np.ceil(ground.heights.max() + radius))
-    solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
-    return plan_routes(np.random.default_rng([seed, 2]), solid, config.size, top, config.ceiling, radius, ROUTES)
+    routes: list[np.ndarray] = []
+    if config.planes:
+        rng, radius = np.random.default_rng([seed, 2]), config.plane_wingspan / 2
+        top = float(np.ceil(ground.heights.max() + radius))
+        solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
+        routes = plan_routes(rng, solid, config.size, top, config.ceiling, radius, ROUTES)
+    return Valley(seed, origin, ground, obstacles, flight, routes)
 
 
 def draw_valley(config: WorldConfig, rng: np.random.Generator) -> int:
