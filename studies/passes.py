@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
-from uavrl.configs import TrainConfig
+from uavrl.config import TrainConfig
 from uavrl.envs import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.rollout.environment import make_env

@@ -11,7 +11,7 @@ import torch
 from torchrl.envs import check_env_specs
 
 from tests.helpers.configs import composed
-from uavrl.configs import to_dataclass
+from uavrl.config import validate
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.world import WorldConfig
@@ -46,7 +46,7 @@ def scan(env: NavigationEnv) -> np.ndarray:
 
 def test_a_blind_policy_reads_nothing_near_just_over_the_ground_and_the_same_altitude_and_angles() -> None:
     small = ["env.num_uavs=1", "env.world.size=[26,20]", "env.world.obstacles=8"]
-    settings = [to_dataclass(composed("config", *small, f"perception.blind={blind}")) for blind in (False, True)]
+    settings = [validate(composed("config", *small, f"perception.blind={blind}")) for blind in (False, True)]
     seeing, blind = (make_env(one.env, one.perception, seed=3) for one in settings)
     resets = [env.reset() for env in (seeing, blind)]
     states = []

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from tests.helpers.states import walk
-from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.models import PSAE, mlp
 from uavrl.pretraining import triple_centres
 from uavrl.pretraining.networks import accuracy, predict, train_classifier, train_psae
+from uavrl.pretraining.settings import PretrainRecipe
 
 
 def states() -> tuple[np.ndarray, np.ndarray]:

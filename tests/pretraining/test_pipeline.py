@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.pretraining import States, pictures, pipeline
 from uavrl.pretraining.pipeline import draw_sample, one_shot_sizes
+from uavrl.pretraining.settings import PretrainRecipe
 
 RECIPE = PretrainRecipe(states=300, clusters=(2, 3, 4, 5, 6), compare_k=None, held_out=0.2)
 

@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.helpers.folders import ROOT, WHEREABOUTS, evaluation, run_folder
-from uavrl.configs import complete, compose
+from uavrl.config import compose, resolve
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 from uavrl.reporting.runs import Run, read_runs
@@ -118,7 +118,7 @@ def test_a_row_cut_off_does_not_count_and_no_row_is_no_run(tmp_path: Path) -> No
 
 
 def test_a_run_is_called_by_its_choices_whatever_its_values_are(tmp_path: Path) -> None:
-    config = complete(compose("algo=ddpg", "lifeguard=mlp", "reward=traditional", "run_dir=here"))
+    config = resolve(compose("algo=ddpg", "lifeguard=mlp", "reward=traditional", "run_dir=here"))
     folder = run_folder(tmp_path / "run", "a")
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config))
     run = only(folder)

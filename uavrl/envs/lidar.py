@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
@@ -50,9 +52,9 @@ class LidarConfig:
         4.0
     """
 
-    max_range: float = 100.0
+    max_range: Annotated[float, Field(le=1000)] = 100.0
     min_range: float = 0.0
-    range_noise: float = 0.0
+    range_noise: Annotated[float, Field(le=100)] = 0.0
     dropout: float = 0.0
     motion_distortion: bool = False
 

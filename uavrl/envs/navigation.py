@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 import torch
+from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
@@ -20,7 +21,6 @@ from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count
 from uavrl.transforms.state import ACTION_LIMIT
 
 Hidden = Literal["planes"]
@@ -70,13 +70,13 @@ class NavigationEnv(EnvBase):
 
     def __init__(
         self,
-        num_uavs: Count = 8,
+        num_uavs: Annotated[int, Field(ge=1, le=512)] = 8,
         *,
         world: WorldConfig | None = None,
         lidar: LidarConfig | None = None,
         airframe: Airframe | None = None,
         aerodynamics: Aerodynamics | None = None,
-        max_steps: Count = 300,
+        max_steps: Annotated[int, Field(ge=1, le=10**6)] = 300,
         blind: bool = False,
         blind_to: Hidden | None = None,
         measure_clearance: bool = False,

@@ -10,14 +10,20 @@ from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
-from uavrl.ranges import Positive, Range
+from uavrl.ranges import Positive, Rule
 
 GRAVITY = 9.81  # m/s²
 Vector = tuple[float, float, float]
-Tilt = Annotated[float, Range("an angle in (0, π/2) rad", lambda angle: 0 < angle < math.pi / 2)]
+Mass = Annotated[float, Field(le=1e4)]
+Offset = Annotated[float, Field(ge=-10, le=10)]
+Length = Annotated[float, Field(gt=0, le=10)]
+Coefficient = Annotated[float, Field(le=1e3)]
+Speed = Annotated[float, Field(ge=-100, le=100)]
+Tilt = Annotated[float, Rule("an angle in (0, π/2) rad", lambda angle: 0 < angle < math.pi / 2)]
 
 # The rotors sit in front, at the left, at the back and at the right; neighbours turn against each other.
 ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
@@ -70,20 +76,20 @@ class Airframe:
         (2.307, [0.0, 0.0, 0.036])
     """
 
-    mass: float = 1.477
-    inertia: Vector = (0.01152, 0.01152, 0.0218)
-    arm: float = 0.275
-    thrust_coefficient: float = 1.53819e-5
-    torque_to_thrust: Positive = 0.01534
-    motor_time_constant: float = 0.05
-    max_total_thrust: float = 38.0
+    mass: Mass = 1.477
+    inertia: tuple[Mass, Mass, Mass] = (0.01152, 0.01152, 0.0218)
+    arm: Annotated[float, Field(le=10)] = 0.275
+    thrust_coefficient: Annotated[float, Field(le=1)] = 1.53819e-5
+    torque_to_thrust: Length = 0.01534
+    motor_time_constant: Annotated[float, Field(le=100)] = 0.05
+    max_total_thrust: Annotated[float, Field(le=1e6)] = 38.0
     tilt_limit: Tilt = 0.5
     collision_radius: Positive = 0.35
     collision_height: Positive = 0.28
-    lidar_mass: float = 0.83
-    lidar_position: Vector = (0.0, 0.0, 0.1)
-    lidar_diameter: Positive = 0.103
-    lidar_height: Positive = 0.072
+    lidar_mass: Mass = 0.83
+    lidar_position: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.1)
+    lidar_diameter: Length = 0.103
+    lidar_height: Length = 0.072
 
     def __post_init__(self) -> None:
         """Refuses vehicles that cannot fly."""
@@ -158,12 +164,12 @@ class Aerodynamics:
         [[0.12, 0.12, 0.1], [0.074, 0.074, 0.051]]
     """
 
-    air_density: float = 1.225
-    force_coefficients: Vector = (0.19592, 0.19592, 0.16327)
-    moment_coefficients: Vector = (0.12107, 0.12107, 0.08268)
-    wind: Vector = (0.0, 0.0, 0.0)
-    gust_intensity: float = 0.0
-    gust_time_constant: float = 1.0
+    air_density: Coefficient = 1.225
+    force_coefficients: tuple[Coefficient, Coefficient, Coefficient] = (0.19592, 0.19592, 0.16327)
+    moment_coefficients: tuple[Coefficient, Coefficient, Coefficient] = (0.12107, 0.12107, 0.08268)
+    wind: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
+    gust_intensity: Annotated[float, Field(le=100)] = 0.0
+    gust_time_constant: Annotated[float, Field(le=1e6)] = 1.0
 
     def __post_init__(self) -> None:
         """Refuses air that would push instead of drag."""

@@ -12,10 +12,10 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.losses.psae import PSAELoss
 from uavrl.models.psae import PSAE
+from uavrl.pretraining.settings import PretrainRecipe
 
 T = TypeVar("T")
 

@@ -15,7 +15,6 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
-from uavrl.configs.pretrain import PretrainConfig, PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import PSAE
@@ -31,6 +30,7 @@ from uavrl.pretraining.clustering import (
 )
 from uavrl.pretraining.networks import accuracy, predict, train_classifier, train_psae
 from uavrl.pretraining.pictures import draw
+from uavrl.pretraining.settings import PretrainConfig, PretrainRecipe
 from uavrl.pretraining.states import States, read_states
 from uavrl.pretraining.triples import triple_centres
 from uavrl.runs.episodes import OUTCOMES

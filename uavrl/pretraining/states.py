@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.buffers import FrameStorage
-from uavrl.configs.build import plain_data
 from uavrl.errors import UavrlError
 from uavrl.models.trajectory_classifier import form_of_states
 from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
@@ -104,7 +104,7 @@ def read_states(run_dir: Path) -> States:
         "arrived" if arrived else "collided" if terminated else "timed_out"
         for arrived, terminated in zip(ends["arrived"].tolist(), ends["terminated"].tolist(), strict=True)
     ]
-    seen = plain_data(config.get("perception")) or {}
+    seen = OmegaConf.to_container(config).get("perception") or {}  # type: ignore[union-attr]
     if not isinstance(seen, dict):
         raise UavrlError(f"Expected perception in the configuration of {run_dir} to be a mapping, got {seen!r:.80}.")
     return States(states.numpy(), episode.numpy(), outcomes, f"{run_dir.name}/{path.name}", form_of_states(seen))

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from uavrl.configs.registry import NONE
+from uavrl.config.yaml_files import NONE
 from uavrl.reporting.runs import LeftOut, Run
 from uavrl.runs.config import HOW_IT_RUNS
 
@@ -17,7 +17,12 @@ _NAMES = {
     "fork": {"on": "FORK"},
     "lifeguard": {"linear": "LG", "mlp": "LG (MLP)"},
     "backward_reward": {"abr": "ABR", "abr_plus": "ABR⁺"},
-    "reward": {"traditional": "TR", "navigation": "Eq. 3.6", "navigation_prize": "prize"},
+    "reward": {
+        "traditional": "TR",
+        "navigation": "Eq. 3.6",
+        "navigation_printed": "Eq. 3.6 as printed",
+        "navigation_prize": "prize",
+    },
 }
 
 

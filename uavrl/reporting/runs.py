@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 
-from uavrl.configs import learner_name
-from uavrl.configs.parts import PARTS
-from uavrl.configs.registry import NONE
+from uavrl.config import learner_name
+from uavrl.config.parts import PARTS
+from uavrl.config.yaml_files import NONE
 from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs import names
 from uavrl.runs.config import load_config
@@ -69,7 +69,7 @@ class Run:
 
     @property
     def learner(self) -> str:
-        """What learns, as :func:`uavrl.configs.learner_name` names it."""
+        """What learns, as :func:`uavrl.config.learner_name` names it."""
         return learner_name(self.choices)
 
     @property

@@ -13,23 +13,19 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
-from tests.helpers.configs import changed, composed
+from tests.helpers.configs import composed
 from tests.helpers.runs import small_config
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
-from uavrl.configs import conf_dir, settings_of_run, to_dataclass
-from uavrl.configs.build import build
-from uavrl.configs.offered import OFFERED, TARGET, offered_to
-from uavrl.configs.parts import PARTS
-from uavrl.configs.recorded import GONE, without_gone
-from uavrl.configs.signature import signature
+from uavrl.config import conf_dir, validate
+from uavrl.config.build import TARGET, arguments, build, find_class
+from uavrl.config.context import CONTEXT, context_of
+from uavrl.config.parts import PARTS
 from uavrl.errors import UavrlError
 from uavrl.rollout import actor as actor_module
 from uavrl.rollout import environment
 from uavrl.rollout.environment import NetworkSizes
-from uavrl.rollout.policies import PACKAGED, packaged_policies
-from uavrl.runs.config import load_config
 from uavrl.training import build as build_module
 from uavrl.training import loggers
 
@@ -50,7 +46,7 @@ def pairs() -> Iterator[tuple[str, str]]:
     for group, choice in CHOICES:
         content = yaml.safe_load((conf_dir() / group / f"{choice}.yaml").read_text())
         for key, target in parts_of(content.get(group, content), group):  # one without a class has that of another
-            for name in sorted(set(offered_to(key)) & set(signature(target) or {})):
+            for name in sorted(set(context_of(key)) & set(arguments(find_class(target, object)))):
                 yield f"{group}={choice}", f"{key}.{name}"
 
 
@@ -59,29 +55,7 @@ def test_no_name_that_the_run_hands_over_can_be_written(choices: str, key: str) 
     config = composed("config", *choices.split())
     OmegaConf.update(config, key, 1, force_add=True)
     with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
-        to_dataclass(config)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "key"),
-    [
-        ("fork=on +fork.gamma=0.5", "fork.gamma"),
-        ("fork=on +fork.observations=35", "fork.observations"),
-        ("fork=on +fork.system_network.actions=2", "fork.system_network.actions"),
-        ("lifeguard=linear +lifeguard.stacked=1", "lifeguard.stacked"),
-        ("backward_reward=abr +backward_reward.stacked=1", "backward_reward.stacked"),
-        ("+buffer.frames=1", "buffer.frames"),
-        ("+algo.actor.limit=1", "algo.actor.limit"),
-        ("+algo.action_spec=1", "algo.action_spec"),
-        ("+env.seed=7", "env.seed"),
-        ("guide=vfh enhancer=imitation +enhancer.limit=1", "enhancer.limit"),
-        ("+collector.total_frames=5", "collector.total_frames"),
-        ("+logger.log_dir=there", "logger.log_dir"),
-    ],
-)
-def test_what_the_run_sets_itself_is_refused(overrides: str, key: str) -> None:
-    with pytest.raises(UavrlError, match=rf"^{re.escape(key)} is set by the run itself: leave it out\.$"):
-        to_dataclass(composed("config", *overrides.split()))
+        validate(config)
 
 
 def test_it_is_refused_before_a_folder_is_made(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -102,15 +76,15 @@ def test_it_is_refused_before_a_folder_is_made(tmp_path: Path, refused: Callable
 )
 def test_nor_does_a_part_take_the_place_of_another(override: str, told: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(told)):
-        to_dataclass(composed("config", override))
+        validate(composed("config", override))
 
 
 def test_the_guard_where_objects_are_made() -> None:
     network = {TARGET: "uavrl.models.Actor", "limit": 3.0}
     with pytest.raises(UavrlError, match=r"uavrl\.models\.Actor\.limit is set by the run itself: leave it out"):
         build(network, nn.Module, observations=6, actions=2, limit=1.0)
-    fork = composed("config", "fork=on").fork
-    OmegaConf.update(fork, "system_network.observations", 3, force_add=True)
+    fork = validate(composed("config", "fork=on")).fork
+    fork.system_network["observations"] = 3
     with pytest.raises(UavrlError, match=r"SystemNet\.observations is set by the run itself"):
         build(fork, nn.Module, base=None, gamma=0.9, observations=6, actions=2)
 
@@ -128,61 +102,6 @@ def test_how_many_are_evaluated_at_a_time_is_said_in_one_place(
         assert sentence == f"uavrl: env.num_uavs is set by the command itself: leave it out, {told}."
 
 
-# ---------------------------------------------------------------------- what has been written before
-
-
-def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogCaptureFixture) -> None:
-    config = changed(["fork=on"])
-    before = to_dataclass(config)
-    OmegaConf.set_struct(config, False)
-    config.fork.gamma, config.fork.system_network.actions, config.buffer.frames = 0.5, 9, 1
-    assert settings_of_run(config) == before
-    assert config.fork.gamma == 0.5, "what it was trained with is recognised by all that was recorded"
-    assert "fork.gamma in the run's configuration was never used: it is left out." in caplog.text
-
-
-def test_the_policy_of_a_run_with_products_of_before_still_loads() -> None:
-    config = changed(["fork=on"])
-    config.trainer.products = "bf16"
-    assert settings_of_run(config).trainer.products == "mkl"
-
-
-@pytest.mark.parametrize("name", packaged_policies())
-def test_packaged_policies_are_read_without_a_word(name: str, caplog: pytest.LogCaptureFixture) -> None:
-    config = load_config(PACKAGED / name / "config.yaml")
-    before = config.copy()
-    assert settings_of_run(config) == to_dataclass(without_gone(config))
-    assert config == before and not caplog.records
-
-
-def recorded_before() -> DictConfig:
-    """With every key that there is no longer."""
-    config = changed(["backward_reward=abr", "reward=traditional"])
-    OmegaConf.set_struct(config, False)
-    for key, value in GONE.items():
-        OmegaConf.update(config, key, 1000 if value is None else value, force_add=True)
-    return config
-
-
-def test_a_run_with_keys_of_before_still_loads_where_they_say_what_is_done_today() -> None:
-    assert settings_of_run(recorded_before()) == to_dataclass(changed(["backward_reward=abr", "reward=traditional"]))
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("env.goal_angle", "course"), ("reward.time_cost", 0.25), ("backward_reward.scale", "centred")]
-)
-def test_and_is_refused_where_they_say_something_else(key: str, value: object) -> None:
-    config = recorded_before()
-    OmegaConf.update(config, key, value)
-    with pytest.raises(UavrlError, match=f"^The run was flown with {re.escape(key)}={value}, which there no longer is"):
-        settings_of_run(config)
-
-
-def test_a_key_of_somebody_elses_part_stays() -> None:
-    config = OmegaConf.create({"env": {TARGET: "own_parts.env.Corridor", "goal_angle": "course"}})
-    assert without_gone(config) == config
-
-
 # ---------------------------------------------------------------------- one list, in the code and in the docs
 
 
@@ -191,9 +110,9 @@ def handed_over(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
     """The names with which ``build`` is called, by the class that is made."""
     found: dict[str, set[str]] = {}
 
-    def recorded(part: DictConfig, kind: type, *, packages: Any = (), key: str = "", **offered: Any) -> Any:
-        found.setdefault(str(part[TARGET]), set()).update(offered)
-        return build(part, kind, packages=packages, key=key, **offered)
+    def recorded(part: DictConfig, kind: type, *, packages: Any = (), key: str = "", **context: Any) -> Any:
+        found.setdefault(str(part[TARGET]), set()).update(context)
+        return build(part, kind, packages=packages, key=key, **context)
 
     for module in (environment, actor_module, build_module, loggers):
         monkeypatch.setattr(module, "build", recorded)
@@ -204,7 +123,7 @@ def test_the_list_is_what_a_run_hands_over(
     handed_over: dict[str, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "guide=vfh", "enhancer=imitation"]
-    settings = to_dataclass(small_config(tmp_path / "run", *chosen))
+    settings = validate(small_config(tmp_path / "run", *chosen))
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
     for module in (environment, build_module):
         monkeypatch.setattr(module, "require_keys", lambda *_: None)
@@ -225,9 +144,9 @@ def test_the_list_is_what_a_run_hands_over(
     loggers.make_logger(settings.logger, tmp_path / "run", "csv")
     groups = [group for group in PARTS if group not in ("algo", "collector")]
     assert {group: handed_over[settings_part(settings, group)] for group in groups} == {
-        group: set(OFFERED.get(group, ())) for group in groups
+        group: set(CONTEXT.get(group, ())) for group in groups
     }
-    assert handed_over[settings.algo.actor[TARGET]] == set(offered_to("algo.actor"))
+    assert handed_over[settings.algo.actor[TARGET]] == set(context_of("algo.actor"))
 
 
 def settings_part(settings: Any, group: str) -> str:
@@ -235,7 +154,7 @@ def settings_part(settings: Any, group: str) -> str:
 
 
 def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = to_dataclass(small_config(tmp_path / "run"))
+    settings = validate(small_config(tmp_path / "run"))
     sizes = NetworkSizes(state=105, frames=3, actions=4, limit=2.0)
 
     class Collector:
@@ -247,7 +166,7 @@ def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(build_module, "collector_class", lambda settings: Collector)
     actor = actor_module.make_actor(settings, sizes)
     made: Any = build_module.make_collector(settings, lambda: None, actor, sizes, torch.device("cpu"))  # type: ignore[arg-type,return-value]
-    assert made.got == set(OFFERED["collector"])
+    assert made.got == set(CONTEXT["collector"])
 
 
 def test_the_documentation_lists_them_all() -> None:
@@ -259,5 +178,5 @@ def test_the_documentation_lists_them_all() -> None:
         groups = named or groups
         for group in groups:
             told.setdefault(group, set()).add(row[1])
-    networks = {key: set(offered_to(key)) for key in ("algo.actor", "algo.critic")}
-    assert told == {group: set(names) for group, names in OFFERED.items()} | networks
+    networks = {key: set(context_of(key)) for key in ("algo.actor", "algo.critic")}
+    assert told == {group: set(names) for group, names in CONTEXT.items()} | networks

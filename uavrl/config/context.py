@@ -4,21 +4,14 @@ A class takes of it what its constructor names. Nobody can write these names in 
 use in place of the written value is refused, so that no ``config.yaml`` records a value that was not used.
 """
 
-import logging
 from collections.abc import Collection, Iterable, Mapping
-from typing import Any
-
-from omegaconf import DictConfig
 
 from uavrl.errors import UavrlError
-
-TARGET = "_target_"  # the key that names a class; null where the part is left out
-log = logging.getLogger(__name__)
 
 _NETWORK = ("observations", "actions", "limit", "stacked")
 _ENHANCER = ("base", "gamma", *_NETWORK)
 # By the part's name; what each name means stands in docs/own_parts.md.
-OFFERED: Mapping[str, tuple[str, ...]] = {
+CONTEXT: Mapping[str, tuple[str, ...]] = {
     "env": ("seed", "measure_clearance", "tasks"),
     "algo": ("actor_network", "qvalue_networks", "value_network", "action_spec"),
     "fork": _ENHANCER,
@@ -45,10 +38,10 @@ OFFERED: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def offered_to(key: str) -> tuple[str, ...]:
+def context_of(key: str) -> tuple[str, ...]:
     """The names that a run hands to the part at a key: ``buffer``, ``algo.critic``."""
     group, _, below = key.partition(".")
-    names = OFFERED.get(group, ())
+    names = CONTEXT.get(group, ())
     if not below:
         return names
     return _NETWORK if group == "algo" else tuple(to_networks(names))
@@ -59,27 +52,8 @@ def to_networks(names: Iterable[str]) -> list[str]:
     return [name for name in names if name in _NETWORK]
 
 
-def refuse_offered(key: str, written: Iterable[str], offered: Collection[str]) -> None:
+def refuse_context(key: str, written: Iterable[str], context: Collection[str]) -> None:
     """Refuses a written name that the run hands to the part itself."""
     for name in written:
-        if name in offered:
+        if name in context:
             raise UavrlError(f"{key}.{name} is set by the run itself: leave it out.")
-
-
-def without_offered(config: DictConfig) -> DictConfig:
-    """The configuration of a run, without what an older uavrl has recorded there and did not use."""
-    result = config.copy()
-    for key in OFFERED:
-        _leave_out(result.get(key), key)
-    return result
-
-
-def _leave_out(part: Any, key: str) -> None:
-    if not isinstance(part, DictConfig) or TARGET not in part:
-        return
-    for name in map(str, list(part)):
-        if name in offered_to(key):
-            log.warning("%s.%s in the run's configuration was never used: it is left out.", key, name)
-            del part[name]
-        else:
-            _leave_out(part[name], f"{key}.{name}")

@@ -1,16 +1,21 @@
-"""Settings of a training. Meanings and units stand in the yaml."""
+"""Settings of a training, and of what flies without learning. Meanings and units stand in the yaml."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
-from omegaconf import DictConfig, OmegaConf
+from pydantic import Field
 
-from uavrl.configs.checks import require
-from uavrl.ranges import Count, Folder, Positive, Seed, Share
+from uavrl.config.parts import Part
+from uavrl.config.sentences import require
+from uavrl.ranges import Count, Folder, Rule, Seed, Share, Text
 
 NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
 Execution = Literal["eager", "captured", "compiled", "auto"]
 Products = Literal["mkl", "onednn", "auto"]
+Threads = Annotated[int, Field(ge=1, le=256)]
+Valleys = Annotated[
+    tuple[int, ...], Rule("null or a list of seeds from 0", lambda seeds: len(seeds) > 0 and min(seeds) >= 0)
+]
 
 
 @dataclass
@@ -20,11 +25,11 @@ class TrainerConfig:
     episodes: Count = 5000
     steps: Count | None = None
     until_success: Share | None = None
-    updates_per_step: Positive = 1.0
+    updates_per_step: Annotated[float, Field(gt=0, le=100)] = 1.0
     window: Count = 500
     checkpoint_interval: Count = 20_000
     keep_checkpoints: Count = 2
-    threads: Count = 1
+    threads: Threads = 1
     execution: Execution = "auto"
     products: Products = "auto"
     progress: bool = True
@@ -39,21 +44,21 @@ class TrainConfig:
         packages: packages whose classes may be named, beside uavrl.
     """
 
-    env: DictConfig
-    perception: DictConfig
-    reward: DictConfig
-    algo: DictConfig
-    fork: DictConfig
-    lifeguard: DictConfig
-    enhancer: DictConfig
-    buffer: DictConfig
-    backward_reward: DictConfig
-    collector: DictConfig
-    logger: DictConfig
+    env: Part
+    perception: Part
+    reward: Part
+    algo: Part
+    fork: Part
+    lifeguard: Part
+    enhancer: Part
+    buffer: Part
+    backward_reward: Part
+    collector: Part
+    logger: Part
     trainer: TrainerConfig
-    guide: DictConfig = field(default_factory=lambda: OmegaConf.create({"_target_": None}))
+    guide: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
-    packages: tuple[str, ...] = ()
+    packages: tuple[Text, ...] = ()
     seed: Seed = 0
     device: str = "cpu"
     run_dir: Folder = "runs"
@@ -74,3 +79,33 @@ class TrainConfig:
         known = self.perception.get("angles") == "folded" and self.perception.get("_target_") == NAVIGATION_STATE
         mirrors = known or not self.buffer.get("mirror")
         require(mirrors, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
+
+
+@dataclass
+class FlyingConfig:
+    """What flies where, without learning."""
+
+    env: Part
+    perception: Part
+    reward: Part
+    choices: dict[str, str] = field(default_factory=dict)
+    packages: tuple[Text, ...] = ()
+    run: Folder | None = None
+    policy: str | None = None
+    checkpoint: Folder | None = None
+    seed: Seed = 20_000
+    valleys: Valleys | None = None
+    output: Folder | None = None
+    device: str = "cpu"
+    threads: Threads = 1
+    products: Products = "mkl"
+    progress: bool = True
+
+
+@dataclass
+class EvaluateConfig(FlyingConfig):
+    """conf/evaluate.yaml: one evaluation."""
+
+    episodes: Count = 500
+    suite: str | tuple[Text, ...] | None = None
+    num_uavs: Annotated[int, Field(ge=1, le=512)] = 8

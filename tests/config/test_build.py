@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,13 @@ from torchrl.envs import EnvBase, Transform
 from torchrl.record.loggers import Logger
 
 from tests.helpers.configs import changed, composed
-from uavrl.configs import conf_dir, to_dataclass
-from uavrl.configs.build import build, resolve
-from uavrl.configs.signature import signature
+from uavrl.buffers import ABR, PrioritizedBuffer
+from uavrl.config import conf_dir, validate
+from uavrl.config.build import arguments, build, find_class
 from uavrl.errors import UavrlError
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor
+from uavrl.ranges import Discount
 from uavrl.transforms import TraditionalReward
 
 REFUSED = [
@@ -34,7 +36,7 @@ REFUSED = [
     ("uavrl.runs.files.replacing", "there is no class"),
     ("uavrl.training.run.train", "there is no class"),
     ("uavrl.transforms.rewards.TradtionalReward", "did you mean TraditionalReward?"),
-    ("uavrl..x", "there is no class"),
+    ("uavrl..x", "which is no name of a class"),
     ("uavrl./proc/self/cwd/theirs.X", "which is no name of a class"),
     ("uavrl.models.actor critic.X", "which is no name of a class"),
     ("", "is no package"),
@@ -46,7 +48,7 @@ def test_what_is_not_trusted_is_refused_before_it_is_imported(target: str, said:
     config = composed()
     config.reward._target_ = target
     with pytest.raises(UavrlError) as told:
-        to_dataclass(config)
+        validate(config)
     assert said in str(told.value) and "reward._target_" in str(told.value)
 
 
@@ -65,16 +67,16 @@ def test_what_is_not_trusted_is_refused_before_it_is_imported(target: str, said:
 )
 def test_what_is_of_another_kind_or_from_elsewhere_is_refused(target: str, kind: type) -> None:
     with pytest.raises(UavrlError):
-        resolve(target, kind)
+        find_class(target, kind)
 
 
 def test_a_class_that_ours_only_import_is_refused() -> None:
     with pytest.raises(UavrlError, match="torch is no package that you have listed"):
-        resolve("uavrl.training.compiled.Tensor", object)
+        find_class("uavrl.training.compiled.Tensor", object)
 
 
 def test_a_package_that_the_user_lists_is_trusted() -> None:
-    assert resolve("torch.nn.Linear", nn.Module, ["torch"]) is nn.Linear
+    assert find_class("torch.nn.Linear", nn.Module, ["torch"]) is nn.Linear
 
 
 def test_an_object_gets_what_is_written_and_what_it_names_of_what_is_offered() -> None:
@@ -94,59 +96,58 @@ def test_what_a_constructor_refuses_is_one_sentence() -> None:
 # ---------------------------------------------------------------------- what constructors take
 
 
-def test_a_signature_is_that_of_the_class() -> None:
-    import inspect
-
-    own = set(inspect.signature(TD3Loss.__init__).parameters) - {"self", "kwargs"}
-    assert own <= set(signature("uavrl.losses.TD3Loss") or {})
-    assert signature("uavrl.losses.td3.Nothing") is None
-    assert signature("no_such_package.Nothing") is None
+def test_arguments_are_those_of_the_class_and_of_its_bases_where_it_hands_on() -> None:
+    assert {"gamma", "policy_noise", "action_spec", "delay_actor"} <= set(arguments(TD3Loss))  # the last is TorchRL's
+    assert set(arguments(ABR)) == set(inspect.signature(ABR.__init__).parameters) - {"self"}
+    assert arguments(PrioritizedBuffer)["frames"] is int
+    assert arguments(TD3Loss)["gamma"] == Discount
 
 
 def test_a_subclass_takes_what_its_base_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "own_rewards.py").write_text(
+        "from __future__ import annotations\n"
+        "from typing import TYPE_CHECKING\n"
         "from uavrl.ranges import Positive\n"
         "from uavrl.transforms import TraditionalReward\n"
-        "raise SystemExit('imported')\n"
+        "if TYPE_CHECKING:\n"
+        "    from elsewhere import Thing\n"
         "class Paid(TraditionalReward):\n"
-        "    def __init__(self, *args, bonus: Positive = 1.0, **kwargs):\n"
+        "    def __init__(self, *args, bonus: Positive = 1.0, thing: Thing = 1, **kwargs):\n"
         "        super().__init__(*args, **kwargs)\n"
         "class Same(Paid): pass\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    for name in ("Paid", "Same"):
-        found = signature(f"own_rewards.{name}")
-        assert found is not None and {"bonus", "arrived_reward", "out_key"} <= set(found)
     config = changed(["reward=traditional"])
-    config.reward._target_, config.packages = "own_rewards.Paid", ["own_rewards"]
-    assert to_dataclass(config).reward.arrived_reward == 50.0
-    config.reward.arrived_reward = "much"
-    with pytest.raises(UavrlError, match=r"reward\.arrived_reward must be a number"):
-        to_dataclass(config)
+    config.reward = {"_target_": "own_rewards.Same", "bonus": 2, "thing": [1, {"of": "any kind"}], "arrived_reward": 50}
+    config.packages = ["own_rewards"]
+    assert (reward := validate(config).reward).arrived_reward == 50.0
+    assert (reward.bonus, reward.thing) == (2.0, [1, {"of": "any kind"}])
+    config.reward.bonus = -1
+    with pytest.raises(UavrlError, match=r"reward\.bonus must be above 0, got -1"):
+        validate(config)
+    config.reward.bonus, config.reward.arrived_reward = 2, "much"
+    with pytest.raises(UavrlError, match=r"reward\.arrived_reward must be a number, got 'much'"):
+        validate(config)
 
 
-def test_an_environment_that_is_not_trusted_is_refused_before_it_is_read(
+def test_what_is_not_trusted_is_refused_before_anything_is_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "stranger_settings.py").write_text(
-        "from dataclasses import dataclass\nraise SystemExit('imported')\n@dataclass\nclass Settings:\n    x: int = 0\n"
-    )
-    (tmp_path / "stranger.py").write_text(
-        "from stranger_settings import Settings\nclass Env:\n    def __init__(self, settings: Settings): pass\n"
-    )
+    for name in ("stranger", "trusted"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('imported')\n")
     monkeypatch.syspath_prepend(tmp_path)
     config = changed([])
+    config.perception._target_, config.packages = "trusted.Perception", ["trusted"]
     config.env._target_ = "stranger.Env"
     with pytest.raises(UavrlError, match=r"env\._target_ names stranger\.Env, and stranger is no package"):
-        to_dataclass(config)
+        validate(config)
+    config.env._target_ = "uavrl.envs.navigation.NavigationEnv"
+    with pytest.raises(SystemExit, match="imported"):
+        validate(config)
 
 
-def test_every_class_that_our_yaml_names_can_be_read() -> None:
-    named = {
-        line.split("_target_:")[1].strip()
-        for path in conf_dir().rglob("*.yaml")
-        for line in path.read_text().splitlines()
-        if "_target_:" in line
-    } - {"null"}
+def test_every_class_that_our_yaml_names_is_one() -> None:
+    lines = [line for path in conf_dir().rglob("*.yaml") for line in path.read_text().splitlines()]
+    named = {line.split("_target_:")[1].strip() for line in lines if "_target_:" in line} - {"null"}
     assert len(named) > 15
-    assert [target for target in named if signature(target) is None] == []
+    assert all(find_class(target, object).__name__ in target for target in named)

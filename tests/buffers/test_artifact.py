@@ -1,4 +1,4 @@
-"""What a preset chooses, and what it leaves alone."""
+"""ABR⁺ takes an artifact of the states that it reads, and of no others."""
 
 from __future__ import annotations
 
@@ -11,38 +11,9 @@ import pytest
 from omegaconf import OmegaConf
 
 from uavrl.buffers import ABRPlus
-from uavrl.configs import compose
+from uavrl.config import compose
 from uavrl.errors import UavrlError
 from uavrl.models.trajectory_classifier import packaged_artifact
-
-
-@pytest.mark.parametrize(
-    ("overrides", "angles", "term", "reward"),
-    [
-        (["preset=thesis"], "raw", None, "traditional"),
-        (["preset=thesis", "scheme=abr"], "raw", "literal", "navigation"),
-        (["preset=thesis", "scheme=abr", "reward.altitude_term=absolute"], "raw", "absolute", "navigation"),
-        (["preset=thesis", "scheme=abr", "perception.angles=folded"], "folded", "literal", "navigation"),
-        (["preset=thesis", "scheme=abr", "perception.angles=turns"], "turns", "literal", "navigation"),
-        (["scheme=abr"], "folded", "absolute", "navigation"),
-    ],
-)
-def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, term: str | None, reward: str) -> None:
-    config = compose(*overrides)
-    found = (config.perception.angles, config.reward.get("altitude_term"), config.choices.reward)
-    assert found == (angles, term, reward)
-
-
-def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
-    config, fast = compose("preset=best"), compose("preset=fast")
-    assert (config.algo.random_steps, fast.algo.random_steps) == (15_000, 2000)
-    assert {**config.algo, "random_steps": 2000} == dict(fast.algo)
-    assert (config.guide.reduction, compose("guide=vfh").guide.reduction) == ("range_image", "truncated_icosahedron")
-    assert (config.choices.reward, config.choices.backward_reward) == ("traditional", "none")
-    assert config.enhancer.weight == 1.0
-    assert (config.perception.statistic, config.perception.last_action) == ("proximity", True)
-    assert compose("perception.reduction=range_image").perception.statistic == "proximity"
-    assert compose().perception.statistic == "face"
 
 
 @pytest.mark.parametrize(

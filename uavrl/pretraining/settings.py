@@ -1,9 +1,9 @@
-"""Typed configuration of ``uavrl-pretrain``. Meanings and units stand in the yaml."""
+"""Settings of ``uavrl-pretrain``. Meanings and units stand in the yaml."""
 
 from dataclasses import dataclass, field
 
-from uavrl.configs.checks import require
-from uavrl.configs.train import Products
+from uavrl.config.sentences import require
+from uavrl.config.settings import Products, Threads
 from uavrl.ranges import Count, Folder, Fraction, Positive, Seed, Widths
 
 THESIS_CLUSTERS = (100, 250, 500, 750, 1000, *range(1500, 6001, 500))
@@ -59,6 +59,6 @@ class PretrainConfig:
     output: Folder | None = None
     pretrain: PretrainRecipe = field(default_factory=PretrainRecipe)
     seed: Seed = 0
-    threads: Count = 1
+    threads: Threads = 1
     products: Products = "mkl"
     progress: bool = True

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from uavrl.configs.train import TrainConfig
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 
 FRAME = 200  # bytes of a stored transition: 32 faces, altitude, two angles, an action, reward and flags

@@ -1,163 +1,18 @@
-"""What the yaml files compose to, and what of a command line is refused by name."""
+"""What of a command line is refused by name."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import pytest
 from omegaconf import OmegaConf
 
 from tests.helpers.configs import changed, composed
-from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner_name, to_dataclass
-from uavrl.configs.choices import known_keys
-from uavrl.configs.limits import MOST
-from uavrl.configs.parts import PARTS
-from uavrl.envs.world import LARGEST, WorldConfig
+from uavrl.config import EvaluateConfig, resolve, validate
+from uavrl.config.parts import PARTS
 from uavrl.errors import UavrlError
-
-FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
-CHOICES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experiment", "learner", "preset")]
-YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
-
-
-def settings(*overrides: str) -> TrainConfig:
-    return to_dataclass(composed("config", *overrides))
-
-
-def plain(node: Any) -> Any:
-    return OmegaConf.to_container(node)
-
-
-def part(group: str, *overrides: str) -> dict[str, Any]:
-    return plain(getattr(settings(*overrides), group))
-
-
-# ---------------------------------------------------------------------- composing
-
-
-@pytest.mark.parametrize(("group", "name"), CHOICES)
-def test_every_choice_composes_for_training_and_says_so(group: str, name: str) -> None:
-    config = settings(f"{group}={name}")
-    assert config.choices[group] == name
-    assert group not in PARTS or (getattr(config, group)._target_ is None) == (name == "none")
-
-
-@pytest.mark.parametrize("name", ["static", "dynamic"])
-def test_every_environment_composes_for_evaluation(name: str) -> None:
-    config = checked(composed("evaluate", f"env={name}"), EvaluateConfig)
-    assert config.choices["env"] == name
-
-
-@pytest.mark.parametrize("algo", ["td3", "ddpg", "sac"])
-@pytest.mark.parametrize("enhancers", [[], ["fork=on", "lifeguard=mlp"]], ids=["bare", "enhanced"])
-def test_what_a_run_writes_is_read_as_it_was(algo: str, enhancers: list[str], tmp_path: Path) -> None:
-    config = complete(composed("config", f"algo={algo}", "run_dir=here", "env=dynamic", *enhancers))
-    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
-    again = OmegaConf.load(tmp_path / "config.yaml")
-    assert complete(again) == config
-    assert to_dataclass(again) == to_dataclass(config)
-
-
-def test_a_configuration_that_names_no_classes_is_of_an_older_uavrl() -> None:
-    old = OmegaConf.create({"algo": {"name": "td3", "gamma": 0.99}, "env": {"name": "static"}, "seed": 0})
-    with pytest.raises(UavrlError, match=r"older uavrl, which named no classes: start a new run"):
-        to_dataclass(old)
-
-
-@pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
-def test_every_key_has_a_comment(path: Path) -> None:
-    lines = path.read_text().splitlines()
-    hydra = next((i for i, line in enumerate(lines) if line.startswith("hydra:")), len(lines))
-    bare = [
-        line
-        for line in lines[:hydra]
-        if re.match(r"\s*\w+:", line)
-        and "#" not in line
-        and not re.match(r"\s*(defaults|_target_|name|world|trainer|algo|env|buffer):", line)
-    ]
-    assert not bare
-
-
-# ---------------------------------------------------------------------- what is told of another choice
-
-
-@pytest.mark.parametrize(
-    ("overrides", "name"),
-    [
-        ([], "td3"),
-        (["learner=td3_lg"], "td3_lg"),
-        (["fork=on", "lifeguard=mlp"], "td3_fork_lg_mlp"),
-        (["algo=ddpg", "fork=on", "backward_reward=abr"], "ddpg_fork_abr"),
-    ],
-)
-def test_run_folders_are_named_for_what_learns(overrides: list[str], name: str) -> None:
-    config = composed("config", *overrides)
-    assert learner_name(config.choices) == name
-    assert f"_static_{name}_navigation_prize_seed0" in config.run_dir
-
-
-@pytest.mark.parametrize("reward", ["navigation", "navigation_prize"])
-def test_a_collision_costs_less_with_lifeguard(reward: str) -> None:
-    def cost(*overrides: str) -> float:
-        return settings(f"reward={reward}", *overrides).reward.collided_reward
-
-    assert (cost(), cost("fork=on")) == (-50.0, -50.0)
-    assert (cost("lifeguard=linear"), cost("algo=sac", "lifeguard=mlp")) == (-10.0, -10.0)
-    assert cost("lifeguard=linear", "reward.collided_reward=-50") == -50.0
-
-
-def test_forks_weight_fades_at_a_return_that_the_reward_can_reach() -> None:
-    def fades_at(*overrides: str) -> float:
-        return settings("fork=on", *overrides).fork.max_reward
-
-    assert (fades_at(), fades_at("reward=navigation"), fades_at("scheme=abr_plus")) == (460.0, 460.0, 460.0)
-    assert (fades_at("reward=traditional"), fades_at("scheme=tr")) == (66.0, 66.0)
-    assert fades_at("scheme=tr", "fork.max_reward=80") == 80.0
-
-
-def test_the_prize_is_what_loitering_for_ever_would_earn() -> None:
-    prize, thesis = part("reward", "reward=navigation_prize"), part("reward", "reward=navigation")
-    assert thesis.pop("arrived_reward") == 0.0
-    gamma = part("algo")["gamma"]
-    assert prize.pop("arrived_reward") == pytest.approx(sum(thesis["weights"][1:]) / (1 - gamma))
-    assert prize == thesis
-
-
-def test_the_dynamic_environment_differs_in_its_planes_only() -> None:
-    dynamic, static = part("env", "env=dynamic"), part("env")
-    assert dynamic["world"].pop("planes") == 3 and static["world"].pop("planes") == 0
-    assert dynamic == static
-
-
-def test_the_lidars_range_and_the_observations_altitude_follow() -> None:
-    assert settings("perception.radius=5.5").perception.lidar.max_range == 5.5
-    assert settings("env.world.flight_level=3").perception.flight_level == 3.0
-
-
-def test_short_runs_begin_with_fewer_random_steps() -> None:
-    begins = [settings(*short).algo.random_steps for short in ([], ["trainer.steps=30000"], ["trainer.episodes=1000"])]
-    assert begins == [10_000, 3_000, 5_000]
-
-
-def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn() -> None:
-    plain_run, fast = settings(), settings("preset=fast", "algo.n_steps=5", "collector=sync")
-    assert (plain_run.algo.n_steps, plain_run.algo.layer_norm, plain_run.algo.exploration_spread) == (1, False, 1.0)
-    assert (plain_run.buffer.mirror, plain_run.trainer.until_success) == (False, None)
-    assert (fast.algo.n_steps, fast.algo.critic.layer_norm, fast.buffer.mirror) == (5, True, True)
-    assert fast.algo.actor.hidden == [256, 256]
-    assert [fast.choices[group] for group in ("collector", "backward_reward", "reward")] == [
-        "sync",
-        "abr",
-        "navigation_prize",
-    ]
-    assert settings("preset=fast", "env=dynamic").env.world.planes == 3
-
-
-# ---------------------------------------------------------------------- what is refused
 
 
 @pytest.mark.parametrize(
@@ -173,13 +28,7 @@ def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn(
 )
 def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -> None:
     with pytest.raises(UavrlError, match=told):
-        settings(*overrides)
-
-
-def test_every_key_that_has_a_most_is_one() -> None:
-    known = {key for name in ("config", "evaluate", "pretrain", "replay") for key in known_keys(name)}
-    assert not {*MOST} - known
-    assert not {*LARGEST} - {field.name for field in fields(WorldConfig)}
+        validate(composed("config", *overrides))
 
 
 OUT_OF_RANGE = """
@@ -231,7 +80,7 @@ NOT_FINITE = ["algo.gamma", "algo.actor_lr", "trainer.updates_per_step", "env.wo
 def test_values_out_of_range_are_refused_by_name(override: str) -> None:
     name = override.partition("=")[0].rpartition(".")[2]
     with pytest.raises(UavrlError, match=rf"(?i)\b{name}\b"):
-        to_dataclass(changed([], override))
+        validate(changed([], override))
 
 
 @pytest.mark.parametrize(
@@ -240,14 +89,14 @@ def test_values_out_of_range_are_refused_by_name(override: str) -> None:
 )
 def test_values_of_choices_out_of_range_are_refused_by_name(choices: str, override: str) -> None:
     with pytest.raises(UavrlError, match=rf"{re.escape(override.partition('=')[0])} must be"):
-        to_dataclass(changed(choices.split(), override))
+        validate(changed(choices.split(), override))
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize("key", NOT_FINITE)
 def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> None:
     with pytest.raises(UavrlError, match=rf"{re.escape(key)} must be a finite number"):
-        to_dataclass(changed([], f"{key}={value}"))
+        validate(changed([], f"{key}={value}"))
 
 
 OUT_OF_RANGE_OF_EVALUATION = """
@@ -258,19 +107,19 @@ OUT_OF_RANGE_OF_EVALUATION = """
 @pytest.mark.parametrize("override", OUT_OF_RANGE_OF_EVALUATION.split())
 def test_evaluation_refuses_values_out_of_range_by_name(override: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(override.partition("=")[0])):
-        checked(changed([], override, name="evaluate"), EvaluateConfig)
+        validate(changed([], override, name="evaluate"), EvaluateConfig)
 
 
 def test_a_part_left_out_is_refused_by_name() -> None:
     config = composed()
     del config.reward
     with pytest.raises(UavrlError, match="reward is not in the configuration: choose one with reward=NAME"):
-        to_dataclass(config)
+        validate(config)
 
 
 def test_a_missing_value_is_refused_by_name() -> None:
     with pytest.raises(UavrlError, match=r"algo\.gamma"):
-        settings("algo.gamma=???")
+        validate(composed("config", "algo.gamma=???"))
 
 
 @pytest.mark.parametrize(
@@ -289,11 +138,11 @@ def test_a_missing_value_is_refused_by_name() -> None:
 )
 def test_values_of_another_type_are_refused_by_name(key: str, value: str, said: str) -> None:
     with pytest.raises(UavrlError, match=re.escape(said)):
-        to_dataclass(changed(["lifeguard=linear"], f"{key}={value}"))
+        validate(changed(["lifeguard=linear"], f"{key}={value}"))
 
 
 def test_whole_numbers_are_numbers() -> None:
-    assert isinstance(to_dataclass(changed([], "algo.tau=1")).algo.tau, float)
+    assert isinstance(validate(changed([], "algo.tau=1")).algo.tau, float)
 
 
 @pytest.mark.parametrize(
@@ -310,13 +159,13 @@ def test_keys_that_nothing_takes_are_refused(where: str, key: str, said: str) ->
     OmegaConf.set_struct(config, False)
     OmegaConf.update(config, f"{where}.{key}", 1)
     with pytest.raises(UavrlError, match=re.escape(said)):
-        to_dataclass(config)
+        validate(config)
 
 
 def test_every_part_names_a_class_and_every_value_a_plain_one() -> None:
     def leaves(node: Any) -> list[Any]:
         return [leaf for child in node.values() for leaf in leaves(child)] if isinstance(node, Mapping) else [node]
 
-    config = plain(complete(composed("config", "fork=on", "lifeguard=mlp")))
+    config = OmegaConf.to_container(resolve(composed("config", "fork=on", "lifeguard=mlp")))
     assert all("_target_" in config[group] for group in PARTS)
     assert all(isinstance(leaf, bool | int | float | str | list | None) for leaf in leaves(config))

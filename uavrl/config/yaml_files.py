@@ -23,12 +23,9 @@ def conf_dir() -> Path:
     raise UavrlError(f"Expected the yaml files in {package / 'conf'} and found none: install uavrl again.")
 
 
-def register_resolvers() -> None:
-    """Teaches OmegaConf the functions that our yaml files call."""
-    OmegaConf.register_new_resolver("with_lifeguard", _with_lifeguard, replace=True)
-    OmegaConf.register_new_resolver("where", _where, replace=True)
-    OmegaConf.register_new_resolver("random_steps", _random_steps, replace=True)
-    OmegaConf.register_new_resolver("run_name", lambda *, _root_: run_name(_choices(_root_)), replace=True)
+def register_run_name() -> None:
+    """Teaches OmegaConf what ``${run_name:}`` is in our yaml files: environment, what learns, reward."""
+    OmegaConf.register_new_resolver("run_name", _run_name, replace=True)
 
 
 def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> DictConfig:
@@ -43,7 +40,7 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
         >>> compose("algo=sac", "reward=traditional").choices.algo
         'sac'
     """
-    register_resolvers()
+    register_run_name()
     if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
         overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
@@ -67,11 +64,6 @@ def with_choices(config: DictConfig, choices: Mapping[str, Any]) -> DictConfig:
     return config
 
 
-def run_name(choices: Mapping[str, str]) -> str:
-    """What a run is called: environment, what learns, reward."""
-    return f"{choices['env']}_{learner_name(choices)}_{choices['reward']}"
-
-
 def learner_name(choices: Mapping[str, str]) -> str:
     """What learns in a run, as part of a name.
 
@@ -88,32 +80,7 @@ def learner_name(choices: Mapping[str, str]) -> str:
     return "_".join(parts)
 
 
-def _choices(root: DictConfig) -> Mapping[str, str]:
-    chosen = OmegaConf.select(root, "choices")
-    return HydraConfig.get().runtime.choices if chosen is None else chosen
-
-
-def _with_lifeguard(value: float, without: float, *, _root_: DictConfig) -> float:
-    """``${with_lifeguard:A,B}`` is A where the algorithm has a LifeGuard, else B."""
-    return without if OmegaConf.select(_root_, "lifeguard._target_") is None else value
-
-
-def _where(key: str, value: str, then: Any, otherwise: Any, *, _root_: DictConfig) -> Any:
-    """``${where:KEY,VALUE,A,B}`` is A where KEY is VALUE, else B; of a group KEY is which of its files was chosen."""
-    found = OmegaConf.select(_root_, key) if "." in key else _choices(_root_).get(key)
-    return then if found == value else otherwise
-
-
-def expected_steps(episodes: int, max_steps: int, most: int | None = None) -> int:
-    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take."""
-    flown = max(episodes * min(max_steps, 50), episodes * max_steps // 6)
-    return flown if most is None else min(flown, most)
-
-
-def _random_steps(most: int, *, _root_: DictConfig) -> int:
-    """``${random_steps:N}`` is N, or a tenth of the steps that can be expected where that is less."""
-    keys = ("trainer.episodes", "env.max_steps", "trainer.steps")
-    episodes, max_steps, steps = (OmegaConf.select(_root_, key) for key in keys)
-    if not isinstance(episodes, int) or not isinstance(max_steps, int):
-        return most
-    return min(most, max(0, expected_steps(episodes, max_steps, steps if isinstance(steps, int) else None) // 10))
+def _run_name(*, _root_: DictConfig) -> str:
+    chosen = OmegaConf.select(_root_, "choices")
+    choices = HydraConfig.get().runtime.choices if chosen is None else chosen
+    return f"{choices['env']}_{learner_name(choices)}_{choices['reward']}"
