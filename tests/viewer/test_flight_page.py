@@ -17,7 +17,7 @@ from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.rollout.recording import Recording
 from uavrl.transforms import RangeImage, TruncatedIcosahedron
-from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.transforms.icosahedron import truncated_icosahedron_faces
 from uavrl.transforms.range_image import range_image
 from uavrl.viewer.flight_page import above_ground, make_page, pack, page_data, write_page
 from uavrl.viewer.flight_shapes import belt, football, shell

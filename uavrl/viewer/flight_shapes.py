@@ -6,12 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from uavrl.envs.mesh import Mesh
+from uavrl.envs.mesh import Mesh, loft
 from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
-from uavrl.envs.shapes import loft
-from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.transforms.icosahedron import TruncatedIcosahedron, truncated_icosahedron_faces
 from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT, RangeImage
-from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
 
 ROTOR_RADIUS = 0.14  # m
 SPHERE = 3000  # points of a sphere whose cells have no shape of their own
