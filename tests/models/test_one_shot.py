@@ -74,18 +74,14 @@ def test_states_without_features_are_alike() -> None:
     assert join_or_found(features, torch.empty(0, 4), 0.98, 10)[0].tolist() == [0, 0]
 
 
-def test_twenty_features_for_the_thesis_state() -> None:
-    classifier = OneShotClassifier()
-    labels = classifier(random_states(50))
-    assert (labels.dtype, labels.shape, classifier.exemplars.shape[1]) == (torch.int64, (50,), 20)
-    assert not list(classifier.parameters())
-
-
-def test_a_state_that_is_nearly_the_same_joins() -> None:
+def test_states_of_the_thesis_have_twenty_features_and_nearly_the_same_ones_join() -> None:
     classifier, states = OneShotClassifier(), random_states(30)
     labels = classifier(states)
+    assert (labels.dtype, labels.shape, classifier.exemplars.shape[1]) == (torch.int64, (30,), 20)
     assert torch.equal(classifier(states + 1e-3 * random_states(30, seed=1)), labels)
     assert len(classifier) == int(labels.max()) + 1 > 20
+    assert not list(classifier.parameters())
+    assert classifier(torch.empty(0, 105)).tolist() == []
 
 
 def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,10 +121,6 @@ def test_state_round_trip() -> None:
     with pytest.raises(RuntimeError, match="exemplars"):
         OneShotClassifier(features=10).load_state_dict(one.state_dict())
     assert len(copy.deepcopy(one)) == len(one)
-
-
-def test_an_empty_batch() -> None:
-    assert OneShotClassifier()(torch.empty(0, 105)).tolist() == []
 
 
 @pytest.mark.parametrize(

@@ -40,12 +40,7 @@ class SystemNet(nn.Module):
 
 
 class RewardNet(nn.Module):
-    """Predicts the reward from state, next state and action.
-
-    Args:
-        observations: width of the state.
-        actions: width of the action.
-        hidden: widths of the hidden layers.
+    """Predicts the reward from state, next state and action; its sizes are those of :class:`SystemNet`.
 
     Examples:
         >>> RewardNet(105, 4)(torch.zeros(7, 105), torch.zeros(7, 105), torch.zeros(7, 4)).shape

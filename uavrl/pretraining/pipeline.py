@@ -18,8 +18,7 @@ from torch import Tensor
 from uavrl.configs.pretrain import PretrainConfig, PretrainRecipe
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
-from uavrl.models.psae import PSAE
-from uavrl.models.trajectory_classifier import TrajectoryClassifier
+from uavrl.models.psae import PSAE, TrajectoryClassifier
 from uavrl.pretraining.clustering import (
     Clusters,
     class_sizes,

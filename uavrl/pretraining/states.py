@@ -14,7 +14,7 @@ from torchrl.checkpoint import Checkpoint
 from uavrl.buffers import FrameStorage
 from uavrl.configs.build import plain_data
 from uavrl.errors import UavrlError
-from uavrl.models.trajectory_classifier import form_of_states
+from uavrl.models.psae import form_of_states
 from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.names import CHECKPOINTS, CONFIG, PRETRAINED
