@@ -1,4 +1,4 @@
-"""Everything a report says, from run folders to one dictionary of facts; page and JSON show the same ones."""
+"""The content of a report, from run folders to one dictionary of facts; page and JSON show the same ones."""
 
 import json
 from collections.abc import Sequence
@@ -33,13 +33,13 @@ class Report:
         version: of uavrl.
         window: number of episodes that a rolling rate covers.
         threshold: the success rate that ``steps_to_threshold`` is about.
-        env: name of the environment that all runs fly.
+        env: name of the environment of all runs.
         groups: one for each configuration, over its seeds; the best first.
         runs: one for each run folder, in the order of the groups.
         curves: by group, quantity and axis (:func:`uavrl.reporting.learning_curves.curves`).
-        evaluations: what was flown without noise: the groups that flew it, the best first, and each file.
+        evaluations: for each set of tasks, the groups that were evaluated in it, the best first, and each file.
         thesis: its numbers beside those of the groups.
-        settings: what differs between the groups, by key, in the order of the groups.
+        settings: those that differ between the groups, by key, in the order of the groups.
         left_out: folders that are not reported, and why.
     """
 
@@ -84,12 +84,12 @@ def _plain(value: Any) -> Any:
 def make_report(
     folders: Sequence[Path], *, window: int = 500, threshold: float = 0.78, title: str | None = None
 ) -> Report:
-    """Reads run folders and works out what there is to say about them.
+    """Reads run folders, and folders that hold some, and works out the facts about them.
 
     Args:
-        folders: run folders, and folders that hold some.
+        folders: they are only read.
         window: number of episodes that a rolling rate covers.
-        threshold: success rate in (0, 1] whose first reaching is told.
+        threshold: success rate in (0, 1]; the report gives the steps until it is first reached.
         title: of the page.
 
     Raises:
@@ -140,7 +140,7 @@ def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str,
     if not run.finished:
         notes.append(f"Unfinished: {len(run.episodes):,} of {run.planned:,} episodes.")
     if len(run.episodes) < window:
-        notes.append(f"It has flown fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")
+        notes.append(f"It has fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")
     return {
         "name": run.name,
         "group": group,
@@ -156,7 +156,7 @@ def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str,
 
 
 def _without_places(value: Any) -> Any:
-    """Values with the name in the place of each absolute path: where it lay says nothing elsewhere."""
+    """Values with each absolute path shortened to its name: its folder means nothing on another machine."""
     if isinstance(value, dict):
         return {key: _without_places(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -169,9 +169,9 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
     success = [last_rates([episodes], window)["success"]["rate"] for episodes in seeds]
     notes = []
     if len(seeds) == 1:
-        notes.append("One seed: it shows what happened once, not what to expect.")
+        notes.append("One seed: the spread between seeds is unknown.")
     if len({len(episodes) for episodes in seeds}) > 1:
-        notes.append(f"Its seeds have flown {min(map(len, seeds)):,} to {max(map(len, seeds)):,} episodes.")
+        notes.append(f"Its seeds have {min(map(len, seeds)):,} to {max(map(len, seeds)):,} episodes.")
     if len({str(run.versions["commit"]) for run in group.runs if "commit" in run.versions}) > 1:
         notes.append("Its runs were made by different states of the code.")
     return {
@@ -186,7 +186,7 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
 
 
 def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """What was flown, what most seeds flew first; of two files of one run the longer trained counts for its group."""
+    """By sets of tasks, that of most seeds first; of two files of one run the longer trained counts for its group."""
     files = [
         {**evaluation, "run": run.name, "group": group.label, "run_seed": run.seed}
         for group in groups
@@ -194,16 +194,13 @@ def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:
         for evaluation in run.evaluations
     ]
     result = []
-    for flown in dict.fromkeys(each["flown"] for each in files):
-        alike = [each for each in files if each["flown"] == flown]
+    for tasks in dict.fromkeys(each["flown"] for each in files):
+        alike = [each for each in files if each["flown"] == tasks]
         newest = {each["run"]: each for each in sorted(alike, key=_trained) if each["policy"] is None}
-        rows = [
-            _pooled(group.label, members)
-            for group in groups
-            if (members := [each for each in newest.values() if each["group"] == group.label])
-        ]
+        by_group = [[each for each in newest.values() if each["group"] == group.label] for group in groups]
+        rows = [_pooled(members) for members in by_group if members]
         rows.sort(key=lambda row: -row["success"]["rate"])
-        result.append({"flown": flown, "groups": rows, "files": alike})
+        result.append({"flown": tasks, "groups": rows, "files": alike})
     return sorted(result, key=lambda part: -sum(len(row["seeds"]) for row in part["groups"]))
 
 
@@ -212,18 +209,21 @@ def _trained(evaluation: dict[str, Any]) -> float:
     return float(steps) if isinstance(steps, int | float) else 0.0
 
 
-def _pooled(group: str, evaluations: list[dict[str, Any]]) -> dict[str, Any]:
+def _pooled(evaluations: list[dict[str, Any]]) -> dict[str, Any]:
     """Rates of a group over the tasks of all its seeds together."""
     tasks = sum(each["episodes"] for each in evaluations)
     counts = {name: sum(round(each[name]["rate"] * each["episodes"]) for each in evaluations) for name in RATES}
-    by_seed = [each["success"]["rate"] for each in evaluations]
-    seeds = [each["run_seed"] for each in evaluations]
-    rates = {name: wilson(count, tasks) for name, count in counts.items()}
-    return {"group": group, "seeds": seeds, "tasks": tasks, "success_by_seed": by_seed, **rates}
+    return {
+        "group": evaluations[0]["group"],
+        "seeds": [each["run_seed"] for each in evaluations],
+        "tasks": tasks,
+        "success_by_seed": [each["success"]["rate"] for each in evaluations],
+        **{name: wilson(count, tasks) for name, count in counts.items()},
+    }
 
 
 def _settings(groups: list[Group]) -> dict[str, list[str]]:
-    """What differs between groups, and how their runs ran where that was recorded and differs."""
+    """The settings that differ between groups, and those of how their runs ran where these were recorded and differ."""
     learned = differences([group.runs[0].settings for group in groups], ("seed", *HOW_IT_RUNS))
     result = {key: [shown(value) for value in values] for key, values in learned.items()}
     ran = [[flatten(run.config) for run in group.runs] for group in groups]
