@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 import warnings
-from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Any
 
 import numpy as np
 
 from uavrl.configs import TrainConfig, compose, to_dataclass
-from uavrl.errors import UavrlError
 from uavrl.runs.provenance import processor, versions
 
 
@@ -57,18 +54,3 @@ def sb3_td3(env: Any, *, random_steps: int, seed: int) -> Any:
             device="cpu",
             seed=seed,
         )
-
-
-def named_folder(pair: str) -> tuple[str, Path]:
-    """Name and folder of ``NAME=FOLDER``, where both may hold an equals sign."""
-    for place, sign in enumerate(pair):
-        if sign == "=" and (folder := Path(pair[place + 1 :])).is_dir():
-            return pair[:place], folder
-    raise UavrlError(f"Expected NAME=FOLDER with a folder that exists, got {pair!r}: write the folder's path.")
-
-
-def opened(path: Path, mode: Literal["rt", "wt"]) -> TextIO:
-    """A text file, which is compressed where its name ends in .gz."""
-    if path.suffix == ".gz":
-        return gzip.open(path, mode, newline="", encoding="utf-8")
-    return path.open(mode, newline="", encoding="utf-8")

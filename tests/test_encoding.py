@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 TEXTS = {"read_text": 0, "write_text": 1, "open": 0}  # how many arguments stand before the encoding's or the mode's
-LIBRARY = ("uavrl", "benchmarks", "examples", "docs")
+LIBRARY = ("uavrl", "benchmarks", "studies", "examples", "docs")
 
 
 def without_encoding(source: str) -> Iterator[ast.Call]:

@@ -77,12 +77,6 @@ def test_figure_4_2_is_a_plain_run_in_the_static_valley() -> None:
     assert cell(config, settings) == ("static", "td3", "TR")
 
 
-def test_figure_4_6_flies_three_learners_on_the_walker() -> None:
-    runs = [settings for _, settings in combinations("figure_4_6")]
-    assert {settings.choices["env"] for settings in runs} == {"bipedal_hardcore"}
-    assert [learner_name(settings.choices) for settings in runs] == ["td3", "td3_fork_walker", "td3_lg"]
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_scheme_changes_what_is_paid_alone(scheme: str) -> None:
     before, after = (

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from tests.helpers.contracts import TransformContract
 from tests.helpers.small_env import SmallEnv
-from uavrl.buffers import IRCR, BackwardReward, TrajectoryHistory
+from uavrl.buffers import BackwardReward, TrajectoryHistory
 from uavrl.models import OneShotClassifier
 
 
@@ -107,28 +107,6 @@ def test_the_algorithm_through_a_buffer() -> None:
     expected = [1.0, 2.0, 0.5, 0.5, 0.25, 1.5, 2.2, 3.2, 1.2, 50.0, 0.5, 0.5, 0.5, 0.5, 0.25, 1.5, 2.4, 3.4, 1.4, 50.0]
     assert torch.equal(stored, torch.tensor(expected))
     assert rewards(buffer[:], "reward_raw") == first + second
-
-
-@pytest.mark.parametrize(
-    ("scale", "expected"),
-    [("rank", [0.0, 1.0, 0.0, 1.0]), ("centred", [0.0, 0.5, -2 / 3, 0.0])],
-)
-def test_what_is_paid_by_each_scale(scale: str, expected: list[float]) -> None:
-    """Sums 3, 6, 0 and 3 of one class, paid once: places 0, 1, 0, 1, and among the last 0, 1/2, -2/3, 0."""
-    raw = [1.0] * 3 + [2.0] * 3 + [0.0] * 3 + [1.0] * 3
-    transform = BackwardReward(by_first, multiplier=1.0, scale=scale)
-    new = torch.tensor(rewards(transform.inv(make_episode(raw, [0.0] * 12)))) - torch.tensor(raw)
-    torch.testing.assert_close(new, torch.tensor(expected).repeat_interleave(3))
-
-
-def test_ircr_pays_every_step_of_a_flight_that_arrived_and_goes_on_from_a_checkpoint() -> None:
-    transform = IRCR(multiplier=2.0)
-    transform.inv(make_episode([1.0, 2.0, 1.0], arrived=False))  # 4: paid nothing, and the highest return
-    transform.inv(make_episode([0.0, 0.0]))
-    other = IRCR(multiplier=2.0)
-    other.load_state_dict(transform.state_dict())
-    assert rewards(other.inv(make_episode([1.0, 0.0]))) == [1.5, 0.5]  # a quarter of the way, twice
-    assert other.episodes == 2
 
 
 def test_the_state_of_a_window_is_the_one_of_its_last_action() -> None:
@@ -326,8 +304,6 @@ def test_a_missing_key_is_named(key) -> None:
         ({"frames": 0}, "frames=0"),
         ({"multiplier": -0.1}, "multiplier"),
         ({"multiplier": float("nan")}, "multiplier"),
-        ({"scale": "root"}, "scale must be one of rank, centred"),
-        ({"scale": "centred", "history": TrajectoryHistory()}, "scale='centred' does not go with a TrajectoryHistory"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, object], message: str) -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from uavrl.buffers import RecentSums, TrajectoryHistory, backward_reward
+from uavrl.buffers import TrajectoryHistory, backward_reward
 from uavrl.buffers.functional import check_labels, window_ends, window_sums
 
 # Ten steps: three windows, and a tail of one step that gets nothing.
@@ -76,14 +76,6 @@ def test_ranks_are_of_sums_floored_towards_minus_infinity() -> None:
     history, reward = TrajectoryHistory(), torch.tensor([0.5, 0.25, 0.0, -0.5, 0.25, 0.0, 1.0, 1.0, 1.0])
     backward_reward(reward, torch.tensor([4, 4, 4]), history)
     assert history.values(4) == [-1, 0, 3]
-
-
-def test_mid_ranks_are_of_sums_as_they_are() -> None:
-    """Rewards below one, as a progress in metres is, would all be floored to the same."""
-    recent, reward = RecentSums(), torch.tensor([0.1, 0.1, 0.1, 0.2, 0.2, 0.2])
-    new = backward_reward(reward, torch.tensor([4, 4]), recent, multiplier=1.0)
-    assert recent.values(4) == pytest.approx([0.3, 0.6])
-    assert (new - reward).tolist() == pytest.approx([0.0, 0.0, 0.0, 0.5, 0.5, 0.5])
 
 
 def test_an_episode_shorter_than_a_window_stays() -> None:

@@ -2,7 +2,7 @@
 
 python -m tests.check.killing FOLDER --kills 50
 
-Trains each of three configurations once without a stop, and then again and again in processes that are ended by
+Trains each of two configurations once without a stop, and then again and again in processes that are ended by
 kill -9, SIGTERM or Ctrl-C and resumed, until there were as many kills as asked for. Each run must end bit-identical to
 the first.
 """
@@ -21,14 +21,13 @@ from multiprocessing.context import ForkProcess
 from pathlib import Path
 
 from tests.helpers.commands import in_process
-from tests.helpers.runs import ABR, ENHANCED, FORK_AND_LIFEGUARD, SMALL, WALKER, assert_same_run
+from tests.helpers.runs import ABR, FORK_AND_LIFEGUARD, SMALL, assert_same_run
 from uavrl.cli import train as train_command
 
 LENGTH = ["logger.interval=1", "trainer.episodes=24"]
 CONFIGURATIONS = {
     "fork_lifeguard": [*SMALL, *FORK_AND_LIFEGUARD, *LENGTH],
     "prioritized_abr_dynamic": [*SMALL, *ABR, "env=dynamic", "buffer=prioritized", *LENGTH],
-    "walker": [*WALKER, *ENHANCED, *LENGTH],
 }
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 

@@ -8,9 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-import torch
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -21,13 +19,6 @@ def written_by(benchmark: str, folder: Path, *arguments: str) -> dict[str, Any]:
     result = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
     assert result.returncode == 0, result.stderr
     return json.loads(output.read_text())
-
-
-def test_a_wrong_use_ends_in_one_sentence(tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / "benchmarks" / "differences.py"), "none.json:a", "--less", "none.json:b"]
-    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert result.returncode == 1
-    assert result.stderr.startswith("uavrl: Expected FILE.json:WORLD") and result.stderr.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -75,14 +66,6 @@ def test_the_buffer_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     assert numbers["sample_vs_torchrl"] == pytest.approx(ours["sample_ms"] / torchrl["sample_ms"])
 
 
-@pytest.mark.slow
-def test_the_walkers_benchmark_writes_its_shares(tmp_path: Path) -> None:
-    numbers = written_by("walker.py", tmp_path, "trainer.execution=captured", "env.max_steps=100", "--steps", "50")
-    assert sum(numbers["shares"].values()) == pytest.approx(1)
-    assert {"updates", "environment"} < set(numbers["shares"])
-    assert numbers["steps"] >= 50 and numbers["steps_per_second"] > 0
-
-
 def test_the_audit_counts_how_blind_flights_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a valley without obstacles all fly straight at the goal and arrive; one that dives first hits the ground."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
@@ -111,40 +94,3 @@ def test_the_audit_counts_how_blind_flights_end(tmp_path: Path, monkeypatch: pyt
     assert (audit["tasks"], audit["seed"], audit["overrides"]) == (2, 77777, ["env.max_steps=40"])
     for row in audit["rows"].values():
         assert sum(row.get(end, 0) for end in ("arrived", "collided", "timed_out")) == 2
-
-
-def test_reactions_are_told_of_a_policy_that_always_flies_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One whose action is the same with and without planes changes nothing; the rows tell passes within reach."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import reactions
-    from common import experiment
-    from tensordict import TensorDict
-
-    seen = []
-
-    def flies_on(state: TensorDict) -> TensorDict:
-        seen.append(state["observation"].clone())
-        return state.set("action", torch.tensor([1.0, 0.0, 0.0, 0.3]).expand(*state.batch_size, 4))
-
-    rows = reactions.reactions(experiment("env=dynamic", "env.world.planes=6", "env.world.obstacles=8"), flies_on, 45)
-    assert len(rows) > 0 and rows.shape[1] == 8
-    assert np.abs(rows[:, 4:]).max() == 0
-    assert (np.hypot(rows[:, 1], rows[:, 2]) < 1.6).all() and (rows[:, 0] >= 0).all()
-    for shown, hidden in zip(seen[::2], seen[1::2], strict=True):  # without planes nothing new is seen, at any frame
-        rest = torch.arange(105) % 35 >= 32
-        assert torch.equal(shown[:, rest], hidden[:, rest])
-    first_shown, first_hidden = seen[0], seen[1]
-    assert first_shown[:, :70].abs().sum() == 0 == first_hidden[:, :70].abs().sum()  # zeros before the first frame
-
-
-def test_networks_tell_what_their_input_tells_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Asked of rows that they were not taught with: all right with the answer among the numbers, half without."""
-    monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    import foresight
-
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(800, 2, 3))
-    label, taught = x[:, 1, 2] > 0, np.arange(800) < 600
-    assert ((foresight.answers(x, label, taught) > 0) == label)[~taught].mean() > 0.95
-    x[:, 1, 2] = 0
-    assert 0.35 < ((foresight.answers(x, label, taught) > 0) == label)[~taught].mean() < 0.65

@@ -56,12 +56,6 @@ def test_one_file_trains_td3_with_torchrls_collector_and_buffer(monkeypatch: pyt
     env.close()
 
 
-def test_forks_threshold_is_measured_on_a_run(finished: Path) -> None:
-    printed = said("fork_threshold.py", finished, "--updates", 20)
-    assert "system loss of predicting no change: 0." in printed
-    assert "20 updates: system loss" in printed
-
-
 def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> None:
     printed = said("altitudes.py", PACKAGED / "static" / "evaluation.json", "--output", tmp_path / "altitudes.png")
     low, middle, high = (float(x) for x in printed.split("%: ")[1].split(" m")[0].split(" / "))

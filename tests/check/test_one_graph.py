@@ -8,9 +8,11 @@ from collections.abc import Callable
 import pytest
 import torch
 from tensordict import TensorDict
+from walker.fork import BipedalFork
 
-from tests.helpers.losses import bipedal, ddpg, episodes, fork, lifeguard, sac, sampler, td3
+from tests.helpers.losses import ddpg, episodes, fork, lifeguard, sac, sampler, td3
 from uavrl.losses import ActorCriticLoss, Enhancer, Fork, Imitation, LifeGuard
+from uavrl.models import SystemNet
 
 
 def imitation(base: ActorCriticLoss) -> Imitation:
@@ -20,6 +22,10 @@ def imitation(base: ActorCriticLoss) -> Imitation:
 def opening(base: ActorCriticLoss, **kwargs: object) -> Fork:
     """FORK whose gate opens where the next states are not far off."""
     return fork(base, threshold=10.0, **kwargs)
+
+
+def variant(base: ActorCriticLoss) -> Fork:
+    return BipedalFork(base, system_network=SystemNet(6, 2, (8,)), observations=6, max_reward=300.0, threshold=10.0)
 
 
 def mlp_lifeguard(base: ActorCriticLoss) -> LifeGuard:
@@ -32,7 +38,7 @@ LOSSES: dict[str, Callable[[], ActorCriticLoss]] = {
     "sac": sac,
     "fork": lambda: opening(td3()),
     "fork through its model": lambda: opening(td3(), backprop_through_model=True),
-    "bipedal fork": lambda: bipedal(td3(), threshold=10.0),
+    "a variant of FORK": lambda: variant(td3()),
     "lifeguard": lambda: lifeguard(td3()),
     "lifeguard, mlp": lambda: mlp_lifeguard(td3()),
     "imitation": lambda: imitation(td3()),

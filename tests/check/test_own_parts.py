@@ -13,17 +13,12 @@ from torchrl.checkpoint import Checkpoint
 
 from tests.helpers.commands import in_process
 from tests.helpers.flights import unpack
-from tests.helpers.own_parts import CHOSEN, CONFIG_DIR, OWN, SMALL, TRUSTED
+from tests.helpers.own_parts import CHOSEN, CONFIG_DIR, SMALL, TRUSTED
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
 from uavrl.rollout.recording import RecordedFlight, load_recording
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.viewer.flight_page import page_data
-
-
-@pytest.fixture(autouse=True)
-def importable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(OWN)
 
 
 def test_a_reduction_that_uavrl_knows_nothing_of_is_flown_with_and_replayed(tmp_path: Path) -> None:

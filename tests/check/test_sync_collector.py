@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from tests.helpers.runs import small_config, walker_config
+from tests.helpers.runs import small_config
 from uavrl.collectors.sync import SyncCollector
 from uavrl.runs.episodes import Episode, read_episodes
 from uavrl.training.run import create_run, train
@@ -123,14 +123,10 @@ def segments(episodes: list[Episode]) -> list[list[int]]:
     return found
 
 
-@pytest.mark.parametrize("walker", [False, True])
-def test_a_training_counts_every_flight_up_to_the_last_before_each_checkpoint(tmp_path: Path, walker: bool) -> None:
-    make, settings = (
-        (walker_config, ["trainer.episodes=9", "buffer=failure_biased"])
-        if walker
-        else (small_config, ["trainer.episodes=30"])
-    )
-    config = make(tmp_path / "run", *settings, "trainer.updates_per_step=0.01")
+@pytest.mark.parametrize("uavs", [1, 2])
+def test_a_training_counts_every_flight_up_to_the_last_before_each_checkpoint(tmp_path: Path, uavs: int) -> None:
+    settings = ["trainer.episodes=30", f"env.num_uavs={uavs}", "trainer.updates_per_step=0.01"]
+    config = small_config(tmp_path / "run", *settings)
     summary = train(config, create_run(config))
     episodes = read_episodes(tmp_path / "run/episodes.csv")
     assert len(episodes) == config.trainer.episodes

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.own_parts import CONFIG_DIR, TRUSTED
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 
@@ -79,7 +80,10 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
         ),
         (["policy=static", "suite=denze"], "got 'denze': did you mean dense?"),
         (["policy=static", "env=corridor"], "One of your own needs --config-dir FOLDER."),
-        (["policy=static", "env=bipedal_hardcore"], "The policy and env=bipedal_hardcore do not go together: "),
+        (
+            [*CONFIG_DIR, TRUSTED, "policy=static", "env=corridor", "reward=hurry"],
+            "The policy and env=corridor do not go",
+        ),
     ],
 )
 def test_what_is_evaluated_is_guessed_too(arguments: list[str], told: str, refused: Callable[..., str]) -> None:

@@ -22,6 +22,7 @@ from uavrl.configs import conf_dir, settings_of_run, to_dataclass
 from uavrl.configs.build import build
 from uavrl.configs.offered import OFFERED, TARGET, offered_to
 from uavrl.configs.parts import PARTS
+from uavrl.configs.recorded import GONE, without_gone
 from uavrl.configs.signature import signature
 from uavrl.errors import UavrlError
 from uavrl.rollout import actor as actor_module
@@ -48,10 +49,9 @@ def pairs() -> Iterator[tuple[str, str]]:
     """A choice, and a key that it could be given on the command line, for each name that a run hands to its classes."""
     for group, choice in CHOICES:
         content = yaml.safe_load((conf_dir() / group / f"{choice}.yaml").read_text())
-        walker = ["env=bipedal_hardcore"] if choice == "failure_biased" else []
         for key, target in parts_of(content.get(group, content), group):  # one without a class has that of another
             for name in sorted(set(offered_to(key)) & set(signature(target) or {})):
-                yield " ".join([f"{group}={choice}", *walker]), f"{key}.{name}"
+                yield f"{group}={choice}", f"{key}.{name}"
 
 
 @pytest.mark.parametrize(("choices", "key"), pairs())
@@ -71,7 +71,6 @@ def test_no_name_that_the_run_hands_over_can_be_written(choices: str, key: str) 
         ("lifeguard=linear +lifeguard.stacked=1", "lifeguard.stacked"),
         ("backward_reward=abr +backward_reward.stacked=1", "backward_reward.stacked"),
         ("+buffer.frames=1", "buffer.frames"),
-        ("env=bipedal_hardcore buffer=failure_biased +buffer.seed=3", "buffer.seed"),
         ("+algo.actor.limit=1", "algo.actor.limit"),
         ("+algo.action_spec=1", "algo.action_spec"),
         ("+env.seed=7", "env.seed"),
@@ -149,10 +148,39 @@ def test_the_policy_of_a_run_with_products_of_before_still_loads() -> None:
 
 
 @pytest.mark.parametrize("name", packaged_policies())
-def test_packaged_policies_are_read_as_they_are(name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_packaged_policies_are_read_without_a_word(name: str, caplog: pytest.LogCaptureFixture) -> None:
     config = load_config(PACKAGED / name / "config.yaml")
-    assert settings_of_run(config) == to_dataclass(config)
-    assert not caplog.records
+    before = config.copy()
+    assert settings_of_run(config) == to_dataclass(without_gone(config))
+    assert config == before and not caplog.records
+
+
+def recorded_before() -> DictConfig:
+    """With every key that there is no longer."""
+    config = changed(["backward_reward=abr", "reward=traditional"])
+    OmegaConf.set_struct(config, False)
+    for key, value in GONE.items():
+        OmegaConf.update(config, key, 1000 if value is None else value, force_add=True)
+    return config
+
+
+def test_a_run_with_keys_of_before_still_loads_where_they_say_what_is_done_today() -> None:
+    assert settings_of_run(recorded_before()) == to_dataclass(changed(["backward_reward=abr", "reward=traditional"]))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("env.goal_angle", "course"), ("reward.time_cost", 0.25), ("backward_reward.scale", "centred")]
+)
+def test_and_is_refused_where_they_say_something_else(key: str, value: object) -> None:
+    config = recorded_before()
+    OmegaConf.update(config, key, value)
+    with pytest.raises(UavrlError, match=f"^The run was flown with {re.escape(key)}={value}, which there no longer is"):
+        settings_of_run(config)
+
+
+def test_a_key_of_somebody_elses_part_stays() -> None:
+    config = OmegaConf.create({"env": {TARGET: "own_parts.env.Corridor", "goal_angle": "course"}})
+    assert without_gone(config) == config
 
 
 # ---------------------------------------------------------------------- one list, in the code and in the docs

@@ -15,14 +15,12 @@ from tests.helpers.configs import changed, composed
 from uavrl.configs import EvaluateConfig, TrainConfig, checked, complete, conf_dir, learner_name, to_dataclass
 from uavrl.configs.choices import known_keys
 from uavrl.configs.limits import MOST
-from uavrl.configs.memory import bytes_needed
 from uavrl.configs.parts import PARTS
 from uavrl.envs.world import LARGEST, WorldConfig
 from uavrl.errors import UavrlError
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
 CHOICES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experiment", "learner", "preset")]
-WALKERS = {("perception", "none"), ("reward", "walker"), ("buffer", "failure_biased")}  # they go with the walker
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
 
@@ -43,17 +41,15 @@ def part(group: str, *overrides: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("group", "name"), CHOICES)
 def test_every_choice_composes_for_training_and_says_so(group: str, name: str) -> None:
-    walker = ["env=bipedal_hardcore"] if (group, name) in WALKERS else []
-    config = settings(f"{group}={name}", *walker)
+    config = settings(f"{group}={name}")
     assert config.choices[group] == name
     assert group not in PARTS or (getattr(config, group)._target_ is None) == (name == "none")
 
 
-@pytest.mark.parametrize("name", ["static", "dynamic", "bipedal_hardcore"])
+@pytest.mark.parametrize("name", ["static", "dynamic"])
 def test_every_environment_composes_for_evaluation(name: str) -> None:
     config = checked(composed("evaluate", f"env={name}"), EvaluateConfig)
     assert config.choices["env"] == name
-    assert (config.perception._target_ is None) == (name == "bipedal_hardcore")
 
 
 @pytest.mark.parametrize("algo", ["td3", "ddpg", "sac"])
@@ -89,33 +85,6 @@ def test_every_key_has_a_comment(path: Path) -> None:
 # ---------------------------------------------------------------------- what is told of another choice
 
 
-def test_the_walker_brings_its_observation_and_its_reward() -> None:
-    def names(*overrides: str) -> list[str]:
-        chosen = settings(*overrides).choices
-        return [chosen[group] for group in ("perception", "reward", "buffer")]
-
-    assert names("env=bipedal_hardcore") == ["none", "walker", "uniform"]
-    assert names("env=bipedal_hardcore", "learner=td3_walker") == ["none", "walker", "failure_biased"]
-    assert names("env=dynamic") == ["truncated_icosahedron", "navigation_prize", "uniform"]
-
-
-def changes(group: str, overrides: list[str], others: list[str]) -> dict[str, Any]:
-    """The values of a part that are not those of another command line."""
-    one, other = part(group, *overrides), part(group, *others)
-    return {key: value for key, value in one.items() if value != other[key]}
-
-
-def test_the_walkers_td3_has_the_numbers_of_the_published_code() -> None:
-    assert changes("algo", ["learner=td3_walker"], []) == {"actor_lr": 1e-3}
-    widths = {"hidden": [256, 256]}
-    fork = changes("algo", ["learner=td3_fork_walker"], [])
-    assert fork.pop("actor")["hidden"] == fork.pop("critic")["hidden"] == [256, 256]
-    assert fork == {"tau": 0.02, "actor_lr": 3e-4, "critic_lr": 3e-4, **widths}
-    assert changes("fork", ["learner=td3_fork_walker"], ["fork=on"]) == {
-        "variant": "bipedal", "threshold": 0.02, "max_reward": 300.0, "base_weight": 1.0, "reward_network": None,
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("overrides", "name"),
     [
@@ -123,7 +92,6 @@ def test_the_walkers_td3_has_the_numbers_of_the_published_code() -> None:
         (["learner=td3_lg"], "td3_lg"),
         (["fork=on", "lifeguard=mlp"], "td3_fork_lg_mlp"),
         (["algo=ddpg", "fork=on", "backward_reward=abr"], "ddpg_fork_abr"),
-        (["fork=walker"], "td3_fork_walker"),
     ],
 )
 def test_run_folders_are_named_for_what_learns(overrides: list[str], name: str) -> None:
@@ -197,7 +165,6 @@ def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn(
     [
         (["buffer.mirror=true", "perception.angles=raw"], r"buffer\.mirror must be false, but with uavrl"),
         (["buffer.mirror=true", "perception.angles=turns"], r"buffer\.mirror must be false, but with uavrl"),
-        (["buffer.mirror=true", "env=bipedal_hardcore"], r"buffer\.mirror must be false, but with uavrl"),
         (["fork=on", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
         (["lifeguard=mlp", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
         (["trainer.until_success=80"], r"trainer\.until_success must be in \(0, 1\], got 80"),
@@ -209,16 +176,15 @@ def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -
         settings(*overrides)
 
 
-def test_every_key_that_has_a_most_or_takes_memory_is_one() -> None:
+def test_every_key_that_has_a_most_is_one() -> None:
     known = {key for name in ("config", "evaluate", "pretrain", "replay") for key in known_keys(name)}
-    everything = settings("fork=on", "lifeguard=linear", "backward_reward=abr")
-    assert not {*MOST, *bytes_needed(everything)} - known
+    assert not {*MOST} - known
     assert not {*LARGEST} - {field.name for field in fields(WorldConfig)}
 
 
 OUT_OF_RANGE = """
     seed=-1
-    env.num_uavs=0 env.max_steps=0 env.goal_angle=yaw
+    env.num_uavs=0 env.max_steps=0
     env.world.seeds=[] env.world.seeds=[-1] env.world.size=[40.0,0.0] env.world.obstacles=-1
     env.world.obstacles=[] env.world.obstacles=[45,-1]
     env.world.obstacle_scale=0 env.world.flight_level=-1 env.world.ceiling=-8 env.world.goal_radius=0
@@ -243,7 +209,7 @@ OUT_OF_RANGE = """
 """
 OUT_OF_RANGE_OF_CHOICES = {
     "fork=on lifeguard=linear": """
-        fork.variant=walker fork.system_network.hidden=[] fork.reward_network.hidden=[0] fork.model_lr=0
+        fork.system_network.hidden=[] fork.reward_network.hidden=[0] fork.model_lr=0
         fork.threshold=0 fork.max_reward=-1 fork.base_weight=-0.6 fork.return_window=0 lifeguard.model=tree
         lifeguard.penalty=none lifeguard.penalty_weight=-10 lifeguard.success_window=0 lifeguard.capacity=0
         lifeguard.batch_size=7 lifeguard.min_evaluations=-1 lifeguard.evaluation_window=0
@@ -254,10 +220,6 @@ OUT_OF_RANGE_OF_CHOICES = {
         backward_reward.seed=-1
     """,
     "backward_reward=abr_plus": "backward_reward.multiplier=-0.2",
-    "env=bipedal_hardcore buffer=failure_biased": """
-        env.max_steps=0 reward.scale=0 buffer.capacity=0 buffer.probability=1.5 buffer.falls_per_success=-1
-        buffer.updates_when_left_out=-1
-    """,
     "algo=sac": "algo.temperature_lr=-1 algo.gamma=-1",
     "perception.lidar.max_range=4": "perception.radius=0",
     "buffer=prioritized": "buffer.alpha=1.5 buffer.beta=-0.1",

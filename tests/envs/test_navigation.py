@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import SerialEnv, check_env_specs
 
-from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg, wrap_degrees
+from uavrl.envs.goal_angles import goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics
@@ -75,8 +75,8 @@ def place(env: NavigationEnv, uav: int, position: list[float] | np.ndarray, yaw:
 
 @pytest.mark.parametrize(
     "kwargs",
-    [{}, {"measure_clearance": True, "goal_angle": "course"}, {"world": WorldConfig(planes=1)}],
-    ids=["static", "clearance and course", "planes"],
+    [{}, {"measure_clearance": True}, {"world": WorldConfig(planes=1)}],
+    ids=["static", "clearance", "planes"],
 )
 def test_specs_hold(make: Callable[..., NavigationEnv], kwargs: dict[str, Any]) -> None:
     check_env_specs(make(**kwargs))
@@ -284,15 +284,6 @@ def test_elevation_is_counted_up_from_the_horizon(position: list[float], expecte
     assert goal_elevation_deg(np.array([position], dtype=float), goal)[0] == pytest.approx(expected, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("velocity", "expected"),
-    [([2, 0, 0], 0.0), ([0, 0, 1], 90.0), ([-1, 0, 0], 180.0), ([1, -1, 0], 45.0), ([0, 0, 0], 0.0)],
-)
-def test_course_is_the_angle_between_motion_and_goal(velocity: list[float], expected: float) -> None:
-    course = goal_course_deg(np.zeros((1, 3)), np.array([velocity], dtype=float), np.array([[5.0, 0.0, 0.0]]))
-    assert course[0] == pytest.approx(expected, abs=1e-4)
-
-
 def test_wrapped_angles_stay_below_360() -> None:
     angles = wrap_degrees(np.array([-1e-12, 2 * np.pi, -2 * np.pi, np.pi]))
     assert angles.dtype == np.float32
@@ -310,19 +301,6 @@ def test_the_emitted_angles_are_those_of_the_flight(make: Callable[..., Navigati
     assert abs((after["elevation_deg"].item() + 180) % 360 - 180) < 1.0
     assert after["altitude"].item() == after["position"][0, 2].item() == pytest.approx(goal[2], abs=0.05)
     assert after["distance"].item() == pytest.approx(3.0, abs=0.05)
-
-
-def test_course_replaces_elevation_when_chosen(make: Callable[..., NavigationEnv]) -> None:
-    env = make(1, goal_angle="course")
-    state = env.reset()
-    assert state["elevation_deg"].item() == 0.0  # at rest
-    place(env, 0, state["goal"][0].numpy() - [0.0, 3.0, 0.0], yaw=0.0)
-    for _ in range(5):
-        state = env.step(act(state, 2.0, 0.0, 0.0, 0.0))["next"]
-    to_goal, velocity = (state["goal"] - state["position"])[0], state["velocity"][0]
-    cosine = torch.nn.functional.cosine_similarity(to_goal, velocity, dim=0)
-    assert state["elevation_deg"].item() == pytest.approx(torch.rad2deg(cosine.acos()).item(), abs=0.1)
-    assert 90 < state["elevation_deg"].item() < 130
 
 
 def test_flights_start_at_rest_at_flight_level(make: Callable[..., NavigationEnv]) -> None:
@@ -416,7 +394,7 @@ def test_what_needs_a_reset_says_so(
 
 @pytest.mark.parametrize(
     ("kwargs", "message"),
-    [({"num_uavs": 0}, "num_uavs"), ({"max_steps": 0}, "max_steps"), ({"goal_angle": "yaw"}, "goal_angle must be")],
+    [({"num_uavs": 0}, "num_uavs"), ({"max_steps": 0}, "max_steps")],
 )
 def test_settings_out_of_range_are_refused(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):

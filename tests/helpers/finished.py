@@ -31,7 +31,7 @@ def _folder() -> Path:
     kernels = {key: os.environ.get(key) for key in ("MKL_CBWR", "OPENBLAS_CORETYPE", "ATEN_CPU_CAPABILITY")}
     packages = {name: version(name) for name in ("tensordict", "scipy", "hydra-core")}
     digest = hashlib.sha256(repr((versions(), packages, processor(), kernels)).encode())
-    sources = (path for name in ("uavrl", "conf", "examples/own_parts") for path in (ROOT / name).rglob("*"))
+    sources = (path for name in ("uavrl", "conf", "examples") for path in (ROOT / name).rglob("*"))
     for path in sorted(path for path in sources if path.suffix in (".py", ".yaml")):
         digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
     folder = KEPT / digest.hexdigest()[:16]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
 from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType
 from torchrl.modules import ProbabilisticActor, TanhNormal
@@ -55,8 +56,31 @@ def fork(base: ActorCriticLoss, **kwargs: object) -> Fork:
     return Fork(base, observations=6, **(models | kwargs))
 
 
-def bipedal(base: ActorCriticLoss, **kwargs: object) -> Fork:
-    return Fork(base, system_network=SystemNet(6, 2, (8,)), observations=6, variant="bipedal", **kwargs)
+class Scale(nn.Module):
+    """A number times the sum of its inputs' first columns."""
+
+    def __init__(self, *factors: float) -> None:
+        super().__init__()
+        self.factors = nn.Parameter(torch.tensor(factors))
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        return sum(factor * value for factor, value in zip(self.factors, inputs, strict=True))
+
+
+def small_td3() -> TD3Loss:
+    """μ(s) = 2 s, Q1(s, a) = s + 3 a; the targets have Q1 = 5 a."""
+    policy = TensorDictModule(Scale(2.0), ["observation"], ["action"])
+    values = [
+        TensorDictModule(Scale(*factors), ["observation", "action"], ["state_action_value"])
+        for factors in ((1.0, 3.0), (7.0, 7.0))
+    ]
+    base = TD3Loss(policy, values, action_spec=Bounded(-9.0, 9.0, (1,)))
+    base.target_qvalue_network_params["module", "factors"].data[0] = torch.tensor([0.0, 5.0])
+    return base
+
+
+def states(*values: float) -> TensorDict:
+    return TensorDict({"observation": torch.tensor(values)[:, None]}, [len(values)])
 
 
 def lifeguard(base: ActorCriticLoss | None = None, **kwargs: object) -> LifeGuard:

@@ -38,16 +38,16 @@ SMALL = [
 # The asynchronous collector (and so preset=fast) and wandb start processes of their own, and an experiment is a sweep:
 # each takes longer than the rest together.
 GROUPS = {
-    "env": ["static", "dynamic", "bipedal_hardcore"],
+    "env": ["static", "dynamic"],
     "perception": ["truncated_icosahedron", "none", "nothing"],
-    "reward": ["navigation", "navigation_prize", "traditional", "walker", "null"],
+    "reward": ["navigation", "navigation_prize", "traditional", "null"],
     "algo": ["td3", "ddpg", "sac", "ppo"],
-    "buffer": ["uniform", "prioritized", "failure_biased", "[uniform]"],
-    "backward_reward": ["none", "abr", "abr_plus", "ircr"],
+    "buffer": ["uniform", "prioritized", "[uniform]"],
+    "backward_reward": ["none", "abr", "abr_plus"],
     "scheme": ["tr", "abr", "abr_plus", "prize", "best"],
-    "fork": ["none", "on", "walker", "off"],
+    "fork": ["none", "on", "off"],
     "lifeguard": ["none", "linear", "mlp", "tree"],
-    "learner": ["td3_lg", "td3_fork", "td3_walker", "ppo"],
+    "learner": ["td3_lg", "td3_fork", "ppo"],
     "algo.actor._target_": ["os.system", "uavrl.models.actor_critic.Critic", "torch.nn.Linear", "null"],
     "logger": ["csv", "tensorboard", "mlflow"],
     "collector": ["sync", "threads"],
@@ -80,7 +80,6 @@ def all_keys() -> dict[str, Any]:
     for overrides in (
         ["fork=on", "lifeguard=mlp", "backward_reward=abr"],
         ["algo=sac", "backward_reward=abr_plus", "buffer=prioritized", "reward=traditional"],
-        ["env=bipedal_hardcore"],
     ):
         config: DictConfig = composed("config", "run_dir=here", *overrides)
         found |= dict(leaves(config))

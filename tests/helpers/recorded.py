@@ -23,7 +23,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
-from uavrl.configs import TrainConfig, compose, to_dataclass
+from uavrl.configs import TrainConfig, compose, settings_of_run
 from uavrl.configs.build import build
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
@@ -48,7 +48,7 @@ def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
     """A packaged policy, and the configuration in which its evaluation was flown."""
     config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
     overrides = evaluation(name)["overrides"]
-    return to_dataclass(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
+    return settings_of_run(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
 
 
 def recorded(name: str) -> dict[str, Tensor]:

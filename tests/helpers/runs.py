@@ -90,36 +90,3 @@ def assert_same_run(one: Path, other: Path) -> None:
     differing = [name for name in last[0] if last[0][name] != last[1][name]]
     assert not differing
     assert len(last[0]) > 30
-
-
-WALKER = [
-    "env=bipedal_hardcore",
-    "env.max_steps=90",  # some fall before, some do not
-    "algo.random_steps=100",
-    "algo.hidden=[16,16]",
-    "algo.batch_size=8",
-    "buffer.capacity=400",
-    "buffer.success_return=-20",  # which walkers that do not fall reach
-    "trainer.checkpoint_interval=90",
-    "trainer.keep_checkpoints=10",
-    "trainer.progress=false",
-    "trainer.products=mkl",  # `auto` could turn with the machine's load
-    "trainer.execution=captured",
-]
-
-ENHANCED = [
-    "lifeguard=linear",
-    "buffer=failure_biased",
-    "algo.actor_lr=1e-3",
-    "lifeguard.min_collisions=1",
-    "lifeguard.min_evaluations=0",
-    "lifeguard.min_true_negative_rate=0",
-    "lifeguard.batch_size=8",
-    "fork=walker",
-    "fork.threshold=10",
-    "fork.system_network.hidden=[16]",
-]
-
-
-def walker_config(run_dir: Path, *overrides: str) -> DictConfig:
-    return small_config(run_dir, *overrides, base=WALKER)

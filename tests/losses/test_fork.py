@@ -9,10 +9,22 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.data import Bounded
 
 from tests.helpers.contracts import ActorCriticLossContract
-from tests.helpers.losses import SPEC, bipedal, ddpg, episodes, fork, lifeguard, sac, sampler, td3, trained
+from tests.helpers.losses import (
+    SPEC,
+    Scale,
+    ddpg,
+    episodes,
+    fork,
+    lifeguard,
+    sac,
+    sampler,
+    small_td3,
+    states,
+    td3,
+    trained,
+)  # fmt: skip
 from uavrl.losses import DDPGLoss, Enhancer, Fork, TD3Loss
 from uavrl.models import Actor, Critic, SystemNet
 
@@ -74,18 +86,6 @@ def test_what_random_layers_do_is_the_bases() -> None:
     assert loss.unenhanced.vmap_randomness == "different"
 
 
-class TestBipedalFork(ForkContract):
-    methods: ClassVar[dict[str, str]] = {
-        "value_loss": "critic",
-        "actor_loss": "actor",
-        "system_loss": "model",
-        "model_loss": "model",
-    }
-
-    def enhance(self, **kwargs: object) -> Fork:
-        return bipedal(td3(**kwargs))
-
-
 class _WithLifeGuard(ForkContract):
     def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
         data = super().make_data(dtype, size)
@@ -116,34 +116,10 @@ class TestLifeGuardOnFork(_WithLifeGuard):
 # ---------------------------------------------------------------------- by hand
 
 
-class Scale(nn.Module):
-    """A number times the sum of its inputs' first columns."""
-
-    def __init__(self, *factors: float) -> None:
-        super().__init__()
-        self.factors = nn.Parameter(torch.tensor(factors))
-
-    def forward(self, *inputs: Tensor) -> Tensor:
-        return sum(factor * value for factor, value in zip(self.factors, inputs, strict=True))
-
-
-def small(variant: str = "fork", **kwargs: object) -> Fork:
-    """μ(s) = 2 s, Q1(s, a) = s + 3 a, f(s, a) = s + a, g(s, s', a) = s - s' + 10 a; the targets have Q1 = 5 a."""
-    policy = TensorDictModule(Scale(2.0), ["observation"], ["action"])
-    values = [
-        TensorDictModule(Scale(*factors), ["observation", "action"], ["state_action_value"])
-        for factors in ((1.0, 3.0), (7.0, 7.0))
-    ]
-    base = TD3Loss(policy, values, action_spec=Bounded(-9.0, 9.0, (1,)))
-    base.target_qvalue_network_params["module", "factors"].data[0] = torch.tensor([0.0, 5.0])
-    options = {"system_network": Scale(1.0, 1.0), "observations": 1, "gamma": 0.5, "base_weight": 0.5}
-    if variant == "fork":
-        options |= {"reward_network": Scale(1.0, -1.0, 10.0), "max_reward": 10.0}
-    return Fork(base, variant=variant, **(options | kwargs))
-
-
-def states(*values: float) -> TensorDict:
-    return TensorDict({"observation": torch.tensor(values)[:, None]}, [len(values)])
+def small(**kwargs: object) -> Fork:
+    """On ``small_td3``: f(s, a) = s + a, g(s, s', a) = s - s' + 10 a."""
+    options = {"system_network": Scale(1.0, 1.0), "reward_network": Scale(1.0, -1.0, 10.0), "observations": 1}
+    return Fork(small_td3(), **(options | {"gamma": 0.5, "base_weight": 0.5, "max_reward": 10.0} | kwargs))
 
 
 def episode(rewards: list[float], observations: Tensor | None = None, width: int = 1) -> TensorDict:
@@ -181,30 +157,6 @@ def test_gradient_through_the_model_by_hand() -> None:
     assert loss.system_network_params["module", "factors"].grad is None
 
 
-def test_bipedal_actor_loss_by_hand() -> None:
-    """Target values 5 a throughout: -5 · 2 - 0.5 · 5 · 6 - 0.25 · 5 · 18 = -47.5."""
-    loss = small("bipedal")
-    loss.update_gate(0.0)
-    assert loss.actor_loss(states(1.0))[0].item() == pytest.approx(-47.5)
-
-
-def test_bipedal_actor_ascends_the_target_critic_with_the_gate_closed_too() -> None:
-    assert small("bipedal").actor_loss(states(1.0))[0].item() == pytest.approx(-10.0)
-
-
-@pytest.mark.parametrize("outside", [False, True])
-def test_the_bipedal_variant_leaves_the_loss_that_it_wraps_as_it_was(outside: bool) -> None:
-    """Q1 = s + 3 a = 7 where it stands alone; within the variant, whatever stands between, the target's 5 a = 10."""
-    loss = small("bipedal")
-    base = loss.base
-    if outside:
-        loss = Push(loss)
-    else:
-        loss.base = Push(base)
-    assert base.actor_loss(states(1.0))[0].item() == pytest.approx(-7.0)
-    assert loss.actor_loss(states(1.0))[0].item() == pytest.approx(-10.0 + 4.0)  # and Push's a²
-
-
 @pytest.mark.parametrize("make", [td3, ddpg, sac])
 def test_closed_gate_leaves_the_bases_loss(make: object) -> None:
     base = make()
@@ -224,16 +176,6 @@ def test_range_grows_and_can_be_switched_off() -> None:
         one.observe(episode([0.0], torch.tensor([[1.0], [3.0]])))
     assert (loss.observed_low.item(), loss.observed_high.item()) == (-1.0, 3.0)
     assert (free.observed_low.item(), free.observed_high.item()) == (-math.inf, math.inf)
-
-
-def test_bipedal_system_loss_leaves_out_last_steps() -> None:
-    loss = small("bipedal")
-    data = states(2.0, 2.0)
-    data["action"] = torch.ones(2, 1)
-    data["next"] = TensorDict({"observation": torch.zeros(2, 1), "done": torch.tensor([[False], [True]])}, [2])
-    assert loss.system_loss(data)[0].item() == pytest.approx(4.5)  # (3² + 0) / 2
-    with pytest.raises(ValueError, match="bipedal variant has none"):
-        loss.reward_loss(data)
 
 
 # ---------------------------------------------------------------------- weight and gate
@@ -380,18 +322,9 @@ def test_states_of_another_width_are_refused() -> None:
         small().observe(episode([1.0], width=2))
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"variant": "knife"}, "variant 'fork' or 'bipedal', got 'knife'"),
-        ({"reward_network": None}, "expected a reward_network, got none"),
-        ({"variant": "bipedal"}, "expected no reward_network, got one"),
-        ({"max_reward": None}, "expected max_reward"),
-    ],
-)
-def test_contradictory_options_are_refused(kwargs: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        fork(td3(), **kwargs)
+def test_a_missing_reward_network_is_refused() -> None:
+    with pytest.raises(ValueError, match="Fork expected a reward_network, got none"):
+        fork(td3(), reward_network=None)
 
 
 def test_an_actor_of_several_keys_is_refused() -> None:

@@ -1,13 +1,6 @@
 from __future__ import annotations
 
-import runpy
-from pathlib import Path
-from typing import Any
-
-import pytest
-
 from tests.helpers.folders import ROOT, episodes
-from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import curves, moving_rates, steps_to
 from uavrl.runs.episodes import Episode
 
@@ -39,25 +32,3 @@ def test_curves_of_seeds_that_end_at_different_episodes() -> None:
     assert steps["x"] == [10, 11, 12, 13, 14, 15], "from where both seeds have episodes to where the first ends"
     # The first seed has its first episode there, whose return is 0; the second its last two, or its last two but one.
     assert steps["low"] == [0.0] * 6 and steps["high"] == [0.5, 0.5, 0.5, 0.5, 0.5, 1.5]
-
-
-@pytest.fixture(scope="module")
-def example() -> dict[str, Any]:
-    return runpy.run_path(str(ROOT / "examples/learning_curves.py"))
-
-
-def test_the_example_draws_rates_and_returns_beside_references(example: dict[str, Any], tmp_path: Path) -> None:
-    references = example["read_returns"](REFERENCE)
-    assert {name: len(returns) for name, returns in references.items()} == {"td3_fork": 3594, "td3_lg": 5000}
-    alone, beside, rates = tmp_path / "alone.png", tmp_path / "beside.png", tmp_path / "rates.png"
-    example["plot_returns"]({"ours": episodes("caaat")}, {}, alone, window=3)
-    example["plot_returns"]({"ours": episodes("caaat")}, references, beside, window=100)
-    example["plot"]({"one": episodes("caaat")}, rates, window=3)
-    assert 5000 < alone.stat().st_size < beside.stat().st_size and rates.stat().st_size > 5000
-
-
-@pytest.mark.parametrize("content", ["", "[1, 2]", '{"td3": {"returns": [1.0]}}'])
-def test_what_holds_no_returns_is_refused(example: dict[str, Any], tmp_path: Path, content: str) -> None:
-    (tmp_path / "reference.json").write_text(content)
-    with pytest.raises(UavrlError, match="a list episode_return"):
-        example["read_returns"](tmp_path / "reference.json")

@@ -9,7 +9,9 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import check_env_specs
 
+from tests.helpers.own_parts import CHOSEN, OWN, TRUSTED
 from tests.helpers.runs import small_config
+from uavrl.configs import compose
 from uavrl.configs.checked import to_dataclass
 from uavrl.errors import UavrlError
 from uavrl.losses import Enhancer
@@ -65,8 +67,7 @@ def test_a_guide_of_ones_own_flies_the_first_steps_and_no_later_ones(tmp_path: P
 
 def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) -> None:
     told = ["guide.flight_level=3", "guide.radius=4", "guide.reduction=range_image", "guide.statistic=proximity"]
-    walker = ["env=bipedal_hardcore", "guide=vfh", *told]
-    config = small_config(tmp_path / "run", *walker, base=[])
+    config = compose(*CHOSEN, TRUSTED, "guide=vfh", *told, f"run_dir={tmp_path}", own=[OWN / "conf"])
     with pytest.raises(UavrlError, match="guide reads 'faces'"):
         make_training_env(to_dataclass(config), seed=0)
 

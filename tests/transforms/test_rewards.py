@@ -10,7 +10,6 @@ from tests.helpers.contracts import TransformContract
 from tests.helpers.small_env import SmallEnv
 from uavrl.transforms import NavigationReward, TraditionalReward, navigation_reward, traditional_reward
 from uavrl.transforms.rewards import SumOfTerms, fold_degrees
-from uavrl.transforms.sparse import SparseReward
 
 
 def transitions(*batch: int) -> TensorDict:
@@ -132,24 +131,14 @@ def test_the_reward_goes_where_it_is_wanted(transform: type, key: NestedKey) -> 
     assert torch.equal(flown["next"].get(key), transform()(flown.clone())["next", "reward"])
 
 
-def test_time_costs_but_where_a_flight_collides() -> None:
-    flags = {"arrived": torch.tensor([[False], [True], [False]]), "collided": torch.tensor([[False], [False], [True]])}
-    after = TensorDict({"distance": torch.tensor([[4.0], [0.5], [3.0]]), **flags}, [3])
-    steps = TensorDict({"distance": torch.tensor([[5.0], [1.0], [3.5]]), "next": after}, [3])
-    reward = TraditionalReward(time_cost=0.25)
-    assert reward(steps)["next", "reward"].squeeze(-1).tolist() == [0.75, 49.75, -50.0]
-    assert reward.terms(steps, after)["time"].squeeze(-1).tolist() == [-0.25, -0.25, 0.0]
-
-
 @pytest.mark.parametrize(
     "reward",
     [
         NavigationReward(arrived_reward=200.0),
         NavigationReward((3.0, 2.0, 1.0, 0.5), altitude_term="literal", collided_reward=-10.0),
-        TraditionalReward(time_cost=0.25),
-        SparseReward(),
+        TraditionalReward(),
     ],
-    ids=["prize", "literal", "traditional", "sparse"],
+    ids=["prize", "literal", "traditional"],
 )
 def test_the_reward_is_the_sum_of_its_terms_and_a_collision_alone_counts(reward: SumOfTerms) -> None:
     steps = transitions(200)

@@ -4,31 +4,25 @@ It needs torch, tensordict, torchrl and sortedcontainers.
 """
 
 from uavrl.buffers.abr import ABR, ABRPlus
-from uavrl.buffers.admission import FailureBias
 from uavrl.buffers.backward_reward import BackwardReward, StateClassifier
-from uavrl.buffers.functional import backward_reward, is_admitted, multi_step_returns
-from uavrl.buffers.history import RecentSums, TrajectoryHistory
-from uavrl.buffers.ircr import IRCR
+from uavrl.buffers.functional import backward_reward, multi_step_returns
+from uavrl.buffers.history import TrajectoryHistory
 from uavrl.buffers.multi_step import MultiStep
-from uavrl.buffers.replay import EpisodeBuffer, FailureBiasedBuffer, PrioritizedBuffer
+from uavrl.buffers.replay import EpisodeBuffer, EpisodeFilter, PrioritizedBuffer
 from uavrl.buffers.storage import FrameStorage, GatheringStorage
 
 __all__ = [
     "ABR",
-    "IRCR",
     "ABRPlus",
     "BackwardReward",
     "EpisodeBuffer",
-    "FailureBias",
-    "FailureBiasedBuffer",
+    "EpisodeFilter",
     "FrameStorage",
     "GatheringStorage",
     "MultiStep",
     "PrioritizedBuffer",
-    "RecentSums",
     "StateClassifier",
     "TrajectoryHistory",
     "backward_reward",
-    "is_admitted",
     "multi_step_returns",
 ]

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from uavrl.buffers.backward_reward import BackwardReward
-from uavrl.buffers.functional import Scale
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import TrajectoryClassifier, packaged_artifact
@@ -22,7 +21,6 @@ class ABR(BackwardReward):
         threshold: cosine similarity from which a state joins a class (Table 4.1).
         max_classes: classes that are founded at most.
         seed: of the convolution that gives the features.
-        scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
 
@@ -40,8 +38,6 @@ class ABR(BackwardReward):
         threshold: Share = 0.98,
         max_classes: Count = 20_000,
         seed: Whole = 0,
-        scale: Scale = "rank",
-        window: Count = 1000,
         *,
         stacked: int = 3,
         observations: int = 105,
@@ -58,7 +54,7 @@ class ABR(BackwardReward):
             max_classes=max_classes,
             seed=seed,
         )
-        super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
+        super().__init__(classifier, stacked, multiplier)
 
 
 class ABRPlus(BackwardReward):
@@ -67,7 +63,6 @@ class ABRPlus(BackwardReward):
     Args:
         multiplier: p_addReward.
         artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states as the default has them.
-        scale, window: as :class:`BackwardReward` has them.
         stacked: observations in a state.
         observations: width of the state.
         perception: the run's; an artifact of another one is refused. What one of the two does not tell is not compared.
@@ -85,8 +80,6 @@ class ABRPlus(BackwardReward):
         self,
         multiplier: NonNegative = 0.2,
         artifact: Folder = "packaged",
-        scale: Scale = "rank",
-        window: Count = 1000,
         *,
         stacked: int = 3,
         observations: int = 105,
@@ -102,7 +95,7 @@ class ABRPlus(BackwardReward):
             kept.mkdir()
             for name in (ARTIFACT.safetensors, ARTIFACT.json):  # and nothing that lies beside them
                 shutil.copyfile(source / name, kept / name)
-        super().__init__(classifier, stacked, multiplier, scale=scale, window=window)
+        super().__init__(classifier, stacked, multiplier)
 
 
 def _require_its_states(

@@ -2,15 +2,15 @@
 
 import time
 from itertools import pairwise
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from uavrl.buffers.functional import Scale, backward_reward, check_labels, window_ends
-from uavrl.buffers.history import RecentSums, TrajectoryHistory
+from uavrl.buffers.functional import backward_reward, check_labels, window_ends
+from uavrl.buffers.history import TrajectoryHistory
 
 
 class StateClassifier(Protocol):
@@ -44,10 +44,6 @@ class BackwardReward(Transform):
         classifier: puts states into classes.
         frames: p_frames, steps in a window.
         multiplier: p_addReward (Table 4.1: "extra reward multiplier").
-        scale: what is paid times ``multiplier``. ``"rank"``: the place m among all distinct sums of the class (the
-            thesis), which grows as more are seen. ``"centred"``: the place among the class's last sums, from -1 for
-            the lowest to 1, on average nothing, so that no flight is paid for lasting longer.
-        window: sums of a class that ``"centred"`` compares with.
         history: H to start from; a new one if not given.
         observation: key of the states, ``[*B, T, *S]``.
         reward: key of the rewards, one a step; the relabelled ones go there.
@@ -82,9 +78,7 @@ class BackwardReward(Transform):
         frames: int = 3,
         multiplier: float = 0.2,
         *,
-        scale: Scale = "rank",
-        window: int = 1000,
-        history: TrajectoryHistory | RecentSums | None = None,
+        history: TrajectoryHistory | None = None,
         observation: NestedKey = "observation",
         reward: NestedKey = ("next", "reward"),
         arrived: NestedKey = ("next", "arrived"),
@@ -100,14 +94,7 @@ class BackwardReward(Transform):
         self.classifier = classifier
         self.frames = frames
         self.multiplier = multiplier
-        if scale not in get_args(Scale):
-            raise ValueError(f"scale must be one of {', '.join(get_args(Scale))}, got {scale!r}.")
-        self.scale: str = scale
-        if history is not None and isinstance(history, TrajectoryHistory) != (scale == "rank"):
-            raise ValueError(f"scale={scale!r} does not go with a {type(history).__name__}.")
-        if history is None:
-            history = TrajectoryHistory() if scale == "rank" else RecentSums(window)
-        self.history = history
+        self.history = TrajectoryHistory() if history is None else history
         self.episodes = 0
         self.mean_extra = 0.0
         self.relabelling_seconds = 0.0
@@ -130,7 +117,7 @@ class BackwardReward(Transform):
         states, reward, arrived, done = (self._steps(tensordict, key) for key in self.in_keys_inv)
         _check_whole(done, tensordict.batch_size)
         start_time = time.perf_counter()
-        new = self._relabel(
+        new = self.relabel(
             states, _one_a_step(reward, reward_key), _one_a_step(arrived, "arrived"), _one_a_step(done, "done")
         )
         self.relabelling_seconds += time.perf_counter() - start_time
@@ -149,8 +136,8 @@ class BackwardReward(Transform):
             raise ValueError("Expected whole episodes [T], got a single step: collect an episode, then extend.")
         return value.flatten(0, tensordict.batch_dims - 1)
 
-    def _relabel(self, states: Tensor, reward: Tensor, arrived: Tensor, done: Tensor) -> Tensor:
-        """New rewards ``[T]`` of flat data that holds whole episodes."""
+    def relabel(self, states: Tensor, reward: Tensor, arrived: Tensor, done: Tensor) -> Tensor:
+        """New rewards ``[T]`` of flat data that holds whole episodes; a rule of one's own overrides this."""
         arrivals = [(start, end) for start, end in episode_bounds(done) if arrived[end - 1]]
         windows = [window_ends(end - start, self.frames) + start for start, end in arrivals]
         new = reward.clone()

@@ -6,14 +6,10 @@ Algorithm 3.1 counts steps from 1: a_t is taken in s_t, earns r_t and leads to s
 Z - p_frames + 1 to Z with Z = k p_frames; the thesis prints k + p_frames, by which all windows would overlap.
 """
 
-from typing import Literal
-
 import torch
 from torch import Tensor
 
-from uavrl.buffers.history import RecentSums, TrajectoryHistory
-
-Scale = Literal["rank", "centred"]
+from uavrl.buffers.history import TrajectoryHistory
 
 
 def window_ends(steps: int, frames: int = 3) -> Tensor:
@@ -72,15 +68,14 @@ def window_sums(reward: Tensor, frames: int = 3) -> Tensor:
 def backward_reward(
     reward: Tensor,
     labels: Tensor,
-    history: TrajectoryHistory | RecentSums,
+    history: TrajectoryHistory,
     *,
     frames: int = 3,
     multiplier: float = 0.2,
 ) -> Tensor:
     """Relabels one episode that arrived: r += m p_addReward in each window (Eq. 3.5, Algorithm 3.1).
 
-    m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included. With
-    :class:`RecentSums` it is the place of the sum, not floored, among the last ones, from -1 to 1.
+    m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included.
     The windows enter the history one after the other, so that earlier ones of the same episode count.
 
     Args:
@@ -104,8 +99,6 @@ def backward_reward(
         ([1.0, 1.0, 1.0, 2.5, 2.5, 2.5, 5.0], [3, 6])
     """
     sums = window_sums(reward, frames)
-    if isinstance(history, TrajectoryHistory):
-        sums = sums.floor().long()
     check_labels(labels, len(sums))
     ranks = [history.insert_and_rank(label, r) for label, r in zip(labels.tolist(), sums.tolist(), strict=True)]
     places = torch.tensor(ranks, dtype=torch.float64)
@@ -147,32 +140,6 @@ def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int)
     for i in range(n_steps):
         returns += gamma**i * torch.where(i < steps, reward.roll(-i), 0.0)
     return returns, steps
-
-
-def is_admitted(
-    episode_return: float,
-    fell: bool,
-    falls: int,
-    coin: float,
-    *,
-    success_return: float = 250.0,
-    probability: float = 0.5,
-) -> bool:
-    """Whether an episode is stored (Wei & Ying (2020), their code for the hard-core walker).
-
-    Args:
-        episode_return: as the environment gave it.
-        fell: whether the episode ended by a fall.
-        falls: the fall counter, with this episode's.
-        coin: a number drawn uniformly from [0, 1).
-        success_return: return from which an episode without a fall is a success.
-        probability: of a success to be stored while the counter is positive.
-
-    Examples:
-        >>> [is_admitted(300.0, False, falls, coin) for falls, coin in ((0, 0.1), (3, 0.1), (3, 0.9))]
-        [False, True, False]
-    """
-    return fell or episode_return < success_return or (falls > 0 and coin < probability)
 
 
 def check_labels(labels: Tensor, count: int) -> None:

@@ -1,9 +1,8 @@
-"""What the backward reward remembers of each class of trajectories: all distinct sums seen, or the last ones."""
+"""What the backward reward remembers of each class of trajectories: all distinct sums seen."""
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from math import isfinite
+from math import floor
 from operator import index
 from typing import Any, ClassVar
 
@@ -12,11 +11,24 @@ from sortedcontainers import SortedList
 from torch import Tensor
 
 
-class _ClassHistory:
-    """What is remembered of each class of trajectories, and how a checkpoint keeps it."""
+class TrajectoryHistory:
+    """The trajectories' history H of Chansuparp (2022), §3.4: class → its distinct integers, sorted.
 
-    _values: dict[int, Any]
-    dtype: ClassVar[torch.dtype]  # of the values in a checkpoint
+    An insertion takes about the logarithm of the number of values in the class. There is no bound: a class holds
+    as many values as there are different floored sums, a few hundred at most for the rewards of navigation.
+
+    Examples:
+        >>> history = TrajectoryHistory()
+        >>> [history.insert_and_rank(7, value) for value in (12, 4, 9, 4)]
+        [0, 0, 1, 0]
+        >>> history.values(7), history.classes, len(history)
+        ([4, 9, 12], [7], 3)
+    """
+
+    dtype: ClassVar[torch.dtype] = torch.int64  # of the values in a checkpoint
+
+    def __init__(self) -> None:
+        self._values: dict[int, Any] = {}
 
     def __len__(self) -> int:
         """How many values are stored, in all classes together."""
@@ -40,44 +52,24 @@ class _ClassHistory:
         """
         return _flat({label: self._values[label] for label in self.classes}, self.dtype)
 
-
-class TrajectoryHistory(_ClassHistory):
-    """The trajectories' history H of Chansuparp (2022), §3.4: class → its distinct integers, sorted.
-
-    An insertion takes about the logarithm of the number of values in the class. There is no bound: a class holds
-    as many values as there are different floored sums, a few hundred at most for the rewards of navigation.
-
-    Examples:
-        >>> history = TrajectoryHistory()
-        >>> [history.insert_and_rank(7, value) for value in (12, 4, 9, 4)]
-        [0, 0, 1, 0]
-        >>> history.values(7), history.classes, len(history)
-        ([4, 9, 12], [7], 3)
-    """
-
-    dtype = torch.int64
-
-    def __init__(self) -> None:
-        self._values = {}
-
     def values(self, label: int) -> list[int]:
         """The distinct values of a class in ascending order; none for a class not seen."""
         return list(self._values.get(label, ()))
 
-    def insert_and_rank(self, label: int, value: int) -> int:
+    def insert_and_rank(self, label: int, value: float) -> float:
         """Inserts a value into its class, unless it is there, and tells its place (Algorithm 3.1, "return m").
 
         Args:
             label: the class l.
-            value: the floored sum R.
+            value: the sum R, which is floored.
 
         Returns:
             m: how many values of the class are smaller.
 
         Raises:
-            TypeError: when either is no integer.
+            TypeError: when the label is no integer, or the value no number.
         """
-        label, value = index(label), index(value)
+        label, value = index(label), floor(value)
         known = self._values.setdefault(label, SortedList())
         rank = known.bisect_left(value)
         if rank == len(known) or known[rank] != value:
@@ -96,74 +88,6 @@ class TrajectoryHistory(_ClassHistory):
                 f"Expected {len(parts)} classes whose values ascend: the state is damaged, take an older one."
             )
         self._values = {label: SortedList(values) for label, values in parts.items()}
-
-
-class RecentSums(_ClassHistory):
-    """The last sums of each class, as often as they came: what a new one is compared with does not grow for ever.
-
-    The sums are not floored: of a reward that is the progress in metres nothing would be left.
-
-    Args:
-        window: sums that are kept of each class.
-
-    Examples:
-        >>> recent = RecentSums(window=3)
-        >>> [round(recent.insert_and_rank(7, value), 2) for value in (0.5, 0.1, 0.3, 0.3)]
-        [0.0, -0.5, 0.0, 0.33]
-        >>> recent.values(7), recent.classes, len(recent)
-        ([0.1, 0.3, 0.3], [7], 3)
-    """
-
-    dtype = torch.float64
-
-    def __init__(self, window: int = 1000) -> None:
-        if window < 1:
-            raise ValueError(f"Expected a window of at least 1, got {window}.")
-        self.window = window
-        self._values = {}
-        self._sorted: dict[int, SortedList] = {}
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}(window={self.window}, classes={len(self._values)}, values={len(self)})"
-
-    def values(self, label: int) -> list[float]:
-        """The kept sums of a class in the order in which they came; none for a class not seen."""
-        return list(self._values.get(label, ()))
-
-    def insert_and_rank(self, label: int, value: float) -> float:
-        """Inserts a sum into its class and tells its place among those kept, itself included.
-
-        Args:
-            label: the class l.
-            value: the sum of a window's rewards.
-
-        Returns:
-            2 F̂ - 1, with F̂ the share of smaller sums and half the share of equal ones; in (-1, 1), on average 0.
-
-        Raises:
-            TypeError: when the label is no integer.
-            ValueError: for a sum that is not finite, which nothing can be compared with.
-        """
-        label = index(label)
-        if not isfinite(value):
-            raise ValueError(f"Expected a finite sum, got {value}: check the reward.")
-        came = self._values.setdefault(label, deque())
-        known = self._sorted.setdefault(label, SortedList())
-        came.append(value)
-        known.add(value)
-        if len(came) > self.window:
-            known.remove(came.popleft())
-        return (known.bisect_left(value) + known.bisect_right(value)) / len(known) - 1
-
-    def load_state_dict(self, state_dict: Mapping[str, Tensor]) -> None:
-        """Replaces everything by what :meth:`state_dict` gave; of more than the window the last ones are kept.
-
-        Raises:
-            ValueError: when the tensors do not fit together.
-        """
-        parts = _parts(state_dict)
-        self._values = {label: deque(values[-self.window :]) for label, values in parts.items()}
-        self._sorted = {label: SortedList(values) for label, values in self._values.items()}
 
 
 def _flat(values: Mapping[int, Sequence[float]], dtype: torch.dtype) -> dict[str, Tensor]:

@@ -1,14 +1,33 @@
 """Replay buffers of whole episodes, as a run chooses among them."""
 
-from typing import Any
+from typing import Any, Protocol
 
+from tensordict import TensorDictBase
 from torchrl.data import PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
 from torchrl.data.replay_buffers import Sampler
 from torchrl.envs import Transform
 
-from uavrl.buffers.admission import FailureBias
 from uavrl.buffers.storage import FrameStorage
-from uavrl.ranges import Count, Fraction, Whole
+from uavrl.ranges import Count, Fraction
+
+
+class EpisodeFilter(Protocol):
+    """Chooses which episodes a buffer stores; its state goes into checkpoints."""
+
+    updates_when_left_out: int
+    """Updates of all but actor and targets after an episode that is not stored."""
+
+    def keeps(self, episode: TensorDictBase) -> bool:
+        """Whether one whole episode ``[T]`` is stored; asked once for each, with all that the environment emits."""
+
+    def diagnostics(self) -> dict[str, float]:
+        """Numbers worth logging."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """What :meth:`load_state_dict` restores."""
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Goes on where another was."""
 
 
 class EpisodeBuffer(TensorDictReplayBuffer):
@@ -31,11 +50,8 @@ class EpisodeBuffer(TensorDictReplayBuffer):
         torch.Size([5, 3])
     """
 
-    admission: FailureBias | None = None
-    """What decides which episodes are stored; None stores all."""
-
-    updates_when_left_out = 0
-    """Updates of all but actor and targets after an episode that is not stored."""
+    filter: EpisodeFilter | None = None
+    """What chooses the episodes that are stored; None stores all."""
 
     reads: tuple[str, ...] = ()
     """What the environment must emit for it."""
@@ -72,37 +88,3 @@ class PrioritizedBuffer(EpisodeBuffer):
 
     def __init__(self, capacity: Count = 1_000_000, alpha: Fraction = 0.6, beta: Fraction = 0.4, **kwargs: Any) -> None:
         super().__init__(capacity, sampler=PrioritizedSampler(capacity, alpha, beta), **kwargs)
-
-
-class FailureBiasedBuffer(EpisodeBuffer):
-    """Keeps most episodes that succeed out (Wei & Ying (2020), their code for the hard-core walker).
-
-    Args:
-        capacity: transitions.
-        success_return: this and what follows as in :class:`FailureBias`.
-        probability: of a success to be stored.
-        falls_per_success: that a stored success takes from the counter.
-        updates_when_left_out: of all but actor and targets after an episode that is not stored.
-        seed: of the coin.
-        **kwargs: as in :class:`EpisodeBuffer`.
-
-    Examples:
-        >>> FailureBiasedBuffer(100, probability=0.1).admission.probability
-        0.1
-    """
-
-    reads = ("episode_reward", "collided")
-
-    def __init__(
-        self,
-        capacity: Count = 1_000_000,
-        success_return: float = 250.0,
-        probability: Fraction = 0.5,
-        falls_per_success: Whole = 10,
-        updates_when_left_out: Whole = 100,
-        seed: int = 0,
-        **kwargs: Any,
-    ) -> None:
-        super().__init__(capacity, **kwargs)
-        self.admission = FailureBias(success_return, probability, falls_per_success, seed)
-        self.updates_when_left_out = updates_when_left_out

@@ -40,7 +40,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
             configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
             with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
                 choices = HydraConfig.get().runtime.choices
-                check_choices(choices)
+                check_choices(choices, _command_line()[0])
                 function(with_choices(config, choices) if "env" in config else config)
 
         mistakes = _Mistakes(name)

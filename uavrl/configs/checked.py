@@ -10,6 +10,7 @@ from omegaconf.errors import OmegaConfBaseException
 from uavrl.configs.offered import without_offered
 from uavrl.configs.parts import PARTS, TARGET, checked_parts
 from uavrl.configs.parts import plain as plain_values
+from uavrl.configs.recorded import without_gone
 from uavrl.configs.train import TrainConfig
 from uavrl.configs.typed import require_known, typed
 from uavrl.errors import UavrlError
@@ -24,7 +25,7 @@ def to_dataclass(config: DictConfig) -> TrainConfig:
 
 def settings_of_run(config: DictConfig) -> TrainConfig:
     """The settings that a run has recorded; products in bfloat16, which there are no longer, become float32."""
-    recorded = without_offered(config)
+    recorded = without_gone(without_offered(config))
     if OmegaConf.select(recorded, "trainer.products") == "bf16":
         recorded.trainer.products = "mkl"
     return to_dataclass(recorded)

@@ -68,11 +68,12 @@ def _dotted(node: object) -> set[str]:
     return keys | {f"{key}.{below}" for key in keys for below in _dotted(node[key])}
 
 
-def check_choices(choices: Mapping[str, str | None]) -> None:
-    """Refuses choices that a scheme or a learner contradicts."""
+def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -> None:
+    """Refuses choices that a scheme or a learner contradicts, one of the user's folders too."""
     for row in ROWS:
-        path = conf_dir() / row / f"{choices.get(row)}.yaml"
-        for entry in OmegaConf.load(path).defaults if path.is_file() else []:
+        paths = (folder / row / f"{choices.get(row)}.yaml" for folder in (conf_dir(), *own))
+        path = next(filter(Path.is_file, paths), None)
+        for entry in _content(path).get("defaults", []) if path else []:
             for override, chosen in entry.items() if not isinstance(entry, str) else []:
                 group = str(override).removeprefix("override /")
                 if choices.get(group) != chosen:

@@ -39,8 +39,6 @@ MOST: dict[str, float] = {
     "trainer.updates_per_step": 100,
     "trainer.threads": 256,
     "threads": 256,
-    "buffer.updates_when_left_out": 10_000,
-    "buffer.falls_per_success": 1e9,
 }
 
 

@@ -1,10 +1,9 @@
-"""Environments: the valley, its quadrotors, their LiDAR and the navigation task; and the bipedal walker."""
+"""Environments: the valley, its quadrotors, their LiDAR and the navigation task."""
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from uavrl.envs.bipedal import BipedalEnv
     from uavrl.envs.lidar import Lidar, LidarConfig
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.envs.quadrotor import Aerodynamics, Airframe
@@ -13,14 +12,13 @@ if TYPE_CHECKING:
 _MODULES = {
     "Aerodynamics": "quadrotor",
     "Airframe": "quadrotor",
-    "BipedalEnv": "bipedal",
     "Lidar": "lidar",
     "LidarConfig": "lidar",
     "NavigationEnv": "navigation",
     "World": "world",
     "WorldConfig": "world",
 }
-__all__ = ["Aerodynamics", "Airframe", "BipedalEnv", "Lidar", "LidarConfig", "NavigationEnv", "World", "WorldConfig"]
+__all__ = ["Aerodynamics", "Airframe", "Lidar", "LidarConfig", "NavigationEnv", "World", "WorldConfig"]
 
 
 def __getattr__(name: str) -> Any:

@@ -19,14 +19,3 @@ def goal_elevation_deg(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """G (§3.2): the elevation angle from the UAV's position to the goal, degrees in [0, 360)."""
     to_goal = goal - position
     return wrap_degrees(np.arctan2(to_goal[:, 2], np.hypot(to_goal[:, 0], to_goal[:, 1])))
-
-
-def goal_course_deg(position: np.ndarray, velocity: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """The other reading of g: the angle between the direction of motion and the goal, degrees in [0, 180].
-
-    It is 0 where the UAV or the distance to the goal is at rest (below 1e-6).
-    """
-    to_goal = goal - position
-    norms = np.sqrt((to_goal**2).sum(1) * (velocity**2).sum(1))
-    cosine = (to_goal * velocity).sum(1) / np.maximum(norms, 1e-6)
-    return np.where(norms > 1e-6, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), 0.0)

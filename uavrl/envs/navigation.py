@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from uavrl.envs.goal_angles import goal_course_deg, goal_elevation_deg, goal_heading_deg
+from uavrl.envs.goal_angles import goal_elevation_deg, goal_heading_deg
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
@@ -24,7 +24,6 @@ from uavrl.errors import UavrlError
 from uavrl.ranges import Count
 from uavrl.transforms.state import ACTION_LIMIT
 
-GoalAngle = Literal["elevation", "course"]
 Hidden = Literal["planes"]
 CONTROL_RATE = 10  # Hz
 PHYSICS_RATE = 240  # Hz
@@ -58,7 +57,6 @@ class NavigationEnv(EnvBase):
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
         max_steps: steps until an episode is truncated (Table 4.1: 300).
-        goal_angle: ``"elevation"``, or ``"course"`` for the other reading of g.
         blind: whether the LiDAR reports nothing at all, so that only altitude and angles tell the UAV anything; nothing
             is cast then.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
@@ -87,7 +85,6 @@ class NavigationEnv(EnvBase):
         airframe: Airframe | None = None,
         aerodynamics: Aerodynamics | None = None,
         max_steps: Count = 300,
-        goal_angle: GoalAngle = "elevation",
         blind: bool = False,
         blind_to: Hidden | None = None,
         measure_clearance: bool = False,
@@ -96,14 +93,11 @@ class NavigationEnv(EnvBase):
         device: torch.device | str = "cpu",
     ) -> None:
         num_uavs, max_steps = whole("num_uavs", num_uavs, 1), whole("max_steps", max_steps, 1)
-        if goal_angle not in ("elevation", "course"):
-            raise ValueError(f"goal_angle must be 'elevation' or 'course', got {goal_angle!r}.")
         if blind_to not in (None, "planes"):
             raise ValueError(f"blind_to must be None or 'planes', got {blind_to!r}.")
         super().__init__(device=device, batch_size=torch.Size([num_uavs]))
         self.num_uavs = num_uavs
         self.max_steps = max_steps
-        self.goal_angle = goal_angle
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
@@ -278,15 +272,11 @@ class NavigationEnv(EnvBase):
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
         simulation = self.simulation
         position, velocity = simulation.position, simulation.velocity
-        if self.goal_angle == "course":
-            elevation = goal_course_deg(position, velocity, self._goal)
-        else:
-            elevation = goal_elevation_deg(position, self._goal)
         data = {
             "point_cloud": self._scan(index),
             "altitude": position[:, 2:],
             "heading_deg": goal_heading_deg(position, simulation.yaw, self._goal)[:, None],
-            "elevation_deg": elevation[:, None],
+            "elevation_deg": goal_elevation_deg(position, self._goal)[:, None],
             "distance": self._distance()[:, None],
             "position": position,
             "velocity": velocity,

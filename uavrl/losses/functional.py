@@ -5,11 +5,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 __all__ = [
-    "bipedal_fork_objective",
+    "check_episodes",
     "clamped_smooth_l1",
+    "episode_returns",
     "fork_objective",
     "fork_weight",
-    "masked_mse",
 ]
 
 
@@ -41,28 +41,6 @@ def fork_objective(g_t: Tensor, g_tp1: Tensor, q_tp2: Tensor, weight: float | Te
     """
     _same_shape(g_t=g_t, g_tp1=g_tp1, q_tp2=q_tp2)
     return -weight * (g_t + gamma * g_tp1 + gamma**2 * q_tp2)
-
-
-def bipedal_fork_objective(q_tp1: Tensor, q_tp2: Tensor, weight: float | Tensor) -> Tensor:
-    """What FORK's variant for the bipedal walker adds: ``-w Q'_tp1 - 0.5 w Q'_tp2``, without predicted rewards.
-
-    Args:
-        q_tp1: ``[*B]``, target value of the action at the first predicted state.
-        q_tp2: ``[*B]``, target value of the action at the second predicted state.
-        weight: w.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: when the shapes differ.
-
-    Examples:
-        >>> bipedal_fork_objective(torch.tensor([2.0]), torch.tensor([4.0]), 0.5)
-        tensor([-2.])
-    """
-    _same_shape(q_tp1=q_tp1, q_tp2=q_tp2)
-    return -weight * (q_tp1 + 0.5 * q_tp2)
 
 
 def fork_weight(returns: Tensor, max_reward: float, base_weight: float = 0.6) -> Tensor:
@@ -117,25 +95,37 @@ def clamped_smooth_l1(prediction: Tensor, target: Tensor, low: Tensor, high: Ten
     return F.smooth_l1_loss(prediction.clamp(low, high), target, reduction="none").mean(-1)
 
 
-def masked_mse(prediction: Tensor, target: Tensor, done: Tensor) -> Tensor:
-    """Squared error times ``1 - done``, averaged over the dimensions.
+def episode_returns(reward: Tensor, done: Tensor) -> Tensor:
+    """The undiscounted returns ``[E]`` of whole episodes, end to end.
 
     Args:
-        prediction: ``[*B, D]``.
-        target: ``[*B, D]``.
-        done: ``[*B]`` boolean; such samples count as 0.
-
-    Returns:
-        ``[*B]``.
-
-    Raises:
-        ValueError: when the shapes do not match.
+        reward: ``[T]``.
+        done: ``[T]`` boolean, true where an episode ends.
 
     Examples:
-        >>> prediction, target = torch.tensor([[1.0, 3.0], [7.0, 7.0]]), torch.zeros(2, 2)
-        >>> masked_mse(prediction, target, torch.tensor([False, True]))
-        tensor([5., 0.])
+        >>> episode_returns(torch.tensor([1.0, 2.0, 5.0]), torch.tensor([False, True, True]))
+        tensor([3., 5.])
     """
-    _same_shape(prediction=prediction, target=target)
-    _same_shape(done=done, each_of_prediction=prediction[..., 0])
-    return torch.where(done, 0.0, (prediction - target).square().mean(-1))
+    episode = done.cumsum(0) - done.long()
+    return reward.new_zeros(int(done.sum())).index_add(0, episode, reward)
+
+
+def check_episodes(states: Tensor, rewards: Tensor, done: Tensor, *, width: int) -> None:
+    """Refuses what are not whole episodes, end to end, of states ``[T, width]`` and finite numbers.
+
+    Raises:
+        ValueError: saying what is wrong.
+
+    Examples:
+        >>> check_episodes(torch.zeros(2, 3), torch.zeros(2), torch.tensor([False, True]), width=3)
+    """
+    if states.ndim != 2 or not len(done) or not done[-1]:
+        raise ValueError(
+            f"observe expected whole episodes [T], the last step done, got states {list(states.shape)} that are not: "
+            f"flatten them, and leave out the episode that has not ended."
+        )
+    if states.shape[-1] != width:
+        raise ValueError(f"observe expected states of width {width}, got {states.shape[-1]}: set observations.")
+    for name, values in (("states", states), ("rewards", rewards)):
+        if bad := int((~torch.isfinite(values)).sum()):
+            raise ValueError(f"observe expected finite {name}, got {bad} values that are not: mend the world.")

@@ -14,7 +14,7 @@ TASK, NOT_TASK = ("env", "perception"), ("env.num_uavs",)
 _SHOWN = 3  # differences that a sentence or a label names
 # Names of choices in a label; another choice, somebody's own perhaps, goes by the name of its yaml.
 _NAMES = {
-    "fork": {"on": "FORK", "walker": "FORK"},
+    "fork": {"on": "FORK"},
     "lifeguard": {"linear": "LG", "mlp": "LG (MLP)"},
     "backward_reward": {"abr": "ABR", "abr_plus": "ABR⁺"},
     "reward": {"traditional": "TR", "navigation": "Eq. 3.6", "navigation_prize": "prize"},

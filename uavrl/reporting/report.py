@@ -20,7 +20,6 @@ from uavrl.runs.episodes import RATES, Episode, mean_terms, wilson
 
 FORMAT = 2  # of the JSON file
 _PLACES = ("run_dir", "resume")  # of the machine that made a run
-_TITLES = {"bipedal_hardcore": "Training runs of the hard-core bipedal walker"}
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def make_report(
     rows = [facts[group.label] for group in groups]
     env = str(groups[0].runs[0].choices.get("env"))
     return Report(
-        title=title or _TITLES.get(env, f"Training runs in the {env} valley"),
+        title=title or f"Training runs, env={env}",
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=uavrl.__version__,
         window=window,

@@ -42,7 +42,7 @@ class StraightPolicy:
         return tensordict.set("action", torch.cat([forward, torch.zeros_like(forward), climb, turn], -1))
 
 
-# Chosen in valleys 200 to 209: the first by benchmarks/tune_vfh.py, but for its level, 0.121 there, with which climbing
+# Chosen in valleys 200 to 209: the first by studies/tune_vfh.py, but for its level, 0.121 there, with which climbing
 # 0.96 m/s cost more on the way to the goal than it saved; the last as the best of a dozen tried by hand. The second is
 # a first guess. Each makes the rule return to the flight level: level * 0.96 > (goal + turn) * 0.12 at 0.5 rad.
 COSTS: dict[tuple[Reduction, Statistic], Costs] = {

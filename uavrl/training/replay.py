@@ -32,12 +32,13 @@ class Experience:
         self.batch_size = batch_size
         self.updates_per_step = updates_per_step
         self.prioritized = hasattr(buffer.sampler, "alpha")
+        self.filter = buffer.filter
         self._owed = 0.0
 
-    def admitted(self, episodes: TensorDictBase) -> TensorDictBase:
-        """What is stored of whole episodes ``[T]``: those that the buffer admits, with what is learned from."""
-        if self.buffer.admission is not None:
-            kept = [episode for episode in split_episodes(episodes) if self.buffer.admission.admits(episode)]
+    def filtered(self, episodes: TensorDictBase) -> TensorDictBase:
+        """What is stored of whole episodes ``[T]``: those that the buffer's filter keeps, with what is learned from."""
+        if self.filter is not None:
+            kept = [episode for episode in split_episodes(episodes) if self.filter.keeps(episode)]
             episodes = torch.cat(kept) if kept else episodes[:0]
         return episodes.select(*STORED_KEYS).update(episodes.select(GUIDE_ACTION, strict=False))
 
@@ -46,8 +47,8 @@ class Experience:
         if len(episodes):
             self.buffer.extend(episodes)
             self._owed += len(episodes) * self.updates_per_step
-        elif len(self.buffer):
-            self._owed += self.buffer.updates_when_left_out
+        elif self.filter is not None and len(self.buffer):
+            self._owed += self.filter.updates_when_left_out
         updates = int(self._owed)
         self._owed -= updates
         return updates
@@ -69,16 +70,15 @@ class Experience:
             self.buffer.update_tensordict_priority(batch)
 
     def diagnostics(self) -> dict[str, float]:
-        """What the buffer left out, where it leaves something out."""
-        return {} if self.buffer.admission is None else self.buffer.admission.diagnostics()
+        """What the buffer's filter says."""
+        return {} if self.filter is None else self.filter.diagnostics()
 
     def state_dict(self) -> dict[str, Any]:
-        """The fraction of an update still owed, and what the admission counts."""
-        admission = self.buffer.admission
-        return {"owed": self._owed} | ({} if admission is None else {"admission": admission.state_dict()})
+        """The fraction of an update still owed, and the state of the buffer's filter."""
+        return {"owed": self._owed} | ({} if self.filter is None else {"filter": self.filter.state_dict()})
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self._owed = state_dict["owed"]
-        if self.buffer.admission is not None:
-            self.buffer.admission.load_state_dict(state_dict["admission"])
+        if self.filter is not None:
+            self.filter.load_state_dict(state_dict["filter"])

@@ -18,7 +18,6 @@ GROUPS: dict[str, tuple[type, ...]] = {
         transforms.NavigationState,
         transforms.NavigationReward,
         transforms.TraditionalReward,
-        transforms.WalkerReward,
     ),
     "loss": (
         losses.TD3Loss,

@@ -99,7 +99,7 @@ class EpisodeTrainer:
         with self._silence, self._kept():  # says what is waited for where no episode ends for long
             for episode in self.collector:  # a_t = clip(μ(s_t) + ε, a_low, a_high) until d_t
                 self.collected_frames += len(episode)
-                stored = self.experience.admitted(episode)
+                stored = self.experience.filtered(episode)
                 if self.backward_reward is not None:
                     stored = self.backward_reward.inv(stored)  # r += m P_addReward, where it arrived
                 updates = self.experience.store(stored)

@@ -17,7 +17,6 @@ from uavrl.transforms.rewards import (
 )
 from uavrl.transforms.state import NavigationState
 from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
-from uavrl.transforms.walker import WalkerReward, walker_reward
 
 __all__ = [
     "REDUCTIONS",
@@ -31,7 +30,6 @@ __all__ = [
     "SumOfTerms",
     "TraditionalReward",
     "TruncatedIcosahedron",
-    "WalkerReward",
     "mirror_action",
     "mirror_observation",
     "navigation_observation",
@@ -39,5 +37,4 @@ __all__ = [
     "navigation_terms",
     "traditional_reward",
     "traditional_terms",
-    "walker_reward",
 ]

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform, TransformedEnv
 
-from uavrl.ranges import NonNegative, Positive
+from uavrl.ranges import Positive
 
 RewardTerms = Callable[[TensorDictBase, TensorDictBase], dict[str, Tensor]]  # as :meth:`SumOfTerms.terms`
 AltitudeTerm = Literal["absolute", "literal"]
@@ -51,7 +51,6 @@ def traditional_terms(
     *,
     arrived_reward: float = 50.0,
     collided_reward: float = -50.0,
-    time_cost: float = 0.0,
 ) -> dict[str, Tensor]:
     """Chansuparp (2022), Eq. 2.15 with Table 4.1: a prize, a punishment, else the progress made.
 
@@ -62,10 +61,9 @@ def traditional_terms(
         collided_t: bool ``[*B]``; wins where both are true.
         arrived_reward: r_g.
         collided_reward: r_c.
-        time_cost: of a step that does not collide; the thesis has none, and without it there is no such term.
 
     Returns:
-        The terms whose sum is the reward, each ``[*B]``: progress, time, arrival, collision.
+        The terms whose sum is the reward, each ``[*B]``: progress, arrival, collision.
 
     Examples:
         >>> t = torch.tensor
@@ -73,10 +71,7 @@ def traditional_terms(
         >>> {name: term.tolist() for name, term in terms.items()}
         {'progress': [0.5, 0.0], 'arrival': [0.0, 50.0], 'collision': [0.0, 0.0]}
     """
-    progress = distance_tm1 - distance_t
-    terms = {"progress": progress.masked_fill(arrived_t, 0.0)}
-    if time_cost:
-        terms["time"] = torch.full_like(progress, -time_cost)
+    terms = {"progress": (distance_tm1 - distance_t).masked_fill(arrived_t, 0.0)}
     return _with_ends(terms, arrived_t, collided_t, arrived_reward, collided_reward)
 
 
@@ -224,7 +219,6 @@ class TraditionalReward(SumOfTerms):
     Args:
         arrived_reward: r_g.
         collided_reward: r_c.
-        time_cost: what each step costs, so that waiting is never free; the thesis has none.
         distance: key of the distance to the goal, m.
         arrived: key of the bool that tells an arrival.
         collided: key of the bool that tells a collision.
@@ -244,7 +238,6 @@ class TraditionalReward(SumOfTerms):
         self,
         arrived_reward: float = 50.0,
         collided_reward: float = -50.0,
-        time_cost: NonNegative = 0.0,
         *,
         distance: NestedKey = "distance",
         arrived: NestedKey = "arrived",
@@ -254,7 +247,6 @@ class TraditionalReward(SumOfTerms):
         super().__init__(in_keys=[distance, arrived, collided], out_keys=[out_key])
         self.arrived_reward = arrived_reward
         self.collided_reward = collided_reward
-        self.time_cost = time_cost
 
     def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
         """As :func:`traditional_terms` gives them."""
@@ -263,7 +255,6 @@ class TraditionalReward(SumOfTerms):
             *(self._get(after, key) for key in self.in_keys),
             arrived_reward=self.arrived_reward,
             collided_reward=self.collided_reward,
-            time_cost=self.time_cost,
         )
 
 
