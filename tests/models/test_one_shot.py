@@ -84,18 +84,14 @@ def test_states_of_the_thesis_have_twenty_features_and_nearly_the_same_ones_join
     assert classifier(torch.empty(0, 105)).tolist() == []
 
 
-def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    one, other, states = OneShotClassifier(threshold=0.8), OneShotClassifier(threshold=0.8), random_states(500)
+def test_memory_is_bounded_and_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = (OneShotClassifier(threshold=0.8, max_classes=10) for _ in range(2))
+    states = random_states(500)
     expected = one(states)
+    assert int(expected.max()) + 1 == len(one) == 10
     monkeypatch.setattr(OneShotClassifier, "CHUNK", 7)
     assert torch.equal(other(states), expected)
     assert torch.equal(other.exemplars, one.exemplars)
-
-
-def test_memory_is_bounded() -> None:
-    classifier = OneShotClassifier(max_classes=10)
-    assert int(classifier(random_states(200)).max()) == 9
-    assert len(classifier) == 10
 
 
 def test_the_seed_draws_the_convolution_and_nothing_else_does() -> None:

@@ -122,19 +122,14 @@ def test_names_from_files_cannot_write_html(tmp_path: Path) -> None:
     assert Reader(html).fetched == []
 
 
-def test_evaluations_with_missing_or_strange_values(tmp_path: Path) -> None:
+def test_evaluations_with_missing_or_strange_values_and_with_positions(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "run", "ca")
     evaluation(folder, 1, 2, env=None, valleys=[3], path_efficiency="x", median_clearance=None, training_steps=None)
     content = json.loads((folder / "evaluation.json").read_text())
     del content["steps_per_arrival"], content["valleys"]
     (folder / "evaluation_2.json").write_text(json.dumps(content))
-    assert "evaluation_2.json" in page(make_report([tmp_path], window=2))
-
-
-def test_positions_are_shown_for_the_evaluations_that_have_them(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "run", "ca")
-    evaluation(folder, 1, 2)
-    assert "Positions: altitude" not in page(make_report([tmp_path], window=2))
+    html = page(make_report([tmp_path], window=2))
+    assert "evaluation_2.json" in html and "Positions: altitude" not in html
     evaluation(folder, 1, 2, "evaluation_valleys=7.json", valleys=[7], whereabouts=WHEREABOUTS)
     text = Reader(page(make_report([tmp_path], window=2))).text
     row = "evaluation_valleys=7.json 2.0 / 3.5 / 4.9 1.1 / 6.2 / 13.3 12.5 % 25.0 % 50.0 % 12.5 %"

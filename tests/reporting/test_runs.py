@@ -77,28 +77,21 @@ def test_a_file_that_is_broken_or_of_another_format_is_named(
     assert reason(folder) == f"{name} is missing: bring it back, or leave the folder out."
 
 
-@pytest.mark.parametrize(
-    ("find", "replace"),
-    [
+def test_rows_of_episodes_that_cannot_be_are_no_run_and_one_cut_off_does_not_count(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "run", "aca")
+    file = folder / "episodes.csv"
+    text = file.read_text()
+    for find, replace in (
         ("2,20,collided", "2,20,crashed"),
         ("2,20,", "2,5,"),
         ("2,20,", "7,20,"),
         ("3,30,", f"3,{10**20},"),
         ("2,20,collided,-10.0", "2,20,collided,nan"),
-    ],
-)
-def test_episodes_that_cannot_be_are_no_run(tmp_path: Path, find: str, replace: str) -> None:
-    folder = run_folder(tmp_path / "run", "aca")
-    text = (folder / "episodes.csv").read_text()
-    assert find in text
-    (folder / "episodes.csv").write_text(text.replace(find, replace))
-    assert reason(folder).startswith("episodes.csv cannot be read")
-
-
-def test_a_row_cut_off_does_not_count_and_no_row_is_no_run(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "run", "aca")
-    file = folder / "episodes.csv"
-    file.write_bytes(file.read_bytes()[:-20])
+    ):
+        assert find in text
+        file.write_text(text.replace(find, replace))
+        assert reason(folder).startswith("episodes.csv cannot be read"), replace
+    file.write_text(text[:-20])
     assert len(only(folder).episodes) == 2
     assert "cannot be read" in reason(run_folder(tmp_path / "empty", ""))
 
@@ -112,12 +105,12 @@ def test_a_run_is_called_by_its_choices_whatever_its_values_are(tmp_path: Path) 
     assert not [key for key in run.settings if key.endswith(("_target_", ".name")) or key.startswith("choices")]
 
 
-@pytest.mark.parametrize("made", ["artifact", "pretrained"])
-def test_class_sizes_are_those_of_the_artifact(tmp_path: Path, made: str) -> None:
-    folder = run_folder(tmp_path / "run", "a")
-    (folder / made).mkdir()
-    (folder / made / "artifact.json").write_text(json.dumps({"class_sizes": {"psae": {"classes": 5, "sd": 1.5}}}))
-    assert only(folder).class_sizes == {"psae": {"number": 5, "sd": 1.5}}
+def test_class_sizes_are_those_of_the_artifact(tmp_path: Path) -> None:
+    for made in ("artifact", "pretrained"):
+        (run_folder(tmp_path / made, "a") / made).mkdir()
+        sizes = {"class_sizes": {"psae": {"classes": 5, "sd": 1.5}}}
+        (tmp_path / made / made / "artifact.json").write_text(json.dumps(sizes))
+        assert only(tmp_path / made).class_sizes == {"psae": {"number": 5, "sd": 1.5}}
 
 
 def test_evaluations_are_read_without_their_episodes(tmp_path: Path) -> None:
@@ -136,22 +129,20 @@ def test_evaluations_are_read_without_their_episodes(tmp_path: Path) -> None:
     assert run.notes == ["evaluation_bad.json cannot be read and is left out."]
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
+def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "run", "a")
+    damages: list[dict[str, Any]] = [
         {"episodes": 0},
         {"success": {"rate": "much"}},
         {"success": {"rate": 1.2}},
         {"collision": {"rate": float("inf")}},
         {"whereabouts": {**WHEREABOUTS, "height_quarters": [0.5, 0.5]}},
         {"whereabouts": {**WHEREABOUTS, "altitude": {"p5": 1.0, "p50": 2.0}}},
-    ],
-)
-def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path, damage: dict[str, Any]) -> None:
-    folder = run_folder(tmp_path / "run", "a")
-    evaluation(folder, 8, 10, **damage)
-    run = only(folder)
-    assert (run.evaluations, run.notes) == ([], ["evaluation.json cannot be read and is left out."])
+    ]
+    for damage in damages:
+        evaluation(folder, 8, 10, **damage)
+        run = only(folder)
+        assert (run.evaluations, run.notes) == ([], ["evaluation.json cannot be read and is left out."]), damage
 
 
 def test_no_damage_raises(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from uavrl.rollout.recording import Recording
 from uavrl.transforms import RangeImage, TruncatedIcosahedron
 from uavrl.transforms.functional import truncated_icosahedron_faces
 from uavrl.transforms.range_image import range_image
-from uavrl.viewer.flight_page import above_ground, make_page, pack, page_data, write_page
+from uavrl.viewer.flight_page import above_ground, make_page, page_data, write_page
 from uavrl.viewer.flight_shapes import Shell, belt, football, shell
 
 
@@ -69,13 +69,6 @@ def test_text_from_outside_cannot_leave_the_data() -> None:
     page = Page(make_page(evil))
     assert json.loads(page.scripts["data"])["source"] == evil.source
     assert len(page.scripts) == 4
-
-
-def test_packing() -> None:
-    values = np.array([[1.25, -3.0], [0.0, 2.0]])
-    np.testing.assert_array_equal(unpack(pack(values)), values)
-    np.testing.assert_allclose(unpack(pack(values, scale=3.0 / 32767)), values, atol=0.5 * 3.0 / 32767)
-    assert unpack(pack(np.array([3, -4]))).tolist() == [3, -4]
 
 
 def corners_that_turn_outwards(shape: Shell) -> np.ndarray:
