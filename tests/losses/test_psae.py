@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
@@ -42,34 +43,26 @@ def test_the_loss_on_numbers_worked_out_by_hand() -> None:
         assert loss.item() == pytest.approx(expected)
 
 
-def test_the_neighbours_are_compared_with_the_anchor_and_not_with_each_other() -> None:
-    # cos((1, 2), (0, 2)) = 4 / (2 √5), cos((1, 2), (3, 2)) = 7 / √65
-    similarity = PSAELoss(Fixed()).psae_loss(triple(0.0, 1.0, 3.0))[1]["similarity"]
-    assert similarity.item() == pytest.approx(2 / math.sqrt(5) + 7 / math.sqrt(65))
+class Narrow(Fixed):
+    def forward(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return states, self.gain * states[..., 1:]
 
 
-def test_reconstructions_of_another_width_are_refused() -> None:
-    class Odd(Fixed):
-        def forward(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            return states, self.gain * states[..., 1:]
-
-    with pytest.raises(ValueError, match=r"of the states' shape \[3, 5, 6\], got \[3, 5, 5\]"):
-        PSAELoss(Odd()).psae_loss(TestPSAELoss().make_data())
-
-
-def test_a_tradeoff_out_of_range_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"tradeoff must be in \[0, 1\], got 1.5"):
-        PSAELoss(PSAE(6), tradeoff=1.5)
-
-
-def test_a_value_estimator_is_refused() -> None:
-    with pytest.raises(UavrlError, match="knows no values"):
-        PSAELoss(PSAE(6)).make_value_estimator()
-
-
-def test_a_network_of_other_keys_is_refused() -> None:
-    with pytest.raises(ValueError, match="to features and reconstruction"):
-        PSAELoss(TensorDictModule(torch.nn.Linear(6, 6), ["observation"], ["features"]))
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: PSAELoss(PSAE(6), tradeoff=1.5), r"tradeoff must be in \[0, 1\], got 1.5"),
+        (lambda: PSAELoss(TensorDictModule(PSAE(6), ["observation"], ["features"])), "to features and reconstruction"),
+        (lambda: PSAELoss(PSAE(6)).make_value_estimator(), "knows no values"),
+        (
+            lambda: PSAELoss(Narrow()).psae_loss(TestPSAELoss().make_data()),
+            r"of the states' shape \[3, 5, 6\], got \[3, 5, 5\]",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises((ValueError, UavrlError), match=message):
+        call()
 
 
 def test_it_trains_the_networks_own_parameters() -> None:

@@ -123,11 +123,19 @@ def _pretrain(source: States, sample: Sample, config: PretrainConfig, output: Pa
     sizes[f"PSAE and k-means, k = {k}"] = torch.bincount(labels, minlength=k)
     sizes[f"PSAE and classifier, k = {k}"] = torch.bincount(predicted, minlength=k)
     sizes[f"PSAE and k-means, k = {other}"] = torch.bincount(found[other].labels, minlength=other)
-    settings = _settings(config)
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(recipe).items()}
+    settings = {"seed": config.seed, "pretrain": values}  # the artifact depends on these, besides its data
     report = {
         "k": k,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "source": _source(source, sample),
+        "source": {
+            "name": source.name,
+            "states": len(source),
+            "episodes": len(source.outcomes),
+            "outcomes": {outcome: source.outcomes.count(outcome) for outcome in OUTCOMES},
+            "sha256": source.sha256(),
+            "states_drawn": len(sample.index),
+        },
         "config": settings,
         "config_sha256": hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest(),
         "psae": {"triples": len(sample.centres), **final},
@@ -162,17 +170,6 @@ def _assemble(
     return classifier
 
 
-def _source(source: States, sample: Sample) -> dict[str, Any]:
-    return {
-        "name": source.name,
-        "states": len(source),
-        "episodes": len(source.outcomes),
-        "outcomes": {outcome: source.outcomes.count(outcome) for outcome in OUTCOMES},
-        "sha256": source.sha256(),
-        "states_drawn": len(sample.index),
-    }
-
-
 def spread(size: Tensor) -> dict[str, float]:
     """How evenly states fall into classes, by the classes' sizes ``[k]``; the deviation alone grows with the mean.
 
@@ -183,9 +180,3 @@ def spread(size: Tensor) -> dict[str, float]:
     sizes = size.double()
     mean, sd = round(sizes.mean().item(), 4), round(sizes.std(correction=0).item(), 4)
     return {"classes": len(size), "mean": mean, "largest": int(size.max()), "sd": sd}
-
-
-def _settings(config: PretrainConfig) -> dict[str, Any]:
-    """The settings that the artifact depends on, besides its data."""
-    recipe = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(config.pretrain).items()}
-    return {"seed": config.seed, "pretrain": recipe}

@@ -24,6 +24,17 @@ WORDS = {
     "prize": "the navigation reward with a bonus for success",
 }
 _GREY = "#7d8490"  # readable on white and on dark pages
+_LAYOUT = {
+    "template": "none",
+    "paper_bgcolor": "rgba(0,0,0,0)",
+    "plot_bgcolor": "rgba(0,0,0,0)",
+    "margin": {"l": 52, "r": 12, "t": 8, "b": 44},
+    "font": {"family": FONT, "size": 12, "color": "#374151"},
+    "hoverlabel": {"namelength": -1},
+    "dragmode": False,  # a finger on the figure scrolls the page
+    "xaxis": {"gridcolor": "#eceef1", "zeroline": False, "showline": True, "linecolor": "#9ca3af"},
+    "yaxis": {"gridcolor": "#eceef1", "zeroline": False},
+}
 
 
 def page(report: Report) -> str:
@@ -92,12 +103,6 @@ def words(labels: Iterable[str]) -> dict[str, str]:
     return {word: meaning for word, meaning in WORDS.items() if any(f" {word} " in label for label in spaced)}
 
 
-def _figure() -> Any:
-    from plotly.graph_objects import Figure
-
-    return Figure(layout={"template": "none", "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)"})
-
-
 def _colour(index: int) -> str:
     """The colour of the group with this place in the report."""
     return COLOURS[index % len(COLOURS)]
@@ -105,7 +110,9 @@ def _colour(index: int) -> str:
 
 def _learning_curve(facts: dict[str, Any], name: str, axis: str) -> str:
     """HTML of a quantity over an axis; each trace's ``meta`` is the place of its group."""
-    drawn = _figure()
+    from plotly.graph_objects import Figure
+
+    drawn = Figure()
     scale, unit = (1, "") if name == "return" else (100, " %")
     hover = f"%{{x:,.0f}} {AXES[axis]}<br>{QUANTITIES[name].lower()} %{{y:.1f}}{unit}"
 
@@ -140,7 +147,9 @@ def _learning_curve(facts: dict[str, Any], name: str, axis: str) -> str:
 
 def _last_success(facts: dict[str, Any]) -> str:
     """HTML of the success rate of each run over its last episodes, with its interval, one row for each group."""
-    drawn, count = _figure(), len(facts["groups"])
+    from plotly.graph_objects import Figure
+
+    drawn, count = Figure(), len(facts["groups"])
     for index, group in enumerate(facts["groups"]):
         runs = [run for run in facts["runs"] if run["group"] == group["label"]]
         rates = [run["last"]["success"] for run in runs]
@@ -165,15 +174,7 @@ def _last_success(facts: dict[str, Any]) -> str:
 
 
 def _html(drawn: Any, name: str, height: int) -> str:
-    drawn.update_layout(
-        height=height,
-        margin={"l": 52, "r": 12, "t": 8, "b": 44},
-        font={"family": FONT, "size": 12, "color": "#374151"},
-        hoverlabel={"namelength": -1},
-        dragmode=False,  # a finger on the figure scrolls the page
-    )
-    drawn.update_xaxes(gridcolor="#eceef1", zeroline=False, showline=True, linecolor="#9ca3af")
-    drawn.update_yaxes(gridcolor="#eceef1", zeroline=False)
+    drawn.update_layout(_LAYOUT, height=height)
     config = {"responsive": True, "displayModeBar": False}
     return drawn.to_html(
         full_html=False, include_plotlyjs=False, div_id=f"plot-{name}", config=config, default_height=f"{height}px"
