@@ -1,6 +1,6 @@
 """How fast a training of the bipedal walker goes, and where its time goes.
 
-    PYTHONPATH=benchmarks python studies/walker.py [--steps N] [--json FILE] [OVERRIDES]
+    PYTHONPATH=benchmarks:examples/walker python studies/walker_speed.py [--steps N] [--json FILE] [OVERRIDES]
 
 It is `uavrl-train env=bipedal_hardcore learner=td3_lg_walker` through its real trainer, with 300 random steps; an
 override is e.g. `trainer.execution=captured`. Episodes in the random steps and the first one after them, and with that
@@ -22,6 +22,7 @@ from profiling import Stopwatch
 from uavrl.cli.errors import one_sentence
 
 RANDOM_STEPS, WARM_UP = 300, 100
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples/walker"
 
 
 class EnoughError(Exception):
@@ -33,7 +34,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     from uavrl.cli.errors import configure_logging
 
     configure_logging()
-    from uavrl.envs.bipedal import BipedalEnv
+    from walker.env import BipedalEnv
 
     from uavrl.training import run
     from uavrl.training.trainer import EpisodeTrainer
@@ -59,12 +60,14 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     }
     with tempfile.TemporaryDirectory() as folder, watch.watching(places):
         config = compose(
+            "packages=[walker]",
             "env=bipedal_hardcore",
             "learner=td3_lg_walker",
             f"run_dir={folder}/run",
             f"algo.random_steps={RANDOM_STEPS}",
             "trainer.progress=false",
             *overrides,
+            own=[EXAMPLE / "conf"],
         )
         try:
             run.train(config, run.create_run(config))
