@@ -215,7 +215,7 @@ def test_sizes_that_no_memory_holds_are_refused_before_they_are_made(
     about["sizes"]["k"] = 10**10
     (artifact / "artifact.json").write_text(json.dumps(about))
     sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
-    assert "the sizes that it tells are not those of its weights" in sentence
+    assert "its sizes are not those of its weights" in sentence
 
 
 def test_a_perception_that_is_no_mapping_is_damage(tmp_path: Path, refused: Callable[..., str]) -> None:

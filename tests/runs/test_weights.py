@@ -90,7 +90,7 @@ def test_truncated_or_missing_weights_are_refused(folder: Path) -> None:
 @pytest.mark.parametrize("sizes", [{"k": 8}, {"inputs": 105}, {"classifier_hidden": [7]}])
 def test_sizes_that_are_not_those_of_the_weights_are_refused(folder: Path, sizes: dict[str, object]) -> None:
     change(folder, sizes={**ARTIFACT.about(folder)["sizes"], **sizes})
-    with pytest.raises(UavrlError, match=r"is damaged .the sizes that it tells are not those of its weights"):
+    with pytest.raises(UavrlError, match=r"is damaged .its sizes are not those of its weights"):
         TrajectoryClassifier.load(folder)
 
 

@@ -74,7 +74,7 @@ class PSAELoss(LossModule):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """What :meth:`forward` reads."""
+        """The keys that :meth:`forward` reads."""
         keys = self.tensor_keys
         return [keys.previous_observation, keys.observation, keys.next_observation]
 

@@ -82,7 +82,7 @@ class LinearClassifier(nn.Module):
         self.register_buffer("t", torch.zeros((), dtype=torch.int64))
 
     def reset_parameters(self) -> None:
-        """Forgets what was learnt."""
+        """Zeroes the weights."""
         for buffer in (self.weight, self.intercept, self.t):
             buffer.zero_()
 
@@ -142,7 +142,7 @@ def _slope(logit: float, label: float) -> float:
 class MLPClassifier(nn.Module):
     """A logistic classifier of F features with hidden layers of the widths ``hidden``, for a torch optimiser.
 
-    Unlike a linear one it can say of the same action that it is safe here and collides there.
+    Unlike a linear one it can tell where an action is safe and where the same action collides.
 
     Examples:
         >>> MLPClassifier(39)(torch.zeros(7, 39)).shape

@@ -125,7 +125,7 @@ class TrajectoryClassifier(nn.Module):
             with torch.device("meta"):  # takes no memory, whatever sizes are named
                 expected = {name: tensor.shape for name, tensor in cls(**about["sizes"]).state_dict().items()}
             if expected != {name: tensor.shape for name, tensor in weights.items()}:
-                raise ValueError("the sizes that it tells are not those of its weights")
+                raise ValueError("its sizes are not those of its weights")
             classifier = cls(**about["sizes"])
             classifier.load_state_dict(weights)
             classifier.perception = about.get("perception", {})

@@ -82,7 +82,7 @@ class _StoredTransitions(BufferState):
 def read_states(run_dir: Path) -> States:
     """The states of the whole episodes in a run's folder, in the order in which they were collected.
 
-    A full buffer has begun to overwrite its oldest transitions; what is left of the episode cut into is left out.
+    A full buffer has begun to overwrite its oldest transitions; the rest of the episode that was cut is left out.
 
     Raises:
         UavrlError: when there is no run, its checkpoint is damaged, or it holds no whole episode of finite states.
@@ -102,7 +102,7 @@ def read_states(run_dir: Path) -> States:
         raise UavrlError(f"Expected whole episodes in the replay buffer of {path} and found none: train it longer.")
     states = steps["observation"][first : int(last[-1]) + 1].float()
     if not states.isfinite().all():
-        raise UavrlError(f"Expected finite states in {run_dir}, found NaN or infinity: train a run anew.")
+        raise UavrlError(f"Expected finite states in {run_dir}, found NaN or infinity: train another run.")
     episode = torch.arange(len(last)).repeat_interleave(last.diff(prepend=torch.tensor([first - 1])))
     ends = steps[last]
     outcomes = [

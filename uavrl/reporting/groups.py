@@ -46,7 +46,7 @@ def label(choices: Mapping[str, str]) -> str:
 
 
 def below(key: str, names: Iterable[str]) -> bool:
-    """Whether a dotted key is one of ``names`` or stands below one."""
+    """Whether a dotted key is one of ``names`` or below one."""
     return any(key == name or key.startswith(f"{name}.") for name in names)
 
 

@@ -15,7 +15,7 @@ from uavrl.errors import UavrlError
 from uavrl.reporting.groups import HOW_IT_RUNS, Group, below, differences, group_runs, same_task, shown
 from uavrl.reporting.learning_curves import curves, steps_to
 from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
-from uavrl.reporting.thesis import beside_the_thesis
+from uavrl.reporting.thesis import compare_with_thesis
 from uavrl.runs.episodes import RATES, Episode, mean_terms, wilson
 
 FORMAT = 2  # of the JSON file
@@ -24,7 +24,7 @@ _PLACES = ("run_dir", "resume")  # of the machine that made a run
 
 @dataclass(frozen=True)
 class Report:
-    """What :func:`make_report` found; rates in [0, 1], steps are environment steps of whole episodes.
+    """The result of :func:`make_report`; rates in [0, 1], steps are environment steps of whole episodes.
 
     Attributes:
         title: of the page.
@@ -37,7 +37,7 @@ class Report:
         runs: one for each run folder, in the order of the groups.
         curves: by group, quantity and axis (:func:`uavrl.reporting.learning_curves.curves`).
         evaluations: for each set of tasks, the groups that were evaluated in it, the best first, and each file.
-        thesis: its numbers beside those of the groups.
+        thesis: its numbers and those of the groups.
         settings: those that differ between the groups, by key, in the order of the groups.
         left_out: folders that are not reported, and why.
     """
@@ -120,7 +120,7 @@ def make_report(
         runs=[_run_facts(run, group.label, window, threshold) for group in groups for run in group.runs],
         curves={group.label: curves([run.episodes for run in group.runs], window) for group in groups},
         evaluations=_evaluations(groups),
-        thesis=beside_the_thesis(groups, rows, window),
+        thesis=compare_with_thesis(groups, rows, window),
         settings=_settings(groups),
         left_out=[LeftOut(PurePath(left.folder).name, left.reason) for left in left_out],
     )

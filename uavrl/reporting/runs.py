@@ -1,4 +1,4 @@
-"""Run folders, read: what is whole becomes a :class:`Run`; a broken file is named."""
+"""Reads run folders: each gives a :class:`Run`, or the name of its broken file."""
 
 import json
 import os

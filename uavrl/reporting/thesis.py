@@ -39,8 +39,8 @@ def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
     return learner, str(column), unlike
 
 
-def beside_the_thesis(groups: list[Group], rows: list[dict[str, Any]], window: int) -> dict[str, Any]:
-    """The thesis's numbers of the groups' environment, each with ``ours``: what the groups of the same row reached."""
+def compare_with_thesis(groups: list[Group], rows: list[dict[str, Any]], window: int) -> dict[str, Any]:
+    """The thesis's numbers of the groups' environment, each with ``ours``: the results of the groups of its row."""
     reference, env = thesis(), groups[0].runs[0].choices.get("env")
     places = [counterpart(group) for group in groups]
 
