@@ -29,7 +29,7 @@ def reason(folder: Path) -> str:
 
 def test_a_run_folder(tmp_path: Path) -> None:
     run = only(run_folder(tmp_path / "one", "cat", seed=3))
-    assert (run.name, run.seed, run.planned, run.steps) == ("one", 3, 3, 30)
+    assert (run.name, run.seed, run.steps, run.finished) == ("one", 3, 30, True)
     assert [e.outcome for e in run.episodes] == ["collided", "arrived", "timed_out"]
     assert (run.choices["algo"], run.settings["algo"], run.settings["algo.gamma"]) == ("td3", "td3", 0.99)
     assert run.notes == [] and run.versions == {} and run.evaluations == []

@@ -1,7 +1,7 @@
 """The content of a report, from run folders to one dictionary of facts; page and JSON show the same ones."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from math import isfinite
@@ -58,7 +58,7 @@ class Report:
 
     def facts(self) -> dict[str, Any]:
         """As plain dictionaries and lists, which JSON gives back as they are; numbers that are none are ``None``."""
-        return {"format": FORMAT, **_plain(asdict(self))}
+        return {"format": FORMAT, **_each(asdict(self), _plain)}
 
     def to_json(self) -> str:
         """The content of ``report.json``."""
@@ -70,14 +70,24 @@ class Report:
         return [f"{left.folder} is left out. {left.reason}" for left in self.left_out] + notes
 
 
-def _plain(value: Any) -> Any:
+def _each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """A nested value as dictionaries and lists, with every leaf changed."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _each(item, change) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_each(item, change) for item in value]
+    return change(value)
+
+
+def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if isfinite(value) else None
     return value if value is None or isinstance(value, str | int | bool) else str(value)
+
+
+def _without_place(value: Any) -> Any:
+    """An absolute path shortened to its name: its folder means nothing on another machine."""
+    return PurePath(value).name if isinstance(value, str) and PurePath(value).is_absolute() else value
 
 
 def make_report(
@@ -137,7 +147,7 @@ def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any
 def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str, Any]:
     notes = list(run.notes)
     if not run.finished:
-        notes.append(f"Unfinished: {len(run.episodes):,} of {run.planned:,} episodes.")
+        notes.append(f"Unfinished: {len(run.episodes):,} of {run.config['trainer']['episodes']:,} episodes.")
     if len(run.episodes) < window:
         notes.append(f"It has fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")
     return {
@@ -150,17 +160,8 @@ def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str,
         "steps_to_threshold": steps_to(run.episodes, threshold, window),
         "versions": run.versions,
         "notes": notes,
-        "config": _without_places({key: value for key, value in run.config.items() if key not in _PLACES}),
+        "config": _each({key: value for key, value in run.config.items() if key not in _PLACES}, _without_place),
     }
-
-
-def _without_places(value: Any) -> Any:
-    """Values with each absolute path shortened to its name: its folder means nothing on another machine."""
-    if isinstance(value, dict):
-        return {key: _without_places(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_places(item) for item in value]
-    return PurePath(value).name if isinstance(value, str) and PurePath(value).is_absolute() else value
 
 
 def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:

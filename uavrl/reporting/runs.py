@@ -37,7 +37,6 @@ class Run:
         choices: the yaml file of each part, by the part's name.
         seed: of the run.
         episodes: at least one.
-        planned: number of episodes after which the run ends.
         versions: of uavrl and torch, and the commit, where the run has ended and recorded them.
         evaluations: the files of ``uavrl-evaluate`` in the folder, each with its ``file``, without single episodes.
         class_sizes: of the trajectory classes, where the folder holds their artifact.
@@ -50,7 +49,6 @@ class Run:
     choices: dict[str, str]
     seed: int
     episodes: list[Episode]
-    planned: int
     versions: dict[str, Any] = field(default_factory=dict)
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     class_sizes: dict[str, Any] | None = None
@@ -62,7 +60,7 @@ class Run:
         trainer = self.config["trainer"]
         last = self.episodes[-trainer.get("window", 0) :] or self.episodes
         success = sum(episode.outcome == "arrived" for episode in last) / len(last)
-        limits = (self.planned, trainer.get("steps"), trainer.get("until_success") or None)
+        limits = (trainer["episodes"], trainer.get("steps"), trainer.get("until_success") or None)
         reached = (len(self.episodes), self.steps, success)
         return any(limit is not None and value >= limit for value, limit in zip(reached, limits, strict=True))
 
@@ -93,13 +91,10 @@ def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
     """Reads all runs in and below ``folders``, each once."""
-    found: dict[Path, None] = {}
-    left_out = []
-    for folder in folders:
-        inside = list(_run_folders(folder.resolve()))
-        found |= dict.fromkeys(inside)
-        if not inside:
-            left_out.append(LeftOut(str(folder), "It holds no run: give the folder that uavrl-train printed."))
+    inside = {folder: list(_run_folders(folder.resolve())) for folder in folders}
+    none = "It holds no run: give the folder that uavrl-train printed."
+    left_out = [LeftOut(str(folder), none) for folder, runs in inside.items() if not runs]
+    found = dict.fromkeys(run for runs in inside.values() for run in runs)
     names = [folder.name for folder in found]
     runs = []
     for folder in found:
@@ -135,7 +130,6 @@ def read_run(folder: Path, name: str) -> Run:
         choices=choices,
         seed=config["seed"],
         episodes=_read(folder / EPISODES, _episodes),
-        planned=config["trainer"]["episodes"],
         versions=_optional(folder / "summary.json", _versions, notes) or {},
         evaluations=[
             row for path in sorted(folder.glob("evaluation*.json")) if (row := _optional(path, _evaluation, notes))
