@@ -12,6 +12,7 @@ from uavrl.errors import UavrlError
 GONE: Mapping[str, Any] = {
     "env.goal_angle": "elevation",
     "reward.time_cost": 0.0,
+    "fork.variant": "fork",
     "backward_reward.scale": "rank",
     "backward_reward.window": None,  # of scale=centred
 }
