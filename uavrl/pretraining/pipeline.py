@@ -102,16 +102,9 @@ def _pretrain(source: States, sample: Sample, config: PretrainConfig, output: Pa
     mean, scale = standardization(features)
     scaled = (features - mean) / scale
 
-    options = {"batch_size": recipe.kmeans_batch_size, "iterations": recipe.kmeans_iterations, "seed": config.seed}
-    found = cluster_each(scaled, recipe.clusters, progress=config.progress, **options)
-    curve = [found[k].sse for k in recipe.clusters]
-    at_elbow = elbow(recipe.clusters, curve) if len(recipe.clusters) >= 5 else None
-    k = recipe.k or at_elbow
-    assert k is not None  # the configuration asks for one of the two
+    found, sse = _cluster(scaled, config)
+    k = recipe.k or sse["elbow"]
     other = recipe.compare_k or k
-    for missing in {k, other} - set(found):
-        found[missing] = cluster(scaled, missing, **options)
-
     classifier = _assemble(psae, mean, scale, found[k], recipe)
     classifier.perception = source.perception
     labels, held_out = found[k].labels, sample.held_out
@@ -139,7 +132,7 @@ def _pretrain(source: States, sample: Sample, config: PretrainConfig, output: Pa
         "config": settings,
         "config_sha256": hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest(),
         "psae": {"triples": len(sample.centres), **final},
-        "sse": {"k": list(recipe.clusters), "sse": curve, "elbow": at_elbow},
+        "sse": sse,
         "classifier": {
             "accuracy": right[~held_out].mean().item(),
             "held_out_accuracy": right[held_out].mean().item(),
@@ -151,8 +144,22 @@ def _pretrain(source: States, sample: Sample, config: PretrainConfig, output: Pa
             **{name: version(name) for name in ("uavrl", "torch", "numpy", "scikit-learn", "kneed", "safetensors")},
         },
     }
-    draw(output, recipe.clusters, curve, at_elbow, sizes)
+    draw(output, sse["k"], sse["sse"], sse["elbow"], sizes)
     return classifier.save(output, report)
+
+
+def _cluster(scaled: Tensor, config: PretrainConfig) -> tuple[dict[int, Clusters], dict[str, Any]]:
+    """The clusters for each k, and the curve of their error with its elbow."""
+    recipe = config.pretrain
+    options = {"batch_size": recipe.kmeans_batch_size, "iterations": recipe.kmeans_iterations, "seed": config.seed}
+    found = cluster_each(scaled, recipe.clusters, progress=config.progress, **options)
+    curve = [found[k].sse for k in recipe.clusters]
+    at_elbow = elbow(recipe.clusters, curve) if len(recipe.clusters) >= 5 else None
+    k = recipe.k or at_elbow
+    assert k is not None  # the configuration asks for one of the two
+    for missing in {k, recipe.compare_k or k} - set(found):
+        found[missing] = cluster(scaled, missing, **options)
+    return found, {"k": list(recipe.clusters), "sse": curve, "elbow": at_elbow}
 
 
 def _assemble(
