@@ -15,7 +15,7 @@ from uavrl.config import TrainConfig
 from uavrl.envs import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.rollout.environment import make_env
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 VEHICLES, SEED = 16, 20_000
 NUMBERS, FRAMES = 35, 3  # in a frame: 32 faces, the altitude and two angles

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import runpy
@@ -102,6 +103,9 @@ def test_differences_of_evaluations(said: Said, capsys: pytest.CaptureFixture[st
     assert "over trainings +7.7 points (+0.5 to +12.0)" in said("differences", *sides[0], "--less", *sides[1])
     told = said("differences", f"{DATA}/suite/best_seed0.json:static", "--less", *sides[1][:4])
     assert "of 500 tasks, trainings: 1" in told and "over trainings" not in told
+    rates = ({"rate": 0.8, "low": 0.69183, "high": 0.87695}, {"rate": 0.6, "low": 0.49045, "high": 0.70038})
+    newcombe = importlib.import_module("run_statistics").difference_of_rates(*rates)
+    assert newcombe == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)  # 56 of 70 against 48 of 80, in his Table II
     with pytest.raises(SystemExit):
         said("differences", "none.json:a", "--less", "none.json:b")
     assert capsys.readouterr().err.startswith("uavrl: Expected FILE.json:WORLD")

@@ -20,14 +20,14 @@ from uavrl.cli import train as train_command
 from uavrl.cli.memory import require_memory
 from uavrl.collectors.stall_notice import Silence
 from uavrl.config import validate
-from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.training.loggers import require_login
 from uavrl.transforms import TruncatedIcosahedron
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 MISTAKES = {
     "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",

@@ -51,9 +51,12 @@ def test_packaged_policies_are_read_without_a_word(name: str, caplog: pytest.Log
     assert config == before and not caplog.records
 
 
+TODAY = ["backward_reward=abr", "reward=traditional", "fork=on"]
+
+
 def recorded_before() -> DictConfig:
     """With every key that there is no longer."""
-    config = changed(["backward_reward=abr", "reward=traditional"])
+    config = changed(TODAY)
     OmegaConf.set_struct(config, False)
     for key, value in GONE.items():
         OmegaConf.update(config, key, 1000 if value is None else value, force_add=True)
@@ -61,11 +64,17 @@ def recorded_before() -> DictConfig:
 
 
 def test_a_run_with_keys_of_before_still_loads_where_they_say_what_is_done_today() -> None:
-    assert validate_run(recorded_before()) == validate(changed(["backward_reward=abr", "reward=traditional"]))
+    assert validate_run(recorded_before()) == validate(changed(TODAY))
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("env.goal_angle", "course"), ("reward.time_cost", 0.25), ("backward_reward.scale", "centred")]
+    ("key", "value"),
+    [
+        ("env.goal_angle", "course"),
+        ("reward.time_cost", 0.25),
+        ("backward_reward.scale", "centred"),
+        ("fork.variant", "bipedal"),
+    ],
 )
 def test_and_is_refused_where_they_say_something_else(key: str, value: object) -> None:
     config = recorded_before()

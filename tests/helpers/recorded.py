@@ -29,7 +29,7 @@ from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import Policy, rollout
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 
 SCANS = Path(__file__).resolve().parent.parent / "transforms" / "scans.safetensors"

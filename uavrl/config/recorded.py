@@ -13,15 +13,16 @@ from uavrl.errors import UavrlError
 log = logging.getLogger(__name__)
 # Where a class lies today, by the name that it was recorded under.
 MOVED = {
-    "uavrl.flying.baselines.VectorFieldHistogram": "uavrl.rollout.baselines.VectorFieldHistogram",
-    "uavrl.training.async_collector.AsyncCollector": "uavrl.collectors.async_.AsyncCollector",
-    "uavrl.training.ray_collector.RayCollector": "uavrl.collectors.ray.RayCollector",
-    "uavrl.training.sync_collector.SyncCollector": "uavrl.collectors.sync.SyncCollector",
+    "uavrl.rollout.baselines.VectorFieldHistogram": "uavrl.rollout.baselines.VectorFieldHistogram",
+    "uavrl.collectors.async_.AsyncCollector": "uavrl.collectors.async_.AsyncCollector",
+    "uavrl.collectors.ray.RayCollector": "uavrl.collectors.ray.RayCollector",
+    "uavrl.collectors.sync.SyncCollector": "uavrl.collectors.sync.SyncCollector",
 }
 # Keys that there are no longer, with the value that is today's only behaviour; None where no value bears on it.
 GONE: Mapping[str, Any] = {
     "env.goal_angle": "elevation",
     "reward.time_cost": 0.0,
+    "fork.variant": "fork",
     "backward_reward.scale": "rank",
     "backward_reward.window": None,  # of scale=centred
 }

@@ -30,22 +30,12 @@ ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 ROTOR_SPINS = np.array([-1.0, 1.0, -1.0, 1.0])  # sign of the yaw moment that each rotor leaves on the body
 
 # Products of quaternion entries (x, y, z, w), numbered 4 i + j, that add up to the entries of a rotation matrix.
-_PRODUCTS = np.zeros((16, 9))
-for _entry, _terms in enumerate(
-    (
-        {0: 1, 5: -1, 10: -1, 15: 1},
-        {1: 2, 11: -2},
-        {2: 2, 7: 2},
-        {1: 2, 11: 2},
-        {0: -1, 5: 1, 10: -1, 15: 1},
-        {6: 2, 3: -2},
-        {2: 2, 7: -2},
-        {6: 2, 3: 2},
-        {0: -1, 5: -1, 10: 1, 15: 1},
-    )
-):
-    for _product, _factor in _terms.items():
-        _PRODUCTS[_product, _entry] = _factor
+_ENTRIES = (
+    {0: 1, 5: -1, 10: -1, 15: 1}, {1: 2, 11: -2}, {2: 2, 7: 2},
+    {1: 2, 11: 2}, {0: -1, 5: 1, 10: -1, 15: 1}, {6: 2, 3: -2},
+    {2: 2, 7: -2}, {6: 2, 3: 2}, {0: -1, 5: -1, 10: 1, 15: 1},
+)  # fmt: skip
+_PRODUCTS = np.array([[float(terms.get(product, 0)) for terms in _ENTRIES] for product in range(16)])
 
 
 def _require_three(config: object, names: tuple[str, ...]) -> None:
@@ -197,27 +187,13 @@ class Aerodynamics:
 
 
 def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices of unit quaternions: every entry is a sum of products of two quaternion entries.
-
-    Args:
-        quaternion: ``[N, 4]`` in the order x, y, z, w.
-
-    Returns:
-        ``[N, 3, 3]``, body to world.
-    """
+    """Rotation matrices ``[N, 3, 3]``, body to world, of unit quaternions ``[N, 4]`` in the order x, y, z, w."""
     products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
     return (products @ _PRODUCTS).reshape(-1, 3, 3)
 
 
 def mixing_matrix(airframe: Airframe) -> np.ndarray:
-    """What the rotors do together: ``(total thrust, moments about x, y, z) = matrix @ thrusts``.
-
-    Args:
-        airframe: Gives arm and torque per thrust.
-
-    Returns:
-        ``[4, 4]`` from N to (N, N m, N m, N m).
-    """
+    """``[4, 4]``: (total thrust in N, moments about x, y, z in N m) = matrix @ the rotors' thrusts in N."""
     x, y = airframe.arm * ROTOR_DIRECTIONS.T
     return np.stack([np.ones(4), y, -x, airframe.torque_to_thrust * ROTOR_SPINS])
 
@@ -241,17 +217,10 @@ def drag(twist: np.ndarray, coefficients: np.ndarray, limit: np.ndarray | float 
 def gust_step(
     gust: np.ndarray, intensity: float, time_constant: float, dt: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Gusts one time step later: first-order noise (Ornstein-Uhlenbeck), the simplest of Dryden's spectra.
+    """Gusts ``[N, 3]`` in m/s one time step later: first-order noise (Ornstein-Uhlenbeck), exact for any ``dt`` in s.
 
-    Args:
-        gust: ``[N, 3]`` in m/s.
-        intensity: Its stationary standard deviation in m/s.
-        time_constant: Its correlation time in s.
-        dt: Time step in s; the step is exact for any length.
-        rng: Source of the noise.
-
-    Returns:
-        ``[N, 3]`` in m/s.
+    It is the simplest of Dryden's spectra; ``intensity`` is its stationary standard deviation in m/s, and
+    ``time_constant`` its correlation time in s.
     """
     kept = np.exp(-dt / time_constant)
     return kept * gust + intensity * np.sqrt(1 - kept**2) * rng.standard_normal(gust.shape)

@@ -7,10 +7,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
-from uavrl.transforms.functional import Statistic
 from uavrl.transforms.range_image import grid_directions
-from uavrl.transforms.reductions import REDUCTIONS, Reduction
-from uavrl.transforms.state import ACTION_LIMIT
+from uavrl.transforms.reduction import Statistic
+from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
 
 
 class StraightPolicy:

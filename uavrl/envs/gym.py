@@ -1,25 +1,82 @@
-"""The navigation task as a Gymnasium environment, for users of other RL libraries."""
+"""The navigation task as a Gymnasium environment with pictures, for users of other RL libraries."""
 
+import math
+import weakref
 from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium.spaces import Box
+from scipy.spatial.transform import Rotation
 from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
 
-from uavrl.envs.camera import Camera
+from uavrl.envs.bullet import connect, mesh_shape, pybullet
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.limits import whole
+from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
-from uavrl.transforms.reductions import Reduction
-from uavrl.transforms.state import ACTION_LIMIT
+from uavrl.transforms.state import ACTION_LIMIT, Reduction
 
+WIDTH, HEIGHT = 480, 360  # pixels
+BEHIND, ABOVE, AHEAD = 3.0, 1.2, 2.0  # m from the UAV: the camera's place, and the point that it looks at
+TERRAIN, OBSTACLE, PLANE, GOAL, UAV = (0.45, 0.5, 0.35), (0.6, 0.5, 0.42), (0.8, 0.2, 0.15), (1, 1, 1), (0.1, 0.3, 0.8)
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
+
+
+class Camera:
+    """A camera that follows the first vehicle of an environment, which has been reset, from behind.
+
+    It draws in a PyBullet world of its own, in which nothing moves by itself: the physics does not notice it.
+    """
+
+    def __init__(self, env: NavigationEnv) -> None:
+        client = connect()
+        self.close = weakref.finalize(self, pybullet.disconnect, physicsClientId=client)
+        self._env = env
+        self._at: dict[str, Any] = {"physicsClientId": client}
+        config, airframe = env.world.config, env.airframe
+        for valley in env.world.valleys:
+            obstacles = Mesh.merge(obstacle.mesh for obstacle in valley.obstacles).split()
+            for parts, colour in ((valley.ground.tiles(), TERRAIN), (obstacles, OBSTACLE)):
+                for part in parts:
+                    self._mesh(part.translated((*valley.origin, 0.0)), colour)
+        self._planes = [self._mesh(env.plane_mesh, PLANE) for _ in env.plane_poses()]
+        self._goal = self._cylinder(config.goal_radius, config.ceiling, GOAL)
+        self._uav = self._cylinder(airframe.collision_radius, airframe.collision_height, UAV)
+
+    def _mesh(self, mesh: Mesh, colour: tuple[float, ...]) -> int:
+        shape = mesh_shape(pybullet.createVisualShape, mesh, rgbaColor=(*colour, 1.0), **self._at)
+        return pybullet.createMultiBody(0, -1, shape, **self._at)
+
+    def _cylinder(self, radius: float, length: float, colour: tuple[float, ...]) -> int:
+        size = {"radius": radius, "length": length, "rgbaColor": (*colour, 1.0)}
+        shape = pybullet.createVisualShape(pybullet.GEOM_CYLINDER, **size, **self._at)
+        return pybullet.createMultiBody(0, -1, shape, **self._at)
+
+    def picture(self, goal: np.ndarray) -> np.ndarray:
+        """Returns what is to be seen now, with the goal at ``goal [3]`` in m: ``uint8 [360, 480, 3]``."""
+        simulation = self._env.simulation
+        position, yaw = simulation.position[0], float(simulation.yaw[0])
+        self._put(self._goal, goal)
+        self._put(self._uav, position, Rotation.from_matrix(simulation.rotation[0]).as_quat())
+        for body, pose in zip(self._planes, self._env.plane_poses(), strict=True):
+            self._put(body, pose[:3], Rotation.from_euler("z", pose[3]).as_quat())
+        ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+        eye = position - BEHIND * ahead + [0.0, 0.0, ABOVE]
+        view = pybullet.computeViewMatrix(eye.tolist(), (position + AHEAD * ahead).tolist(), (0, 0, 1))
+        lens = pybullet.computeProjectionMatrixFOV(60.0, WIDTH / HEIGHT, 0.1, 100.0)
+        drawer = {"shadow": 0, "renderer": pybullet.ER_TINY_RENDERER}
+        drawn = pybullet.getCameraImage(WIDTH, HEIGHT, view, lens, **drawer, **self._at)
+        return np.reshape(drawn[2], (HEIGHT, WIDTH, 4))[..., :3].astype(np.uint8)
+
+    def _put(self, body: int, position: np.ndarray, attitude: np.ndarray = LEVEL) -> None:
+        pybullet.resetBasePositionAndOrientation(body, position.tolist(), attitude.tolist(), **self._at)
 
 
 class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -69,8 +126,8 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UavrlError(
-                f"render_mode must be rgb_array or None, got {render_mode!r}: to watch a policy fly, use uavrl-replay, "
-                "which shows its flights in a page."
+                f"render_mode must be rgb_array or None, got {render_mode!r}: to watch a policy, use uavrl-replay, "
+                "which shows its episodes in a page."
             )
         self.render_mode = render_mode
         world = world or WorldConfig()
@@ -103,7 +160,7 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._observation(), self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Flies for 0.1 s."""
+        """Advances by 0.1 s."""
         if self._state is None:
             raise UavrlError("Reset the environment before the first step.")
         if np.shape(action) != (4,):

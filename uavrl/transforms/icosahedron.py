@@ -1,37 +1,35 @@
-"""Point-cloud reduction as pure tensor functions (Chansuparp (2022), Eq. 3.1-3.2)."""
+"""The thesis's point-cloud reduction to the faces of a truncated icosahedron (Chansuparp (2022), Eq. 3.1-3.2)."""
 
 import math
 from functools import lru_cache
-from numbers import Real
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from uavrl.errors import UavrlError
+from uavrl.transforms.reduction import (
+    TOUCHING,
+    PointCloudReduction,
+    Statistic,
+    check_points,
+    check_radius,
+    least_of,
+    reported,
+    returns_of,
+)
 
 __all__ = [
     "NUM_FACES",
-    "Statistic",
+    "TruncatedIcosahedron",
     "TruncatedIcosahedronFaces",
-    "is_return",
     "truncated_icosahedron",
     "truncated_icosahedron_faces",
 ]
 
-Statistic = Literal["face", "range", "proximity"]
-
-LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 NUM_FACES = 32
 """Faces of the truncated icosahedron, 12 pentagons and then 20 hexagons."""
 
 _PHI = (1.0 + math.sqrt(5.0)) / 2.0
-# A face with a point in it never reads 0, which means "no point": see `truncated_icosahedron`.
-TOUCHING = 1e-6
-NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes from; drivers write misses as zeros
-# The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
-# a sensor whose range ends at the radius does not report; and it begins this much after the housing.
-_ROUNDING = 2e-6
 
 
 class TruncatedIcosahedronFaces(NamedTuple):
@@ -79,8 +77,7 @@ def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Te
     """Returns the normals and the centres ``[3, 7]`` of 3 pentagons and 4 hexagons, and the face ids ``[8 * 7]``.
 
     Mirroring at the planes x = 0, y = 0 and z = 0 maps the solid onto itself, so the 7 faces whose normals have no
-    negative coordinate stand for all. The ids are those of their images, mirrored along z in every second row of 7,
-    along y in every second pair of rows, and along x in the last four.
+    negative coordinate stand for all. The ids are those of their images: bit 2 of the row mirrors x, bit 1 y, bit 0 z.
     """
     faces = _faces(radius, torch.float64, torch.device("cpu"))
     first = (faces.normals > -1e-9).all(dim=-1).nonzero()[:, 0]
@@ -94,18 +91,15 @@ def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Te
 def truncated_icosahedron_faces(
     radius: float = 4.0, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> TruncatedIcosahedronFaces:
-    """Returns the faces in the order in which `truncated_icosahedron` reports them.
+    """Returns the faces in the order in which `truncated_icosahedron` reports them, as tensors that one may change.
 
     Pentagons come first (0-11), then hexagons (12-31), each group sorted by the z of its centre, lowest first, then by
     azimuth ``atan2(y, x)`` in [0, 2π). Pentagon normals are the cyclic permutations of (0, ±1, ±φ).
 
     Args:
         radius: circumradius in metres: the distance from the origin to the 60 vertices.
-        dtype: type of the tensors.
-        device: device of the tensors.
-
-    Returns:
-        `TruncatedIcosahedronFaces`, fresh tensors that the caller may change.
+        dtype: of the tensors.
+        device: of the tensors.
 
     Examples:
         >>> faces = truncated_icosahedron_faces(4.0)
@@ -128,7 +122,7 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
         ``f_i = min ‖p - c_i‖`` over the points of face i, and 0 where it has none.
 
     0 means "nothing there", so a point that touches its face's centre reads ``1e-6 * radius`` instead. A point equally
-    near to two faces goes to either of them. Only returns count, see `is_return`: misses are NaN, infinite or zeros.
+    near to two faces goes to either of them. Misses, which are NaN, infinite or zeros, do not count (`is_return`).
 
     Args:
         points: ``[*B, P, 3]`` in metres, float32 or float64, in the sensor frame (x forward, y left, z up). ``P`` may
@@ -152,14 +146,10 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
         >>> faces.shape, faces.nonzero().tolist(), round(faces[11].item(), 4)
         (torch.Size([32]), [[11]], 0.7569)
     """
-    check_points(points)
-    check_radius(radius)
-    check_statistic(statistic)
+    check_points(points, radius, statistic)
     radius = float(radius)
     batch, (_, centres, ids) = points.shape[:-2], _octant(radius, points.dtype, points.device)
-    kept = is_return(points, radius).reshape(-1).nonzero()[:, 0]  # most of a scan's points are misses
-    x, y, z = (coordinate.reshape(-1).index_select(0, kept) for coordinate in points.unbind(-1))
-    cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
+    x, y, z, cloud = returns_of(points, radius)
     images = cloud.mul_(8).add_(x < 0.0, alpha=4).add_(y < 0.0, alpha=2).add_(z < 0.0)  # see `_octant`
     x, y, z = x.abs(), y.abs(), z.abs()
     faces, inside = _nearest_face(x, y, z, radius)
@@ -167,46 +157,14 @@ def truncated_icosahedron(points: Tensor, radius: float = 4.0, statistic: Statis
         x, y, z = (at - centre.index_select(0, faces) for at, centre in zip((x, y, z), centres, strict=True))
     lengths = (x * x + y * y + z * z).sqrt().clamp(TOUCHING * radius, radius)
     lengths = torch.where(inside, lengths, torch.inf)
-    least = points.new_full((batch.numel() * ids.numel(),), torch.inf)
-    least = least.scatter_reduce(0, images.mul_(7).add_(faces), lengths, "amin").reshape(*batch, ids.numel())
+    least = least_of(lengths, images, faces, (batch.numel() * 8, 7)).reshape(*batch, ids.numel())
     out = points.new_full((*batch, NUM_FACES), torch.inf)
     out = out.scatter_reduce(-1, ids.expand_as(least), least, "amin")
     return reported(out, radius, statistic)
 
 
-def is_return(points: Tensor, radius: float) -> Tensor:
-    """Returns which points are returns of the sensor from within the ball: ``bool [*B, P]``.
-
-    What drivers write for a ray that hit nothing is a miss, whatever the driver: a NaN or an infinite coordinate, and
-    zeros. A point within 0.05 m of the sensor's centre lies inside its housing and is a miss, too. So is a point at or
-    beyond ``radius``, or less than ``1e-6 * radius`` before it: a scan whose range is cut to ``radius`` therefore
-    reduces to exactly what the uncut scan does.
-
-    Args:
-        points: ``[*B, P, 3]`` in metres in the sensor frame.
-        radius: of the ball in metres.
-
-    Examples:
-        >>> points = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [torch.nan, 0.0, 0.0]])
-        >>> is_return(points, 4.0).tolist()
-        [True, False, False, False]
-    """
-    x, y, z = points.unbind(-1)
-    squared = (x * x + y * y).addcmul_(z, z)
-    return (squared > NEAREST_RETURN**2 * (1.0 + _ROUNDING)) & (squared < radius**2 * (1.0 - _ROUNDING))
-
-
-def reported(least: Tensor, radius: float, statistic: Statistic) -> Tensor:
-    """What cells report: their least lengths, infinite where there is no point, or what ``"proximity"`` makes of it."""
-    if statistic == "proximity":
-        return (radius - least).clamp_min(0.0)
-    return torch.where(least.isinf(), 0.0, least)
-
-
 def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-    """Returns which of the 7 faces has the nearest centre and whether the point is inside all planes (Eq. 3.1).
-
-    That is for M points without negative coordinates, among the faces of `_octant`.
+    """Returns which face of `_octant` is nearest, and whether the point is inside all planes, for M points in it.
 
     The centre is ``c_i = d_i n_i``, so ``‖p - c_i‖² = ‖p‖² - 2 d_i (n_i · p) + d_i²``: one product ``n · p`` serves
     both tests, and among faces of one kind the greatest is the nearest. The products are summed by hand, which makes
@@ -223,28 +181,21 @@ def _nearest_face(x: Tensor, y: Tensor, z: Tensor, radius: float) -> tuple[Tenso
     return torch.where(gap_to_pentagon < gap_to_hexagon, pentagons, hexagons + 3), inside
 
 
-def check_radius(radius: float) -> None:
-    """Refuses what is no length, and balls that lie within the sensor's housing, where nothing is ever seen."""
-    if not (isinstance(radius, Real) and NEAREST_RETURN < radius <= LARGEST_RADIUS):
-        raise ValueError(
-            f"radius must be a positive length in metres, above {NEAREST_RETURN:g} (the sensor's housing) and at most "
-            f"{LARGEST_RADIUS:g}, got {radius!r}."
-        )
+class TruncatedIcosahedron(PointCloudReduction):
+    """Reduces point clouds to the 32 face distances of `truncated_icosahedron`, and drops them.
 
+    The arguments are those of :class:`uavrl.transforms.PointCloudReduction`; ``statistic`` is ``"face"`` by default.
 
-def check_statistic(statistic: Statistic) -> None:
-    """Refuses another word than the three."""
-    if statistic not in get_args(Statistic):
-        raise ValueError(f'statistic must be "face", "range" or "proximity", got {statistic!r}.')
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> reduce = TruncatedIcosahedron(radius=4.0)
+        >>> reduce(TensorDict(point_cloud=torch.full((2, 28928, 3), torch.nan), batch_size=[2]))["faces"].shape
+        torch.Size([2, 32])
+    """
 
+    reduced = staticmethod(truncated_icosahedron)
 
-def check_points(points: Tensor) -> None:
-    """Refuses what is no cloud."""
-    if not isinstance(points, Tensor):
-        raise UavrlError(
-            f"points must be a tensor [*B, P, 3], got a {type(points).__name__}: pass torch.tensor(points)."
-        )
-    if points.ndim < 2 or points.shape[-1] != 3:
-        raise ValueError(f"points must have shape [*B, P, 3], got {tuple(points.shape)}.")
-    if points.dtype not in (torch.float32, torch.float64):
-        raise ValueError(f"points must be float32 or float64, got {points.dtype}.")
+    @staticmethod
+    def directions() -> Tensor:
+        """The faces' outward normals ``[32, 3]``."""
+        return truncated_icosahedron_faces().normals
