@@ -136,34 +136,26 @@ def with_artifact(artifact: Path, run_dir: Path) -> list[str]:
     return [*TINY, *chosen, "perception.frames=3", f"run_dir={run_dir}"]
 
 
-def test_a_pickle_in_an_artifact_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("pickle", "{artifact}/artifact.safetensors is damaged"),
+        ("sizes", "the sizes that it tells are not those of its weights"),  # before what no memory holds is made
+        ("perception", "The artifact {artifact} is damaged (its perception is no mapping)"),
+    ],
+)
+def test_a_damaged_artifact_is_refused(change: str, said: str, tmp_path: Path, refused: Callable[..., str]) -> None:
     artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
-    torch.save({"weights": Payload(tmp_path / "ran")}, artifact / "artifact.safetensors")
     about = json.loads((artifact / "artifact.json").read_text())
-    about["weights_sha256"] = hashlib.sha256((artifact / "artifact.safetensors").read_bytes()).hexdigest()
+    if change == "pickle":
+        torch.save({"weights": Payload(tmp_path / "ran")}, artifact / "artifact.safetensors")
+        about["weights_sha256"] = hashlib.sha256((artifact / "artifact.safetensors").read_bytes()).hexdigest()
+    about |= {"sizes": {**about["sizes"], "k": 10**10}} if change == "sizes" else {}
+    about |= {"perception": []} if change == "perception" else {}
     (artifact / "artifact.json").write_text(json.dumps(about))
     sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
-    assert f"{artifact / 'artifact.safetensors'} is damaged" in sentence
+    assert said.format(artifact=artifact) in sentence
     assert not (tmp_path / "ran").exists()
-
-
-def test_sizes_that_no_memory_holds_are_refused_before_they_are_made(
-    tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
-    about = json.loads((artifact / "artifact.json").read_text())
-    about["sizes"]["k"] = 10**10
-    (artifact / "artifact.json").write_text(json.dumps(about))
-    sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
-    assert "its sizes are not those of its weights" in sentence
-
-
-def test_a_perception_that_is_no_mapping_is_damage(tmp_path: Path, refused: Callable[..., str]) -> None:
-    artifact = Path(shutil.copytree(packaged_artifact(), tmp_path / "artifact"))
-    about = json.loads((artifact / "artifact.json").read_text())
-    (artifact / "artifact.json").write_text(json.dumps({**about, "perception": []}))
-    sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
-    assert f"The artifact {artifact} is damaged (its perception is no mapping)" in sentence
 
 
 def test_a_run_takes_nothing_from_an_artifacts_folder_but_the_artifact(tmp_path: Path) -> None:

@@ -135,32 +135,18 @@ def test_noise_is_fresh_at_each_call(execution: Execution) -> None:
 
 
 @pytest.mark.parametrize("execution", RECORDING)
-def test_the_loss_runs_once_for_each_batch_size(execution: Execution) -> None:
-    loss = Noisy()
-    gradients = gradients_of(loss, execution)
-    for size in (4, 4, 6, 4, 6, 1):
-        assert check(gradients, loss, data(size)).metadata["errors"].shape == (size, 3)
-    assert loss.calls == 3
-
-
-@pytest.mark.parametrize("execution", RECORDING)
-def test_the_loss_runs_once_for_each_mode(execution: Execution) -> None:
-    loss = Noisy()
-    gradients = gradients_of(loss, execution)
-    for squared in (True, False, True, False):
-        loss.squared = squared
-        check(gradients, loss, data())
-    assert loss.calls == 2
-
-
-@pytest.mark.parametrize("execution", RECORDING)
-def test_an_entry_that_comes_or_goes_is_noticed(execution: Execution) -> None:
+def test_the_loss_runs_once_for_each_batch_size_mode_and_set_of_entries(execution: Execution) -> None:
     loss = Noisy()
     gradients = gradients_of(loss, execution)
     shifted = data(shift=torch.full((4, 3), 0.5))
-    for batch in (data(), shifted, data(), shifted):
-        check(gradients, loss, batch)
-    assert loss.calls == 2
+    for calls, batches in ((3, [data(size) for size in (4, 4, 6, 4, 6, 1)]), (4, [data(), shifted, data(), shifted])):
+        for batch in batches:
+            assert check(gradients, loss, batch).metadata["errors"].shape == batch["x"].shape
+        assert loss.calls == calls
+    for squared in (True, False, True, False):
+        loss.squared = squared
+        check(gradients, loss, data())
+    assert loss.calls == 5
 
 
 @pytest.mark.parametrize("execution", RECORDING)

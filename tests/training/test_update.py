@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.data import Bounded
 
+from tests.helpers.any_network import CRITICS, compare_updates
 from tests.helpers.losses import critics, episodes, fork, lifeguard, sampler, stochastic_actor
 from uavrl.buffers import PrioritizedBuffer
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
@@ -179,6 +180,14 @@ def test_importance_weights_of_a_prioritised_buffer_count(name: str, execution: 
     said = stepper.step(None, drawn)
     torch.testing.assert_close(said["loss_value"], (weights * errors).sum() / weights.sum())
     assert abs(said["loss_value"] - errors.mean()) > 1e-3
+
+
+@pytest.mark.parametrize("make", CRITICS)
+@pytest.mark.parametrize("algo", ["td3", "sac"])
+def test_captured_updates_of_networks_from_elsewhere_are_those_of_plain_pytorch(
+    algo: str, make: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compare_updates(algo, make, "captured", torch.float64, monkeypatch)
 
 
 @pytest.mark.gpu

@@ -55,7 +55,7 @@ class ReplayConfig(FlyingConfig):
 
     @property
     def task_numbers(self) -> tuple[int, ...]:
-        """The tasks to fly, in their order; task 0 if none is chosen."""
+        """The tasks, in their order; task 0 if none is chosen."""
         if self.tasks is not None:
             return tuple(self.tasks)
         return tuple(range(self.episodes)) if self.episodes is not None else (self.task or 0,)
@@ -74,7 +74,7 @@ def main(config: DictConfig) -> None:
     from uavrl.viewer.flight_page import needs_plotly, write_page
 
     needs_plotly()
-    # All that can be wrong with the input is found before a folder is made or anything is flown.
+    # All that can be wrong with the input is found before a folder is made or the first step.
     loaded = load_recording(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
     outputs = _outputs(settings, overrides)
     with multiplied_by(settings.products, settings.threads):
@@ -93,7 +93,7 @@ def main(config: DictConfig) -> None:
 
 
 def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
-    """Where page and data go, found writable before anything is flown."""
+    """Where page and data go, found writable before the first step."""
     plain = ("run", "flight", "output", "data", "points", "device", "threads", "products", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
     name = name_of_output("replay", distinguishing(overrides, plain)) + ".html"
@@ -104,7 +104,7 @@ def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
 
 
 def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) -> Callable[[], Recording]:
-    """Loads what flies; the call that it returns flies it."""
+    """Loads policy and environment; the call that it returns records the episodes."""
     import torch
 
     from uavrl.rollout.actor import checkpoint_path

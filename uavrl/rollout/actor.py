@@ -39,7 +39,7 @@ def loss_class(settings: TrainConfig) -> type[ActorCriticLoss]:
 
 
 def make_network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: NetworkSizes) -> nn.Module:
-    """The network of a part of ``algo``, tried once: what takes other inputs would fail in the middle of a flight."""
+    """The network of a part of ``algo``, tried once: what takes other inputs would fail in the middle of a rollout."""
     part = getattr(settings.algo, role)
     network = build(part, nn.Module, packages=settings.packages, **network_context(sizes))
     if network is None:

@@ -58,7 +58,7 @@ def make_env(
     **context: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read."""
-    several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of those that a run flies
+    several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
     base = build(own, EnvBase, packages=packages, key="env", **context)

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
 
-PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
+PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` names, beside the baselines
 
-# Keys of an evaluation that do not tell which tasks were flown by what.
+# Keys of an evaluation that do not say which policy was evaluated in which tasks.
 PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "products", "progress")
 
 
@@ -113,7 +113,7 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
         if key.startswith(("env.", "perception.lidar.")) or key in ("perception.blind", "perception.blind_to"):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
         elif key.split(".")[0] in ("perception", "reward"):
-            raise UavrlError(f"{key} belongs to the run and cannot change when its policy flies: leave it out.")
+            raise UavrlError(f"{key} belongs to the run and cannot change where its policy is evaluated: leave it out.")
     return result
 
 

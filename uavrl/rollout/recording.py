@@ -14,7 +14,7 @@ from uavrl.runs.episodes import OUTCOMES
 from uavrl.runs.files import replacing
 
 FORMAT = "uavrl flights 3"
-MOST_BYTES = 2**32  # of a file, unpacked; some flights take a few million
+MOST_BYTES = 2**32  # of a file, unpacked; some episodes take a few million
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,12 @@ class Scenery:
 class Recording:
     """Episodes of one policy, kept step by step."""
 
-    source: dict[str, Any]  #: What flew, for a heading (run, checkpoint, seed of the tasks, environment)
+    source: dict[str, Any]  #: The policy, for a heading (run, checkpoint, seed of the tasks, environment)
     flights: tuple[RecordedFlight, ...]  #: In the order of the tasks asked for
-    sceneries: dict[int | None, Scenery]  #: The valley of each seed that occurs in the flights
+    sceneries: dict[int | None, Scenery]  #: The valley of each seed that occurs in them
 
     def scenery(self, flight: RecordedFlight) -> Scenery:
-        """The valley of one of the flights."""
+        """The valley of one of the episodes."""
         return self.sceneries[flight.summary.world_seed]
 
 

@@ -110,7 +110,7 @@ def fly(
     meter, flights = FlightMeter(env.batch_size.numel()), dict[int, Flight]()
     state = env.reset()
     if state["task"].min() != 0:
-        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before flying again.")
+        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
     with tqdm(total=episodes, disable=not progress, unit="ep") as bar:
         for stepped in rollout(env, policy, state):
             if watch is not None:

@@ -14,14 +14,14 @@ from uavrl.rollout.rollout import Flight
 from uavrl.runs.episodes import LETTERS, RATES, wilson
 
 LABELS = {
-    "path_efficiency": "path efficiency (straight / flown, arrivals)",
-    "median_clearance": "minimum clearance, median over arrivals [m]",
-    "min_clearance": "minimum clearance, least of all arrivals [m]",
+    "path_efficiency": "path efficiency (straight / flown, successes)",
+    "median_clearance": "minimum clearance, median over successes [m]",
+    "min_clearance": "minimum clearance, least of all successes [m]",
     "mean_return": "return, mean",
     "sd_return": "return, standard deviation",
     "median_return": "return, median",
     "steps_per_episode": "steps per episode",
-    "steps_per_arrival": "steps per arrival",
+    "steps_per_arrival": "steps per success",
 }
 
 
@@ -107,8 +107,8 @@ def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
 
 
 def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rates of each scenario with their Wilson 95 % intervals, and how arrivals flew."""
-    heads = f"{'collision':>12}{'time-out':>10}{'steps per arrival':>19}{'clearance':>11}"
+    """The rates of each scenario with their Wilson 95 % intervals, and steps and clearance of successes."""
+    heads = f"{'collision':>12}{'time-out':>10}{'steps per success':>19}{'clearance':>11}"
     lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
     for name, result in results.items():
         success, collision, time_out = (result[key] for key in RATES)

@@ -34,7 +34,7 @@ class Stop:
         signal.setitimer(signal.ITIMER_REAL, PATIENCE)
 
     def begin(self) -> None:
-        """From here on steps are flown towards the next checkpoint."""
+        """From here on steps count towards the next checkpoint."""
         self._began = time.monotonic()
 
     def foretell(self, left: int, done: int) -> None:

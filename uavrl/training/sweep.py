@@ -23,7 +23,7 @@ def run_folder(config: DictConfig) -> Path:
 
 
 def is_finished(run_dir: Path, episodes: int, steps: int | None = None) -> bool:
-    """Whether a run has flown its episodes, or its steps."""
+    """Whether a run has made its episodes, or its steps."""
     return _flown(run_dir, "episodes") >= episodes or (steps is not None and _flown(run_dir, "steps") >= steps)
 
 

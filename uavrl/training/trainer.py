@@ -100,7 +100,7 @@ class EpisodeTrainer:
                 self.collected_frames += len(episode)
                 stored = self.experience.filtered(episode)
                 if self.backward_reward is not None:
-                    stored = self.backward_reward.inv(stored)  # r += m P_addReward, where it arrived
+                    stored = self.backward_reward.inv(stored)  # r += m P_addReward, after a success
                 updates = self.experience.store(stored)
                 self.stepper.observe(episode, self.experience.draw)  # the classifier c learns
                 self.record(episode)
