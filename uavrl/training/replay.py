@@ -10,7 +10,7 @@ from uavrl.buffers import EpisodeBuffer
 from uavrl.runs.episodes import split_episodes
 from uavrl.transforms.guidance import GUIDE_ACTION
 
-# What is learned from, beside a scripted controller's actions; everything else that the environment emits is for metrics.
+# What is learned from, beside a demonstrator's actions; everything else that the environment emits is for metrics.
 STORED_KEYS = (
     "observation",
     "action",
