@@ -47,7 +47,11 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
     chosen = scenarios(settings.suite or "all")
     configs = {name: _config(changes) for name, changes in chosen.items()}
-    folder = _folder(settings, kept)
+    own_folder = name_of_output("suite", distinguishing(kept))
+    if settings.run is not None and settings.output is None:
+        check_links(Path(settings.run), [own_folder])
+    folder = Path(settings.output or (Path(settings.run or ".") / own_folder))
+    writable(folder / "suite.json")
     outputs = {name: folder / f"{name}.json" for name in chosen}
     told = {name: [*kept, *changes] for name, changes in chosen.items()}
     there = {name: _same(outputs[name], settings, told[name]) for name in chosen}
@@ -69,15 +73,6 @@ def _config(changes: list[str]) -> DictConfig:
     hydra = HydraConfig.get()
     own = [override for override in hydra.overrides.task if override.lstrip("+").split("=")[0] not in OWN]
     return compose_again(*own, *changes, "progress=false", name=str(hydra.job.config_name))
-
-
-def _folder(settings: EvaluateConfig, kept: list[str]) -> Path:
-    name = name_of_output("suite", distinguishing(kept))
-    if settings.run is not None and settings.output is None:
-        check_links(Path(settings.run), [name])
-    folder = Path(settings.output or (Path(settings.run or ".") / name))
-    writable(folder / "suite.json")
-    return folder
 
 
 def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]]) -> dict[str, Any]:
@@ -129,14 +124,13 @@ def _begin() -> None:
     """In each of the processes."""
     configure_logging()
     logging.getLogger().setLevel(logging.WARNING)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
 
+    def end_with_parent() -> None:
+        if (parent := multiprocessing.parent_process()) is not None:
+            parent.join()
+            os.kill(os.getpid(), signal.SIGKILL)  # nobody waits for its result
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os.kill(os.getpid(), signal.SIGKILL)  # nobody waits for its result
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, Any] | None:

@@ -51,7 +51,8 @@ class StableBaselinesPolicy:
         if not path.is_file():
             raise UavrlError(f"Expected a model of Stable-Baselines3 at {path} and found no file: check the name.")
         try:
-            stored = _stored(path)
+            with zipfile.ZipFile(path) as archive:
+                stored = json.loads(archive.read("data"))  # what it says of the model: pickles stay texts
             self._policy = _policy(path, stored)
         except Exception as error:  # whatever its pickles raise
             raise UavrlError(_cannot_be_opened(path, error)) from error
@@ -70,12 +71,6 @@ class StableBaselinesPolicy:
             seen = self._statistics.normalize_obs(seen)
         action, _ = self._policy.predict(seen, deterministic=True)
         return tensordict.set("action", torch.as_tensor(action, device=state.device))
-
-
-def _stored(path: Path) -> dict[str, Any]:
-    """What the file says of the model, as it is written: pickles stay texts."""
-    with zipfile.ZipFile(path) as archive:
-        return json.loads(archive.read("data"))
 
 
 def _policy(path: Path, stored: dict[str, Any]) -> Any:
@@ -156,7 +151,5 @@ def _normalizer(file: Path, width: tuple[int, ...]) -> Any:
     except Exception as error:  # whatever a pickle raises
         raise UavrlError(f"{file} cannot be opened ({error}): write it again with VecNormalize.save.") from error
     if not fits:
-        raise UavrlError(
-            f"Expected the statistics of observations of shape {width} in {file}, it holds something else."
-        )
+        raise UavrlError(f"Expected statistics of observations of shape {width} in {file}, it holds something else.")
     return found
