@@ -13,7 +13,7 @@ ROWS = ("scheme", "learner")  # groups whose choices stand for choices of other 
 
 
 def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:
-    """All keys and groups of ``conf/NAME.yaml`` with every choice of its groups, dotted, those in ``own`` folders too."""
+    """All keys and groups of ``conf/NAME.yaml`` with every choice of its groups, also in ``own`` folders, dotted."""
     config = _content(conf_dir() / f"{name}.yaml")
     groups = {str(group) for entry in config["defaults"] if isinstance(entry, dict) for group in entry}
     keys = _dotted(config)
