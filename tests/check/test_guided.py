@@ -38,7 +38,7 @@ def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_p
 
 
 def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> None:
-    seen = ["perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true", "algo.n_steps=3"]
+    seen = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true", "algo.n_steps=3"]
     learn = ["algo.random_steps=64", "trainer.episodes=40", "trainer.updates_per_step=2", "algo.actor_lr=1e-3"]
     far = {}
     for weight in (0.0, 100.0):

@@ -27,7 +27,7 @@ from uavrl.training.run import create_run, train
 PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
 DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
-SEEN = ["perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true"]
+SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
 GUIDED = ["guide=vfh", "enhancer=imitation", "algo.random_steps=60", *SEEN]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
