@@ -28,7 +28,7 @@ PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
 DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
 SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
-GUIDED = ["guide=vfh", "enhancer=imitation", "algo.random_steps=60", *SEEN]
+GUIDED = ["guide=vfh", "actor_penalty=imitation", "algo.learning_starts=60", *SEEN]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 

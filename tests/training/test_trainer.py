@@ -38,7 +38,7 @@ class Run:
 
     @property
     def stored(self) -> TensorDictBase:
-        buffer = self.trainer.experience.buffer
+        buffer = self.trainer.replay.buffer
         return buffer.storage.get(slice(0, len(buffer)))
 
     def stored_episodes(self) -> list[TensorDictBase]:
@@ -74,7 +74,7 @@ def policy_of(run: Run, observation: torch.Tensor) -> torch.Tensor:
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """64 random steps (the first two batches of 32), then noise of 0.1 · 2 m/s."""
-    return flown(tmp_path_factory.mktemp("noisy") / "run", *FROZEN, "trainer.episodes=30", "algo.random_steps=64")
+    return flown(tmp_path_factory.mktemp("noisy") / "run", *FROZEN, "trainer.episodes=30", "algo.learning_starts=64")
 
 
 @pytest.fixture(scope="module")
@@ -97,13 +97,13 @@ def test_after_an_episode_of_t_steps_come_t_updates(learning: Run) -> None:
     assert run.updates == expected
 
 
-@pytest.mark.parametrize(("per_step", "random_steps"), [(0.3125, 0), (1.5, 0), (1.5, 500)])
+@pytest.mark.parametrize(("per_step", "learning_starts"), [(0.3125, 0), (1.5, 0), (1.5, 500)])
 def test_fractions_of_an_update_add_up_after_the_random_steps(
-    per_step: float, random_steps: int, tmp_path: Path
+    per_step: float, learning_starts: int, tmp_path: Path
 ) -> None:
-    asked = [f"algo.random_steps={random_steps}", f"trainer.updates_per_step={per_step}"]
+    asked = [f"algo.learning_starts={learning_starts}", f"trainer.updates_per_step={per_step}"]
     run = flown(tmp_path / "run", "trainer.episodes=4", *asked)
-    assert run.updates == [0 if random_steps else math.floor(per_step * e.total_steps) for e in run.episodes]
+    assert run.updates == [0 if learning_starts else math.floor(per_step * e.total_steps) for e in run.episodes]
 
 
 # ---------------------------------------------------------------------- when a run ends, and how long it took
@@ -133,14 +133,16 @@ def test_the_buffer_holds_exactly_the_logged_steps(noisy: Run) -> None:
 
 
 def test_a_time_out_is_done_and_not_terminated(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.random_steps=0", lift=0.0)
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.learning_starts=0", lift=0.0)
     timed_out = [s[-1] for s, e in zip(run.stored_episodes(), run.episodes, strict=True) if e.outcome == "timed_out"]
     ends = [[last["next", key].item() for key in ("done", "terminated", "arrived")] for last in timed_out]
     assert ends == [[True, False, False]] * len(timed_out) and timed_out
 
 
 def test_a_collision_is_done_and_terminated(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "env.max_steps=60", lift=-1.99)
+    run = flown(
+        tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.learning_starts=0", "env.max_steps=60", lift=-1.99
+    )
     assert [e.outcome for e in run.episodes] == ["collided", "collided"]
     for steps in run.stored_episodes():
         assert steps["next", "terminated"][:, 0].tolist() == [False] * (len(steps) - 1) + [True]
@@ -181,7 +183,7 @@ def test_actions_are_random_at_first_and_noisy_ones_of_the_policy_later(noisy: R
 
 
 def test_without_noise_the_actions_are_the_policys_and_noisy_ones_stay_within_the_limits(tmp_path: Path) -> None:
-    calm, noisy = ([f"algo.exploration_noise={noise}", "algo.random_steps=0"] for noise in (0, 0.1))
+    calm, noisy = ([f"algo.exploration_noise={noise}", "algo.learning_starts=0"] for noise in (0, 0.1))
     run = flown(tmp_path / "calm", *FROZEN, *calm, "trainer.episodes=2")
     torch.testing.assert_close(run.stored["action"], policy_of(run, run.stored["observation"]), atol=1e-5, rtol=0)
     run = flown(tmp_path / "noisy", *FROZEN, *noisy, "trainer.episodes=4", lift=1.99)

@@ -21,7 +21,7 @@ from uavrl.cli.errors import configure_logging
 from uavrl.config import EvaluateConfig
 from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError, was_interrupted
-from uavrl.rollout.policies import distinguishing, file_of_policy, name_of_output, policy_folder
+from uavrl.rollout.policies import file_of_policy, output_name, policy_folder, result_overrides
 from uavrl.runs.episodes import outcomes_of
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.interrupts import interrupts_held_back
@@ -41,13 +41,13 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     """
     from uavrl.rollout.summary import reached, scenarios, suite_table
 
-    kept = distinguishing(overrides, OWN)
+    kept = result_overrides(overrides, OWN)
     for override in kept:
         if override.split("=")[0] in ("valleys", "env") or override.startswith("env."):
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
     chosen = scenarios(settings.suite or "all")
     configs = {name: _config(changes) for name, changes in chosen.items()}
-    own_folder = name_of_output("suite", distinguishing(kept))
+    own_folder = output_name("suite", result_overrides(kept))
     if settings.run is not None and settings.output is None:
         check_links(Path(settings.run), [own_folder])
     folder = Path(settings.output or (Path(settings.run or ".") / own_folder))
@@ -137,7 +137,7 @@ def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, 
     """The result in a file, if it is of these tasks and younger than the policy, else None."""
     try:
         result = json.loads(output.read_text(encoding="utf-8"))
-        wanted = {"overrides": distinguishing(told), "episodes": settings.episodes, "seed": settings.seed}
+        wanted = {"overrides": result_overrides(told), "episodes": settings.episodes, "seed": settings.seed}
         same = all(result[key] == value for key, value in wanted.items())
         result["outcomes"] = outcomes_of(result)  # which a file from before there were any tells by its flights
     except (FileNotFoundError, ValueError, KeyError, TypeError):  # something else, or damaged: it is made again

@@ -65,8 +65,8 @@ class RayCollector(TorchRLRayCollector):
         FlyingEnded: while iterating, when a worker has died.
     """
 
-    flies_elsewhere: ClassVar[bool] = True
-    flies_copies: ClassVar[bool] = True  # of the policy, on CPUs
+    is_remote: ClassVar[bool] = True
+    copies_policy: ClassVar[bool] = True  # of the policy, on CPUs
 
     def __init__(
         self,
@@ -114,7 +114,7 @@ class RayCollector(TorchRLRayCollector):
         self._running = True
         promised = dict(map(self._request, self.remote_collectors))
         while True:
-            with _death_told():
+            with _worker_errors():
                 ended = ray.wait(list(promised))[0][0]
                 worker, updated = promised.pop(ended)
                 ray.get(updated)
@@ -130,14 +130,14 @@ class RayCollector(TorchRLRayCollector):
         updated = worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
         return worker.next.remote(), (worker, updated)
 
-    def start_anew(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, flights: int) -> None:
         """Starts new episodes from a seed, another one in each worker; open ones go on. All count."""
         if not self._running:
             seeds = np.random.SeedSequence(seed).generate_state(self.num_collectors)
-            with _death_told():
+            with _worker_errors():
                 self.map_fn("begin", [(int(own), self._frames // self.num_collectors) for own in seeds])
 
-    def wind_down(self) -> bool:
+    def drain(self) -> bool:
         """Nothing need end: open episodes go on through a checkpoint."""
         return True
 
@@ -218,7 +218,7 @@ def _handlers_kept() -> Iterator[None]:
 
 
 @contextmanager
-def _death_told() -> Iterator[None]:
+def _worker_errors() -> Iterator[None]:
     """Turns what Ray raises when a worker does not answer into a sentence."""
     import ray
 

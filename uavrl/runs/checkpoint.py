@@ -132,7 +132,7 @@ class DamagedCheckpoint(UavrlError):
         super().__init__(f"The checkpoint {path} is damaged ({reason}).")
 
 
-def never_began(run_dir: Path) -> bool:
+def has_no_checkpoint(run_dir: Path) -> bool:
     """Whether a run was stopped before its first checkpoint, which comes before its first episode: nothing is lost."""
     episodes = run_dir / EPISODES
     return (

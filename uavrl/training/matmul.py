@@ -15,7 +15,7 @@ from uavrl.errors import UavrlError
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-Products = Literal["mkl", "onednn"]
+MatmulBackend = Literal["mkl", "onednn"]
 LARGEST_ERROR = 1e-3  # of a float32 product of PROBE: some 1e-5 to 1e-4; with factors of 8 bits it is 0.1 and more
 PROBE = (100, 400, 300)  # the largest product of the thesis's networks: batch and both hidden layers
 GAIN = 0.95  # onednn is taken from this share of mkl's time on: a tie does not turn with the machine's load
@@ -23,37 +23,37 @@ _ON_CPU: Any = torch.backends.mkldnn.matmul  # type: ignore[attr-defined]  # PyT
 ISA = "ONEDNN_MAX_CPU_ISA"  # oneDNN reads it once, at the process's first product
 
 
-def chosen_products(name: str, threads: int = 1) -> Products:
+def chosen_matmul(name: str, threads: int = 1) -> MatmulBackend:
     """``name``, found possible here, or for ``"auto"`` the faster of ``"mkl"`` and ``"onednn"``.
 
     ``mkl`` is PyTorch's default. ``onednn`` is float32 too: PyTorch hands products to oneDNN where it may round to
     bfloat16, and ``ONEDNN_MAX_CPU_ISA=AVX512_CORE`` keeps oneDNN from the instructions that would.
     """
     if name not in ("auto", "mkl", "onednn"):
-        raise UavrlError(f"products must be one of auto, mkl, onednn, got {name!r}.")
+        raise UavrlError(f"matmul must be one of auto, mkl, onednn, got {name!r}.")
     os.environ.setdefault(ISA, "AVX512_CORE")
     if name == "auto":
         return _faster(threads)
     if obstacle := _obstacle(name):
-        raise UavrlError(f"products={name} is not possible here: {obstacle}.")
-    return cast(Products, name)
+        raise UavrlError(f"matmul={name} is not possible here: {obstacle}.")
+    return cast(MatmulBackend, name)
 
 
-def products_here(recorded: str, threads: int = 1) -> Products:
+def matmul_here(recorded: str, threads: int = 1) -> MatmulBackend:
     """What a run has recorded; on a machine without oneDNN's products in float32 PyTorch's own, which are as good."""
     if recorded == "onednn":
         os.environ.setdefault(ISA, "AVX512_CORE")
         return "mkl" if _obstacle(recorded) else "onednn"
-    return chosen_products(recorded, threads)
+    return chosen_matmul(recorded, threads)
 
 
 @contextmanager
-def multiplied_by(name: str, threads: int = 1) -> Iterator[Products]:
-    """Multiplies by :func:`chosen_products`, yields its name, and gives the caller's choice back at the end.
+def matmul_backend(name: str, threads: int = 1) -> Iterator[MatmulBackend]:
+    """Multiplies by :func:`chosen_matmul`, yields its name, and gives the caller's choice back at the end.
 
-    Products on other devices than the CPU stay as they are.
+    Devices other than the CPU multiply as before.
     """
-    chosen, before = chosen_products(name, threads), _ON_CPU.fp32_precision
+    chosen, before = chosen_matmul(name, threads), _ON_CPU.fp32_precision
     multiply_by(chosen)
     try:
         yield chosen
@@ -61,12 +61,12 @@ def multiplied_by(name: str, threads: int = 1) -> Iterator[Products]:
         _ON_CPU.fp32_precision = before
 
 
-def multiply_by(products: Products) -> None:
+def multiply_by(backend: MatmulBackend) -> None:
     """Sets what multiplies in this process from now on."""
-    _ON_CPU.fp32_precision = "ieee" if products == "mkl" else "bf16"
+    _ON_CPU.fp32_precision = "ieee" if backend == "mkl" else "bf16"
 
 
-def carried(function: Callable[[], T]) -> Callable[[], T]:
+def with_matmul_backend(function: Callable[[], T]) -> Callable[[], T]:
     """``function`` for another process, which from its call on multiplies as this one does now."""
     return partial(_after_setting, _ON_CPU.fp32_precision, os.environ.get(ISA), function)
 
@@ -94,10 +94,10 @@ def denormals_flushed() -> Iterator[None]:
         torch.set_flush_denormal(flushed_before)
 
 
-def product(products: Products, one: Tensor, other: Tensor) -> Tensor:
+def product(backend: MatmulBackend, one: Tensor, other: Tensor) -> Tensor:
     """``one @ other`` by this library, whatever the process multiplies by."""
     before = _ON_CPU.fp32_precision
-    multiply_by(products)
+    multiply_by(backend)
     try:
         return one @ other
     finally:
@@ -114,7 +114,7 @@ def _obstacle(name: str) -> str | None:
     if name == "mkl":
         return None
     one, other = _probe()
-    result = product(cast(Products, name), one, other)
+    result = product(cast(MatmulBackend, name), one, other)
     if torch.equal(result, product("mkl", one, other)):
         return "PyTorch does not hand products to oneDNN on this machine; choose mkl"
     error = float((result - one.double() @ other.double()).abs().max())
@@ -126,7 +126,7 @@ def _obstacle(name: str) -> str | None:
     return None
 
 
-def _faster(threads: int) -> Products:
+def _faster(threads: int) -> MatmulBackend:
     """Times the products of a layer's update with both libraries in turn, for some milliseconds."""
     if _obstacle("onednn"):
         return "mkl"
@@ -134,7 +134,7 @@ def _faster(threads: int) -> Products:
     gradient = state @ weight
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
-    libraries: tuple[Products, ...] = ("mkl", "onednn")
+    libraries: tuple[MatmulBackend, ...] = ("mkl", "onednn")
     best = dict.fromkeys(libraries, float("inf"))
     try:
         for _ in range(20):
@@ -145,5 +145,5 @@ def _faster(threads: int) -> Products:
                 best[name] = min(best[name], time.perf_counter() - begin)
     finally:
         torch.set_num_threads(before)
-    log.debug("Products by MKL take %.3f ms, by oneDNN %.3f ms.", 1e3 * best["mkl"], 1e3 * best["onednn"])
+    log.debug("MatmulBackend by MKL take %.3f ms, by oneDNN %.3f ms.", 1e3 * best["mkl"], 1e3 * best["onednn"])
     return "onednn" if best["onednn"] < GAIN * best["mkl"] else "mkl"

@@ -39,13 +39,13 @@ class Progress:
         enabled: bool = True,
         done: int = 0,
         steps: int = 0,
-        random_steps: int = 0,
+        learning_starts: int = 0,
         guided: bool = False,
         max_steps: int = 300,
         last_step: int | None = None,
         until_success: float | None = None,
     ) -> None:
-        self._window, self._episodes, self._max_steps, self._random_steps = window, episodes, max_steps, random_steps
+        self._window, self._episodes, self._max_steps, self._random_steps = window, episodes, max_steps, learning_starts
         self._first = "the scripted controller acts" if guided else "acting at random"
         self._by_steps = last_step is not None
         self._last_step = math.inf if last_step is None else last_step
@@ -110,34 +110,34 @@ class Progress:
         self._bar.close()
 
 
-def warn_of_random_steps(settings: TrainConfig) -> None:
-    """Before the run: its random steps may not end before it does."""
-    random_steps, episodes, steps = settings.algo.random_steps, settings.trainer.episodes, settings.trainer.steps
+def warn_of_late_learning(settings: TrainConfig) -> None:
+    """Before the run: it may end before learning starts."""
+    learning_starts, episodes, steps = settings.algo.learning_starts, settings.trainer.episodes, settings.trainer.steps
     length = f"trainer.episodes={episodes}" if steps is None else f"trainer.steps={steps}"
-    max_steps = settings.env.get("max_steps", 6 * random_steps)
+    max_steps = settings.env.get("max_steps", 6 * learning_starts)
     # Random episodes end after about 50 steps, or after a sixth of many that they may take.
     expected = max(episodes * min(max_steps, 50), episodes * max_steps // 6)
     if settings.guided:  # its episodes are learned from at once
-        late = random_steps >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf)
+        late = learning_starts >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf)
         said = f"the scripted controller may act for the whole run, {length}, and the policy never"
-    elif steps is not None and random_steps >= steps:
+    elif steps is not None and learning_starts >= steps:
         late, said = True, f"nothing is learned before, and the run ends by then, by {length}"
     else:
-        late = random_steps > expected
+        late = learning_starts > expected
         said = (
-            f"nothing is learned before, and trainer.episodes={episodes} episodes may be over by then, since random "
-            f"ones last about {expected} steps together"
+            f"nothing is learned before, and trainer.episodes={episodes} may be over by then, since random episodes "
+            f"take about {expected} steps together"
         )
     if late:
-        log.warning("algo.random_steps=%d: %s. Choose fewer random steps or a longer run.", random_steps, said)
+        log.warning("algo.learning_starts=%d: %s. Lower it, or choose a longer run.", learning_starts, said)
 
 
 def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> None:
-    """After the run: it ended inside its random steps."""
+    """After the run: it ended before learning started."""
     if updates == 0:
         log.warning(
-            "Nothing was learned: the run ended after %d steps, inside its algo.random_steps=%d. Choose fewer random "
-            "steps, or a longer run.",
+            "Nothing was learned: the run ended after %d steps, before its algo.learning_starts=%d. Lower it, or "
+            "choose a longer run.",
             steps,
-            settings.algo.random_steps,
+            settings.algo.learning_starts,
         )
