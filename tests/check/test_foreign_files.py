@@ -140,7 +140,7 @@ def with_artifact(artifact: Path, run_dir: Path) -> list[str]:
     ("change", "said"),
     [
         ("pickle", "{artifact}/artifact.safetensors is damaged"),
-        ("sizes", "the sizes that it tells are not those of its weights"),  # before what no memory holds is made
+        ("sizes", "its sizes are not those of its weights"),  # before what no memory holds is made
         ("perception", "The artifact {artifact} is damaged (its perception is no mapping)"),
     ],
 )

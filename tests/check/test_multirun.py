@@ -10,9 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
 
-from tests.helpers.commands import TINY, content, in_process
+from tests.helpers.commands import TINY, content
 from tests.helpers.sweeps import runs_in, sweep
 from uavrl.cli import train as train_command
 
@@ -57,24 +56,6 @@ def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_
     for run in runs.values():
         assert json.loads((run / "summary.json").read_text())["episodes"] == 6
         assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 6
-
-
-def test_a_sweep_that_is_asked_for_more_episodes_keeps_the_random_steps_that_it_began_with(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    tiny = [override for override in TINY if not override.startswith(("algo.learning_starts", "trainer.episodes"))]
-    places = [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
-    written = []
-    for episodes in (4, 12):
-        assert in_process(train_command.main, "-m", *tiny, *places, f"trainer.episodes={episodes}") == 0
-        (run,) = runs_in(tmp_path).values()
-        written.append((run / "episodes.csv").read_text())
-        config = OmegaConf.load(run / "config.yaml")
-        assert (config.trainer.episodes, config.algo.learning_starts) == (episodes, 8)
-    assert f"Resuming {run}" in capsys.readouterr().out
-    assert written[1].startswith(written[0]) and len(written[1].splitlines()) == 1 + 12
-    assert in_process(train_command.main, "-m", *tiny, *places, "trainer.episodes=12", "algo.learning_starts=4") == 0
-    assert len(list(tmp_path.glob("run_*"))) == 2, "other random steps that are asked for are another run"
 
 
 def test_a_run_that_its_steps_have_ended_is_left_alone_and_goes_on_for_more(

@@ -96,10 +96,8 @@ def test_a_checkpoint_is_not_waited_for_that_is_too_far_or_where_a_person_insist
     overrides = [*SMALL, *EPISODES, f"trainer.checkpoint_interval={interval}", f"run_dir={tmp_path / 'run'}"]
     assert in_process(train_command.main, *overrides) == 143
     err = capfd.readouterr().err
-    again = (
-        f"stopped after episode 2: uavrl-train resume={tmp_path / 'run'} goes on after 0 and repeats episodes 1 to 2"
-    )
-    assert f"uavrl: {again} again.\n" in err
+    on = f"uavrl-train resume={tmp_path / 'run'} goes on after 0 and repeats episodes 1 to 2."
+    assert f"uavrl: stopped after episode 2: {on}\n" in err
     assert err.count("stopped") == 1
 
 
