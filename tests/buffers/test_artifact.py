@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from uavrl.buffers import ABRPlus
 from uavrl.config import compose
 from uavrl.errors import UavrlError
-from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.models.psae import packaged_artifact
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from tests.helpers.folders import run_folder
-from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.models.psae import packaged_artifact
 
 WITHOUT = """
 import importlib, sys

@@ -250,13 +250,16 @@ class TestFit:
         with pytest.raises(ValueError, match="found none"):
             lifeguard().evaluate(episodes(2, collided=False))
 
-    @pytest.mark.parametrize(("evaluations", "active"), [(20, False), (21, True)])
-    def test_activation_needs_more_than_twenty_evaluations(self, evaluations: int, active: bool) -> None:
-        loss = lifeguard(min_evaluations=20)
-        data = episodes(20, collided=False)
-        loss.observe(episodes(1))
-        for _ in range(evaluations):
-            loss.evaluate(data[:10])
+    @pytest.mark.parametrize(
+        ("false_positives", "evaluations", "active"),
+        [(3, 20, False), (3, 21, True), (4, 21, False), (4, 1000, False), (0, 0, False)],
+    )
+    def test_it_is_trusted(self, false_positives: int, evaluations: int, active: bool) -> None:
+        """Of 100 negatives: a rate of 0.97 is enough, 0.96 is not; 20 evaluations are not enough, 21 are."""
+        loss = lifeguard(min_evaluations=20, min_true_negative_rate=0.96)
+        loss.evaluations.extend([[0, false_positives, 100 - false_positives, 100]] * min(evaluations, 1))
+        loss.evaluated = evaluations
+        loss._refresh()
         assert loss.active is active
 
     def test_deactivates_when_it_cries_wolf(self) -> None:

@@ -18,6 +18,7 @@ from uavrl.cli.errors import one_sentence, sentence
 from uavrl.cli.memory import require_memory
 from uavrl.command_line import command_line
 from uavrl.config import TrainConfig, resolve, validate, validate_run
+from uavrl.config.values import to_plain
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.files import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
@@ -77,9 +78,10 @@ def _command(config: DictConfig) -> None:
 
 
 def _train(config: DictConfig) -> None:
-    _check(validate(config))
+    settings = validate(config)
+    _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
-    config = resolve(config)
+    config = OmegaConf.create(to_plain(settings))
     from uavrl.runs.lock import locked
     from uavrl.training.run import create_run, resume_config
 

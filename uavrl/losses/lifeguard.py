@@ -12,8 +12,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer, Model, Sample
-from uavrl.losses.lifeguard_functional import annealed_weight, is_trusted, lifeguard_penalty
-from uavrl.models.collision_classifier import CollisionClassifier, confusion_rates
+from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
 _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes each
@@ -22,10 +21,10 @@ _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes 
 class LifeGuard(Enhancer):
     """Adds ``p_cp c(o, μ(s))`` to the actor's objective: c predicts that the action collides (Eq. 3.7-3.11).
 
-    Call :meth:`observe` and then :meth:`fit` once for each episode flown. The classifier reads the last
+    Call :meth:`observe` and then :meth:`fit` once for each episode. The classifier reads the last
     observation in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last
-    transition before each collision and from as many other transitions. The actor hears of it after
-    ``min_evaluations`` evaluations, each before it is trained on the episode, while its true-negative rate is high
+    transition before each collision and from as many other transitions. The penalty is enabled after
+    ``min_evaluations`` evaluations, each before the training on the episode, while the true-negative rate is high
     enough.
 
     Args:
@@ -42,9 +41,9 @@ class LifeGuard(Enhancer):
         capacity: collisions kept; the oldest give way.
         batch_size: rows of a training batch, half of them collisions.
         min_collisions: training starts with more than these.
-        min_evaluations: the actor listens after more than these.
+        min_evaluations: the penalty is enabled after more than these.
         evaluation_window: evaluations over which the true-negative rate runs.
-        min_true_negative_rate: the actor listens while the rate exceeds this.
+        min_true_negative_rate: the penalty is enabled while the rate exceeds this.
         model_lr: Adam's step for a model with parameters.
         alpha: α of Eq. 3.8.
         stacked: observations that are stacked in the state.
@@ -119,7 +118,7 @@ class LifeGuard(Enhancer):
         self.model_lr = model_lr
         self.classifier = CollisionClassifier(self.observations + actions, model, alpha)
         self.collisions = ReplayBuffer(storage=LazyTensorStorage(capacity, device="cpu"))
-        self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # what is not filled is saved, too
+        self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # saved whole, hence filled
         self.collisions.empty()
         self.evaluations: deque[list[int]] = deque(maxlen=evaluation_window)  # confusion counts of the last ones
         self.evaluated = 0  # how many there ever were
@@ -135,12 +134,13 @@ class LifeGuard(Enhancer):
 
     @property
     def active(self) -> bool:
-        """Whether the actor listens."""
+        """Whether the penalty is enabled."""
         return self._active
 
     def _refresh(self) -> None:
         """Computes the flag that the actor's loss branches on: reading it there would break a traced graph."""
-        self._active = is_trusted(self._counts(), self.evaluated, self.min_evaluations, self.min_true_negative_rate)
+        rate = confusion_rates(self._counts()).true_negative
+        self._active = self.evaluated > self.min_evaluations and rate > self.min_true_negative_rate
 
     def _counts(self) -> Tensor:
         """``[E, 4]`` of the last evaluations."""
@@ -160,7 +160,7 @@ class LifeGuard(Enhancer):
         constants = {name: p.detach() for name, p in self.classifier.named_parameters()}
         logit = functional_call(self.classifier, constants, (features,))
         c = (logit > 0).to(logit.dtype) if self.penalty == "label" else logit.sigmoid()
-        return lifeguard_penalty(c, self.weight)
+        return c * self.weight
 
     def _features(self, tensordict: TensorDictBase) -> Tensor:
         """``[*B, observations + actions]``: the last observation in the state, and the action."""
@@ -229,7 +229,8 @@ class LifeGuard(Enhancer):
         self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
         if self.successes is not None and arrived is not None:
             self.successes.extend(arrived.float().tolist())
-            self.weight.fill_(annealed_weight(self.penalty_weight, torch.tensor(self.successes)))
+            rate = sum(self.successes) / len(self.successes)
+            self.weight.fill_(self.penalty_weight * (1.0 - rate))
 
     def _known(self, transitions: TensorDictBase) -> Tensor:
         """The features of transitions, constant, where and of what type the classifier is."""
@@ -296,7 +297,7 @@ class LifeGuard(Enhancer):
         self.classifier.fit(rows.gather(1, order[..., None].expand_as(rows)), order < half, optimizer)
 
     def evaluate(self, others: TensorDictBase) -> None:
-        """Counts what the classifier says of stored collisions, drawn at random, and of as many other transitions.
+        """Counts the classifier's answers to stored collisions, drawn at random, and to as many other transitions.
 
         Args:
             others: ``[batch_size / 2]`` transitions that did not collide.
@@ -336,7 +337,7 @@ class LifeGuard(Enhancer):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """What :meth:`forward` reads."""
+        """The keys that :meth:`forward` reads."""
         keys = self.tensor_keys
         return list(dict.fromkeys([*self.base.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
 
@@ -345,11 +346,11 @@ class LifeGuard(Enhancer):
         return {"loss_lifeguard": self.lifeguard_loss(tensordict)[0]}
 
     def diagnostics(self) -> dict[str, float]:
-        """The base's, and LifeGuard's: whether it is heard, how well it knows, and what it charges.
+        """The base's, and LifeGuard's: whether the penalty is enabled, how good the classifier is, and the penalty.
 
         The rates run over the last evaluations; a collision is positive. ``lifeguard_penalty`` is the mean of
         ``p_cp c`` over the steps of the last episode observed, ``lifeguard_gradient`` the mean norm of its gradient
-        in the action; both are 0 while the actor does not listen.
+        in the action; both are 0 while the penalty is disabled.
         """
         rates = confusion_rates(self._counts())
         penalty, gradient = self._last_charge()
@@ -375,7 +376,7 @@ class LifeGuard(Enhancer):
         return mean, float(gradient[:, -self.actions :].norm(dim=-1).mean())
 
     def get_extra_state(self) -> dict[str, Any]:
-        """What the state dict holds beside the classifier: the collisions, evaluations and successes."""
+        """The part of the state dict beside the classifier: the collisions, evaluations and successes."""
         return {
             "collisions": self.collisions.state_dict(),
             "evaluations": self._counts(),

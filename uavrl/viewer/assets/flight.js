@@ -7,7 +7,7 @@ const EVENTS = ["arrival", "collision"];
 const NEAR = [[0, "#fff3b0"], [0.35, "#fdc066"], [0.7, "#f0653a"], [1, "#9e0f2b"]];
 const data = JSON.parse(document.getElementById("data").textContent);
 const { body: BODY, plane: PLANE, goal: GOAL } = data.colours;
-const OUTCOMES = Object.fromEntries([["arrived", "arrived"], ["collided", "collided"], ["timed_out", "timed out"]]
+const OUTCOMES = Object.fromEntries([["arrived", "success"], ["collided", "collision"], ["timed_out", "time-out"]]
   .map(([key, name]) => [key, [name, data.colours[key]]]));
 const $ = (id) => document.getElementById(id);
 const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
