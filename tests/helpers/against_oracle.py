@@ -230,7 +230,7 @@ def compare_update(result: TensorDictBase, loss: ActorCriticLoss, learner: oracl
 
 def compare_parameters(loss: ActorCriticLoss, learner: oracle.DDPG, tolerance: float) -> None:
     """Online and target networks, and FORK's models."""
-    base = loss.unenhanced
+    base = loss.unwrapped
     target_critics = getattr(base, "target_value_network_params", None)
     target_critics = base.target_qvalue_network_params if target_critics is None else target_critics
     count = len(learner.critics)

@@ -83,7 +83,7 @@ def test_new_models_have_yet_to_be_trusted() -> None:
 def test_what_random_layers_do_is_the_bases() -> None:
     loss = fork(Push(td3()))
     loss.set_vmap_randomness("different")
-    assert loss.unenhanced.vmap_randomness == "different"
+    assert loss.unwrapped.vmap_randomness == "different"
 
 
 class _WithLifeGuard(ForkContract):
@@ -272,7 +272,7 @@ def test_enhancers_nest_either_way() -> None:
     torch.testing.assert_close(inner.actor_loss(data)[0], outer.actor_loss(data)[0])
     assert inner.active and nested.active
     assert outer.enhancers == [outer, nested]
-    assert outer.unenhanced is base
+    assert outer.unwrapped is base
     outer.observe(episode([1.0], width=6))
     assert list(nested.returns) == [1.0]
     assert outer.diagnostics().keys() == inner.diagnostics().keys()

@@ -22,7 +22,7 @@ Sample = Callable[[int], TensorDictBase]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class AuxiliaryModel:
     """What an enhancer wants trained, and when: at each update by ``loss``, after each episode by ``fit``, or both.
 
     Attributes:
@@ -72,7 +72,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         self.use_prioritized_weights = base.use_prioritized_weights
         self.loss_mask_key = base.loss_mask_key
         self.out_keys = list(base.out_keys)
-        for keys in (base.unenhanced.tensor_keys, base.tensor_keys):
+        for keys in (base.unwrapped.tensor_keys, base.tensor_keys):
             for name in self._AcceptedKeys.__dataclass_fields__:
                 if hasattr(keys, name):
                     setattr(self.tensor_keys, name, getattr(keys, name))
@@ -87,7 +87,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         return True
 
     @property
-    def models(self) -> list[Model]:
+    def models(self) -> list[AuxiliaryModel]:
         """What the term needs to have trained."""
         return []
 
@@ -158,9 +158,9 @@ class Enhancer(ActorCriticLoss, LossModule):
         return [self, *self.base.enhancers]
 
     @property
-    def unenhanced(self) -> ActorCriticLoss:
+    def unwrapped(self) -> ActorCriticLoss:
         """The loss below all enhancers."""
-        return self.base.unenhanced
+        return self.base.unwrapped
 
     @property
     def actor_network_params(self) -> TensorDictParams:
