@@ -90,7 +90,7 @@ def test_random_steps_that_last_as_long_as_the_run_are_told(tmp_path: Path, capl
 
 
 def test_the_guides_action_is_mirrored_with_the_policys_as_it_sees(tmp_path: Path) -> None:
-    chosen = ["guide=vfh", "perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true"]
+    chosen = ["guide=vfh", "perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
     settings = validate(small_config(tmp_path / "run", *chosen))
     env = make_training_env(settings, seed=0)
     buffer = make_buffer(settings, env, network_sizes(env), torch.device("cpu"))
