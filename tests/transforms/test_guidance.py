@@ -78,7 +78,7 @@ def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest
         length = [f"trainer.{limit}"] if limit.startswith("episodes") else ["trainer.episodes=200", f"trainer.{limit}"]
         few = ["guide=vfh", "algo.learning_starts=300", "env.max_steps=30", *length]
         warn_of_late_learning(validate(small_config(tmp_path / "run", *few)))
-        assert (f"the guide may fly the whole run, trainer.{limit}," in caplog.text) == told
+        assert (f"the scripted controller may fly the whole run, trainer.{limit}," in caplog.text) == told
 
 
 def test_random_steps_that_last_as_long_as_the_run_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -113,6 +113,6 @@ def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_pat
     with pytest.raises(UavrlError, match="guide must be a guide's name"):
         train(alone, create_run(alone))
     calm = small_config(tmp_path / "b", "algo.n_steps=3")
-    calm.packages, calm.enhancer = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
+    calm.packages, calm.actor_penalty = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
     with pytest.raises(UavrlError, match=r"n_steps must be 1: tests.transforms.test_guidance.Calm learns from single"):
         train(calm, create_run(calm))
