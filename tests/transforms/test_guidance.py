@@ -113,6 +113,6 @@ def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_pat
     with pytest.raises(UavrlError, match="guide must be a scripted controller"):
         train(alone, create_run(alone))
     calm = small_config(tmp_path / "b", "algo.n_steps=3")
-    calm.packages, calm.enhancer = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
+    calm.packages, calm.actor_penalty = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
     with pytest.raises(UavrlError, match=r"n_steps must be 1: tests.transforms.test_guidance.Calm learns from single"):
         train(calm, create_run(calm))
