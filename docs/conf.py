@@ -17,7 +17,7 @@ from sphinx.util.inspect import stringify_signature
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
-from signatures import signature_of  # noqa: E402
+from signatures import ranges_in_words, signature_of  # noqa: E402
 
 import uavrl  # noqa: E402
 
@@ -44,7 +44,8 @@ html_js_files = ["site.js"]
 html_show_sphinx = False
 
 myst_heading_anchors = 4
-myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "dollarmath", "substitution"]
+myst_substitutions = {"ranges": ranges_in_words()}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
@@ -134,7 +135,7 @@ def _show_own_arguments(
     app: Sphinx, what: str, name: str, thing: Any, options: object, arguments: str | None, returned: str | None
 ) -> tuple[str, str | None] | None:
     """Shows a constructor's own arguments where a metaclass hides them, and ranges in words."""
-    if arguments is None or not re.search(r"^\(\*args|\bRange\(|<(factory|function)", arguments):
+    if arguments is None or not re.search(r"^\(\*args|\bAnnotated\[|<(factory|function)", arguments):
         return None
     signature = signature_of(thing)
     # Quoted once for Sphinx, which drops a pair, and once so that what it hands on is Python.

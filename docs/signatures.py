@@ -8,6 +8,7 @@ import typing
 from collections.abc import Callable
 from typing import Annotated, Any, Union
 
+from uavrl import ranges
 from uavrl.ranges import Rule, bounds, words
 
 
@@ -25,9 +26,10 @@ def signature_of(thing: Callable[..., Any]) -> inspect.Signature:
         return inspect.Signature()
     signature = inspect.signature(call)
     try:
-        hints = typing.get_type_hints(call, include_extras=True)
+        hints, types_alone = (typing.get_type_hints(call, include_extras=extras) for extras in (True, False))
     except NameError:  # of a name that only type checkers import: types stay as they are written
-        hints = {}
+        hints = types_alone = {}
+    hints = {name: in_words(hint) if has_range(hint) else types_alone[name] for name, hint in hints.items()}
     parameters = list(signature.parameters.values())[isinstance(thing, type) :]
     shown = [_shown(each, hints.get(each.name, each.annotation)) for each in parameters]
     returned = signature.empty if isinstance(thing, type) else hints.get("return", signature.return_annotation)
@@ -37,7 +39,7 @@ def signature_of(thing: Callable[..., Any]) -> inspect.Signature:
 def _shown(parameter: inspect.Parameter, hint: Any) -> inspect.Parameter:
     made_anew = callable(parameter.default) or type(parameter.default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
     default = MadeAnew() if made_anew and parameter.default is not parameter.empty else parameter.default
-    return parameter.replace(annotation=in_words(hint) if has_range(hint) else hint, default=default)
+    return parameter.replace(annotation=hint, default=default)
 
 
 def has_range(hint: Any) -> bool:
@@ -57,6 +59,13 @@ def in_words(hint: Any) -> str:
     if origin is not None:
         return f"{origin.__name__}[{', '.join(map(in_words, arguments))}]"
     return "None" if hint is type(None) else "..." if hint is Ellipsis else getattr(hint, "__name__", str(hint))
+
+
+def ranges_in_words() -> str:
+    """The types of :mod:`uavrl.ranges` as a table in Markdown."""
+    named = {name: hint for name, hint in vars(ranges).items() if typing.get_origin(hint) is Annotated}
+    rows = [f"| `{name}` | {in_words(hint)} |" for name, hint in named.items() if has_range(hint)]
+    return "\n".join(["| name | type |", "|---|---|", *rows])
 
 
 def _range(hint: Any) -> str | None:

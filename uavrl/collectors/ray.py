@@ -58,7 +58,7 @@ class RayCollector(TorchRLRayCollector):
         workers: processes, each with its own vehicles.
         address: of a Ray cluster, ``"auto"`` for the one that runs on this machine; None starts one of our own here.
         num_threads: processors of the cluster that each worker takes.
-        trajs_per_batch, traj_format, auto_register_policy_transforms, **kwargs: as TorchRL's collector has them.
+        trajs_per_batch, traj_format, auto_register_policy_transforms, kwargs: as TorchRL's collector has them.
 
     Raises:
         UavrlError: when Ray is not installed, the cluster cannot be reached or has fewer processors than workers.
