@@ -268,7 +268,7 @@ def test_no_gradient_flows_and_none_is_asked_for() -> None:
         (lambda data: torch.stack([data, data.clone()])[:, :5], r"got steps \[2, 5\]"),
         (lambda data: torch.stack([data[:6], data[1:]]), r"got steps \[2, 6\]"),
         (lambda data: data[-1], "got a single step"),
-        (lambda data: BackwardReward(by_first).inv(data), "relabelled before: put back what"),
+        (lambda data: BackwardReward(by_first).inv(data), "relabelled before: restore the rewards"),
         (lambda data: data.set(("next", "reward"), torch.ones(7, 2)), r"one \('next', 'reward'\) for each step"),
         (lambda data: data.set(("next", "reward"), torch.full((7, 1), torch.nan)), "finite rewards"),
         (lambda data: data.set("observation", torch.zeros(7, 2, 2)), r"each window, \[2\], got torch.int64 \[2, 2\]"),
