@@ -11,8 +11,7 @@ from embreex.rtcore_scene import EmbreeScene
 from flights import Row
 from scipy.spatial.transform import Rotation
 
-from uavrl.envs.bodies import STATIC, add_fixed, add_vehicle
-from uavrl.envs.bullet import pybullet, silenced
+from uavrl.envs.bullet import STATIC, add_fixed, add_vehicle, pybullet, silenced
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, PHYSICS_RATE
 from uavrl.envs.quadrotor import GRAVITY, Airframe

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from uavrl.configs import TrainConfig, compose, to_dataclass
+from uavrl.config import TrainConfig, compose, validate
 from uavrl.runs.provenance import processor, versions
 
 
 def experiment(*overrides: str) -> TrainConfig:
     """Returns the checked configuration of `uavrl-train OVERRIDES`."""
-    return to_dataclass(compose(*overrides))
+    return validate(compose(*overrides))
 
 
 def machine() -> dict[str, Any]:

@@ -12,7 +12,7 @@ from common import experiment
 from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase
 
-from uavrl.configs import TrainConfig
+from uavrl.config import TrainConfig
 from uavrl.rollout.actor import make_actor
 from uavrl.rollout.environment import make_env, network_sizes
 from uavrl.training.build import make_collector

@@ -31,7 +31,7 @@ from common import machine, sb3_td3
 from uavrl.cli.errors import one_sentence
 
 DEFAULT, FAST, SB3 = "default", "preset=fast", "Stable-Baselines3's TD3"
-OURS = {DEFAULT: ["collector=sync", "trainer.products=mkl"], FAST: ["preset=fast"]}
+OURS = {DEFAULT: ["collector=sync", "trainer.products=mkl", "algo.random_steps=5000"], FAST: ["preset=fast"]}
 ROWS = (*OURS, SB3)
 PRIZE = 200.0  # what reward=navigation_prize, the default, adds to an arrival
 

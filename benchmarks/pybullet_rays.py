@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from uavrl.envs.bodies import STATIC, add_fixed
-from uavrl.envs.bullet import pybullet, silenced
-from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.bullet import STATIC, add_fixed, pybullet, silenced
+from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import NavigationEnv

@@ -9,7 +9,7 @@ from functools import partial
 from flights import flights, flying, measure, settings
 from torchrl.collectors import Collector, RandomPolicy
 
-from uavrl.configs import TrainConfig
+from uavrl.config import TrainConfig
 from uavrl.rollout.environment import make_env
 
 

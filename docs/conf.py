@@ -79,7 +79,7 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|omegaconf|gymnasium|zipfile|tensordict\._nestedkey)\b.*|torchrl\..*\.MultiStepTransform"),
     (
         r"py:.*",
-        r".*\._(AcceptedKeys|ClassHistory)|uavrl\.configs\.checked\.T|uavrl\.configs\.(train\.TrainerConfig|evaluate\.FlyingConfig)",
+        r".*\._(AcceptedKeys|ClassHistory)|uavrl\.config\.validation\.T|uavrl\.config\.settings\.(TrainerConfig|FlyingConfig)|uavrl\.config\.parts\.Part",
     ),
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
     (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task|traffic\.Traffic)"),

@@ -8,7 +8,7 @@ import typing
 from collections.abc import Callable
 from typing import Annotated, Any, Union
 
-from uavrl.ranges import Range
+from uavrl.ranges import Rule, bounds, words
 
 
 class MadeAnew:
@@ -42,8 +42,7 @@ def _shown(parameter: inspect.Parameter, hint: Any) -> inspect.Parameter:
 
 def has_range(hint: Any) -> bool:
     """Whether a type holds a range somewhere."""
-    found = any(isinstance(each, Range) for each in getattr(hint, "__metadata__", ()))
-    return found or any(map(has_range, typing.get_args(hint)))
+    return _range(hint) is not None or any(map(has_range, typing.get_args(hint)))
 
 
 def in_words(hint: Any) -> str:
@@ -51,12 +50,20 @@ def in_words(hint: Any) -> str:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Annotated:
         name = in_words(arguments[0])
-        return next((_with_range(name, each.words) for each in arguments[1:] if isinstance(each, Range)), name)
+        told = _range(hint)
+        return name if told is None else _with_range(name, told)
     if origin in (Union, types.UnionType):
         return " | ".join(map(in_words, arguments))
     if origin is not None:
         return f"{origin.__name__}[{', '.join(map(in_words, arguments))}]"
     return "None" if hint is type(None) else "..." if hint is Ellipsis else getattr(hint, "__name__", str(hint))
+
+
+def _range(hint: Any) -> str | None:
+    """The range beside a type, in words."""
+    beside = getattr(hint, "__metadata__", ())
+    limits = {name: value for each in beside for name, value in bounds(each).items()}
+    return words(**limits) if limits else next((each.words for each in beside if isinstance(each, Rule)), None)
 
 
 def _with_range(name: str, words: str) -> str:

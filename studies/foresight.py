@@ -24,7 +24,7 @@ from passes import TIMES, moments
 from torch import nn
 
 from uavrl.cli.errors import one_sentence
-from uavrl.configs import compose, to_dataclass
+from uavrl.config import compose, validate
 from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.runs.provenance import versions
 
@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
     torch.set_num_threads(1)
-    config = to_dataclass(compose("env=dynamic", "env.world.planes=9", *overrides))
+    config = validate(compose("env=dynamic", "env.world.planes=9", *overrides))
     vfh = VectorFieldHistogram(radius=config.perception.radius)
     steps, flown = [], 0
     for number, now in enumerate(moments(config, vfh, args.steps)):

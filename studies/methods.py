@@ -27,7 +27,7 @@ from run_statistics import FEWEST, Flights, cut, difference, iqm, named_folder, 
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.cli.errors import one_sentence
-from uavrl.configs import compose
+from uavrl.config import compose
 from uavrl.errors import UavrlError
 from uavrl.reporting.groups import below
 from uavrl.reporting.learning_curves import moving_mean

@@ -11,11 +11,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
-from uavrl.configs import TrainConfig
+from uavrl.config import TrainConfig
 from uavrl.envs import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.rollout.environment import make_env
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 VEHICLES, SEED = 16, 20_000
 NUMBERS, FRAMES = 35, 3  # in a frame: 32 faces, the altitude and two angles

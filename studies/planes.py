@@ -20,7 +20,7 @@ import numpy as np
 from tensordict import TensorDictBase
 
 from uavrl.cli.errors import one_sentence
-from uavrl.configs import compose, to_dataclass
+from uavrl.config import compose, validate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.rollout.environment import make_env
@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--policy", default="static")
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
-    config = to_dataclass(compose("env=dynamic", "perception.blind_to=planes", *overrides))
+    config = validate(compose("env=dynamic", "perception.blind_to=planes", *overrides))
     folder = policy_folder(None, args.policy)
     assert folder is not None, "a policy that learns nothing reads no observation"
     policy = load_policy(folder, None, "cpu")[1]

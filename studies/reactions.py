@@ -22,7 +22,7 @@ from passes import TIMES, moments
 from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cli.errors import one_sentence
-from uavrl.configs import TrainConfig, compose, to_dataclass
+from uavrl.config import TrainConfig, compose, validate
 from uavrl.rollout.policies import policy_folder
 from uavrl.rollout.saved import load_policy
 
@@ -47,7 +47,7 @@ def main() -> None:
     args, overrides = parser.parse_known_args()
     folder = policy_folder(args.run, None if args.run else args.policy)
     assert folder is not None, "a policy that learns nothing reads no observation"
-    rows = reactions(to_dataclass(compose("env=dynamic", *overrides)), load_policy(folder, None, "cpu")[1], args.steps)
+    rows = reactions(validate(compose("env=dynamic", *overrides)), load_policy(folder, None, "cpu")[1], args.steps)
     print(f"{'time to the pass':<18}{'steps':>7}{'brakes':>9}{'sideways':>10}{'up or down':>12}   m/s")
     told = []
     for low, high in pairwise(TIMES):

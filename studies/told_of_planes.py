@@ -22,7 +22,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.cli.errors import one_sentence
-from uavrl.configs import compose, to_dataclass
+from uavrl.config import compose, validate
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.rollout.environment import make_env
@@ -109,8 +109,8 @@ def main() -> None:
     args, overrides = parser.parse_known_args()
     torch.set_num_threads(1)
     valleys = f"env.world.seeds={list(range(args.valleys, args.valleys + 10))}".replace(" ", "")
-    chosen = ["env=dynamic", "env.num_uavs=16", valleys, "perception.reduction=range_image", *overrides]
-    settings = to_dataclass(compose(*chosen))
+    chosen = ["env=dynamic", "env.num_uavs=16", valleys, "perception=range_image", *overrides]
+    settings = validate(compose(*chosen))
     result: dict[str, dict[str, float]] = {}
     print("| told of planes | arrived | collided | timed out | more than told of none |\n|---|---|---|---|---|")
     for known in KNOWN:

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from uavrl.cli.errors import one_sentence
-from uavrl.configs import compose, to_dataclass
-from uavrl.rollout.baselines import COSTS, VectorFieldHistogram
-from uavrl.rollout.costs import Costs
+from uavrl.config import compose, validate
+from uavrl.rollout.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.rollout import fly
 from uavrl.runs.episodes import wilson
@@ -69,9 +68,7 @@ def main() -> None:
     args = parser.parse_args()
     environments = []
     for obstacles in OBSTACLES:
-        config = to_dataclass(
-            compose(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}", *args.overrides)
-        )
+        config = validate(compose(f"env.world.seeds={VALLEYS}", f"env.world.obstacles={obstacles}", *args.overrides))
         environments.append(make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES))
     flown = (config.perception.flight_level, config.perception.radius)
     seen = (config.perception.reduction, config.perception.statistic)
@@ -79,7 +76,7 @@ def main() -> None:
     left, tasks = drawn(args.settings, present), args.tasks
     rounds: list[list[dict[str, Any]]] = []
     while left:
-        rules = [VectorFieldHistogram(*flown, *seen, Costs(**setting)) for setting in left]
+        rules = [VectorFieldHistogram(*flown, *seen, VFHWeights(**setting)) for setting in left]
         found = [(arrivals(environments, rule, tasks), each) for rule, each in zip(rules, left, strict=True)]
         found.sort(key=lambda pair: -pair[0])
         rounds.append([{"setting": setting, **wilson(solved, tasks)} for solved, setting in found])

@@ -23,7 +23,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
 from uavrl.cli.errors import one_sentence
-from uavrl.configs import compose, to_dataclass
+from uavrl.config import compose, validate
 from uavrl.losses import LifeGuard, TD3Loss
 from uavrl.models import Critic
 from uavrl.rollout.environment import make_env, network_sizes
@@ -41,7 +41,7 @@ FLAGS = ("done", "arrived", "collided")
 
 def fly(count: int, seed: int) -> tuple[list[TensorDictBase], TensorDictModule, Any]:
     """The first flights that begin, in the order in which they end, and who flew."""
-    config = to_dataclass(compose("env.world.obstacles=68", "algo.random_steps=0"))
+    config = validate(compose("env.world.obstacles=68", "algo.random_steps=0"))
     env = make_env(config.env, config.perception, config.reward, seed=seed)
     folder = policy_folder(None, "static")
     assert folder is not None

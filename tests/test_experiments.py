@@ -12,7 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.helpers.configs import composed, with_hydra
-from uavrl.configs import TrainConfig, conf_dir, learner_name, to_dataclass
+from uavrl.config import TrainConfig, conf_dir, learner_name, validate
 
 EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("*.yaml"))
 SCHEMES = sorted(path.stem for path in (conf_dir() / "scheme").glob("*.yaml"))
@@ -30,7 +30,7 @@ def combinations(experiment: str) -> list[tuple[Any, TrainConfig]]:
     for values in product(*(str(choices).split(",") for choices in params.values())):
         overrides = [f"{key}={value}" for key, value in zip(params, values, strict=True)]
         config = composed("config", f"experiment={experiment}", *overrides)
-        runs.append((config, to_dataclass(config)))
+        runs.append((config, validate(config)))
     return runs
 
 

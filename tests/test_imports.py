@@ -15,7 +15,7 @@ FLOORS = [
     {"collectors", "rollout"},
     {"buffers", "envs", "losses"},
     {"models", "transforms"},
-    {"configs", "runs"},
+    {"config", "runs"},
     {"upstream"},
     {"errors", "ranges", "command_line"},
 ]

@@ -12,7 +12,7 @@ import pytest
 
 from uavrl.buffers import ABR, EpisodeBuffer, PrioritizedBuffer
 from uavrl.buffers.backward_reward import StateClassifier
-from uavrl.configs import EvaluateConfig
+from uavrl.config import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.losses import Imitation, TD3Loss
 from uavrl.models import Actor
@@ -58,7 +58,10 @@ def test_what_has_no_range_stays_a_type(shown: Any) -> None:
 @pytest.mark.parametrize(
     ("kind", "begins"),
     [
-        (NavigationEnv, "(num_uavs: 'int ≥ 1' = 8, *, world: uavrl.envs.world.WorldConfig | None = None, lidar: "),
+        (
+            NavigationEnv,
+            "(num_uavs: 'int in [1, 512]' = 8, *, world: uavrl.envs.world.WorldConfig | None = None, lidar: ",
+        ),
         (Actor, "(observations: int, actions: int, hidden: 'Sequence[int], one or more widths above 0' = (400, 300), "),
         (ABR, "(multiplier: 'float ≥ 0' = 0.2, threshold: 'float in (0, 1]' = 0.98, max_classes: 'int ≥ 1' = 20000, "),
         (PrioritizedBuffer, "(capacity: 'int ≥ 1' = 1000000, alpha: 'float in [0, 1]' = 0.6, "),

@@ -21,7 +21,7 @@ from torchrl.objectives import SoftUpdate
 from uavrl.losses import LifeGuard, TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.transforms import TruncatedIcosahedron
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 STEPS = size("STEPS", 4000)
 _ = torch.manual_seed(0)

@@ -15,7 +15,7 @@ from shell import sh, size
 
 from uavrl.rollout.policies import PACKAGED
 from uavrl.rollout.recording import load_recording
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 folder = Path(tempfile.mkdtemp())
 

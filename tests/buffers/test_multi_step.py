@@ -38,16 +38,12 @@ def episodes() -> TensorDict:
 
 
 def test_returns_of_two_episodes() -> None:
-    """γ = ½, n = 3: 1 + 1 + 1, 2 + 2 - 2, 4 - 4, -8 | 3 + 2.5, 5."""
+    """γ = ½, n = 3: 1 + 1 + 1, 2 + 2 - 2, 4 - 4, -8 | 3 + 2.5, 5; single steps are themselves."""
     returns, steps = multi_step_returns(torch.tensor(REWARD), torch.tensor(DONE), 0.5, 3)
     assert returns.tolist() == [3.0, 2.0, 0.0, -8.0, 5.5, 5.0]
     assert steps.tolist() == [3, 3, 2, 1, 2, 1]
-
-
-def test_single_steps_are_themselves() -> None:
     returns, steps = multi_step_returns(torch.tensor(REWARD), torch.tensor(DONE), 0.99, 1)
-    assert returns.tolist() == REWARD
-    assert steps.tolist() == [1] * 6
+    assert (returns.tolist(), steps.tolist()) == (REWARD, [1] * 6)
 
 
 @pytest.mark.parametrize("done", [[], [True, False]])
@@ -65,7 +61,7 @@ def test_states_and_flags_are_those_n_steps_on() -> None:
     assert stored["next", "observation"].flatten().tolist() == [102.0, 103.0, 103.0, 103.0, 105.0, 105.0]
     assert stored["next", "terminated"].flatten().tolist() == [False, True, True, True, False, False]
     assert stored["next", "done"].flatten().tolist() == [False, True, True, True, True, True]
-    assert (given == episodes()).all(), "what was flown stays as it is"
+    assert (given == episodes()).all(), "the given data is not modified"
 
 
 def test_the_backward_reward_pays_single_steps_before_they_are_summed() -> None:

@@ -37,7 +37,7 @@ from uavrl.cli import export as export_command
 from uavrl.cli import pretrain as pretrain_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
-from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.models.psae import packaged_artifact
 from uavrl.rollout import recording
 from uavrl.runs.trust import check_archive
 
@@ -215,7 +215,7 @@ def test_sizes_that_no_memory_holds_are_refused_before_they_are_made(
     about["sizes"]["k"] = 10**10
     (artifact / "artifact.json").write_text(json.dumps(about))
     sentence = refused(train_command.main, *with_artifact(artifact, tmp_path / "run"))
-    assert "the sizes that it tells are not those of its weights" in sentence
+    assert "its sizes are not those of its weights" in sentence
 
 
 def test_a_perception_that_is_no_mapping_is_damage(tmp_path: Path, refused: Callable[..., str]) -> None:

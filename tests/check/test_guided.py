@@ -8,7 +8,7 @@ import torch
 
 from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import small_config
-from uavrl.configs.checked import to_dataclass
+from uavrl.config.validation import validate
 from uavrl.losses.imitation import distance_to_guide
 from uavrl.rollout.saved import load_policy
 from uavrl.runs.episodes import read_episodes
@@ -46,7 +46,7 @@ def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> Non
         config = small_config(tmp_path / f"run{weight}", *flown, *seen, *learn, *EASY)
         train(config, create_run(config))
         policy = load_policy(tmp_path / f"run{weight}", None, torch.device("cpu"), ())[1]
-        env = make_training_env(to_dataclass(config), seed=0)
+        env = make_training_env(validate(config), seed=0)
         states = env.rollout(20, policy=policy, break_when_any_done=False)
         far[weight] = distance_to_guide(states["action"], states["guide_action"], 2.0).mean().item()
         env.close()

@@ -22,7 +22,7 @@ unpacked, site_packages, *arguments = sys.argv[1:]
 sys.path[:0] = [unpacked]
 sys.path.append(site_packages)
 import uavrl
-from uavrl.configs import conf_dir
+from uavrl.config import conf_dir
 from uavrl.cli.train import main
 assert uavrl.__file__.startswith(unpacked), uavrl.__file__
 assert str(conf_dir()).startswith(unpacked), conf_dir()

@@ -49,7 +49,7 @@ def test_ours_stand_beside_torchrls_and_are_built_from_there(tmp_path: Path) -> 
         [sys.executable, "-c", SCRIPT, str(tmp_path)], capture_output=True, text=True, check=False, timeout=600
     )
     assert done.stdout.splitlines() == [
-        "uavrl.transforms.truncated_icosahedron 2.5 StepCounter",
+        "uavrl.transforms.icosahedron 2.5 StepCounter",
         "uavrl.losses.ddpg 0.9",
         "transform True",
         "loss True",

@@ -26,7 +26,7 @@ from tests.helpers.runs import assert_same_run
 from tests.helpers.walker import CONFIG_DIR, EXAMPLE, SMALL, TRUSTED, walker_config
 from uavrl.cli import evaluate, replay
 from uavrl.cli import train as train_command
-from uavrl.configs import learner_name, to_dataclass
+from uavrl.config import learner_name, validate
 from uavrl.errors import UavrlError
 from uavrl.models import SystemNet
 from uavrl.reporting.report import make_report
@@ -169,7 +169,7 @@ def test_the_system_loss_leaves_out_last_steps() -> None:
 
 
 def test_the_learners_have_the_numbers_of_the_published_codes() -> None:
-    found = {name: to_dataclass(walker_config("env=bipedal_hardcore", f"learner={name}")) for name in LEARNERS}
+    found = {name: validate(walker_config("env=bipedal_hardcore", f"learner={name}")) for name in LEARNERS}
     assert list(found) == ["td3_fork_walker", "td3_lg_walker", "td3_walker"]
     for name, settings in found.items():
         choices = settings.choices

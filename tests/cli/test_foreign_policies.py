@@ -22,7 +22,7 @@ from tests.helpers.configs import composed
 from tests.helpers.recorded import recorded
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli.suite import _changed
-from uavrl.configs import EvaluateConfig, checked
+from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
 from uavrl.rollout.policies import file_of_policy, packaged_policies
 
@@ -301,7 +301,7 @@ def test_a_policy_that_is_no_run_is_known_by_the_file_it_comes_from(
     assert file_of_policy("straight", []) is None
     os.utime(tmp_path / "other_policies.py", (2_000_000_000, 2_000_000_000))
     named = composed("evaluate", "policy=other_policies.Climber", "packages=[other_policies]")
-    assert _changed(checked(named, EvaluateConfig)) == 2_000_000_000
+    assert _changed(validate(named, EvaluateConfig)) == 2_000_000_000
 
 
 def test_what_is_no_policy_is_refused(refused: Callable[..., str]) -> None:

@@ -7,7 +7,7 @@ import pytest
 from tests.helpers.commands import in_process
 from uavrl.cli import evaluate, main, replay, train
 from uavrl.cli.help import ABOUT, MOST_USED, help_text
-from uavrl.configs.choices import known_keys
+from uavrl.cli.keys import known_keys
 
 
 @pytest.mark.parametrize("name", ABOUT)

@@ -18,7 +18,7 @@ from uavrl.cli import train as train_command
 from uavrl.cli.command import explained
 from uavrl.cli.errors import one_sentence, sentence
 from uavrl.cli.process import SAFE_PATH, command_process
-from uavrl.configs.machine import machine_processors
+from uavrl.cli.suite import machine_processors
 
 
 @pytest.mark.parametrize("before", [None, "", "1"])
@@ -62,14 +62,14 @@ def test_a_tilde_is_the_home_folder(
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.chdir(tmp_path)
     from tests.helpers.configs import composed
-    from uavrl.configs import EvaluateConfig, checked
+    from uavrl.config import EvaluateConfig, validate
 
     config = composed("evaluate")
     config[key] = "~/x"
-    assert getattr(checked(config, EvaluateConfig), key) == str(tmp_path / "home/x")
+    assert getattr(validate(config, EvaluateConfig), key) == str(tmp_path / "home/x")
     config[key] = "~nobody-is-called-so/x"
     with pytest.raises(ValueError, match=f"{key} must be a folder, where one that is called so is written ./~nobody"):
-        checked(config, EvaluateConfig)
+        validate(config, EvaluateConfig)
 
 
 def test_nobody_who_reads_is_no_fault_of_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from tests.helpers.commands import in_process
 from tests.helpers.configs import composed
 from tests.helpers.folders import evaluation
 from uavrl.cli import evaluate as evaluate_command
-from uavrl.configs import EvaluateConfig, checked
+from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
 from uavrl.rollout.suite import scenarios
 
@@ -21,7 +21,7 @@ LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
 
 @pytest.mark.parametrize("name", scenarios("all"))
 def test_every_scenario_is_an_evaluation(name: str) -> None:
-    settings = checked(composed("evaluate", "policy=straight", *scenarios([name])[name]), EvaluateConfig)
+    settings = validate(composed("evaluate", "policy=straight", *scenarios([name])[name]), EvaluateConfig)
     world, lidar = settings.env.world, settings.perception.lidar
     seen = (world.obstacles, world.planes, len(settings.valleys or (0,)), settings.env.aerodynamics.wind, lidar.dropout)
     expected = {

@@ -12,7 +12,7 @@ from torchrl.collectors import Collector
 
 from tests.helpers.configs import composed
 from tests.helpers.runs import small_config
-from uavrl.configs import to_dataclass
+from uavrl.config import validate
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.runs.checkpoint import all_checkpoints
 from uavrl.runs.config import free_keys
@@ -54,7 +54,7 @@ def chosen(name: str) -> type:
     config = composed()
     config.collector._target_ = f"{__name__}.{name}"
     config.packages = ["tests"]
-    return collector_class(to_dataclass(config))
+    return collector_class(validate(config))
 
 
 def test_one_that_has_what_a_run_asks_for_is_taken_and_another_is_told_what_it_lacks() -> None:
@@ -108,5 +108,5 @@ def test_a_sweep_goes_on_with_a_run_of_any_collector(collector: str, tmp_path: P
     config.trainer.episodes = 7
     run_dir = create_run(config)
     resumed = resume_config(run_dir, config, free_keys(config))
-    assert to_dataclass(resumed).trainer.episodes == 7
+    assert validate(resumed).trainer.episodes == 7
     assert resumed.collector == config.collector

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics, Airframe

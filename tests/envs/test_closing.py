@@ -11,9 +11,8 @@ import pytest
 import torch
 from torchrl.collectors import Collector
 
-from uavrl.envs.bodies import mesh_shape
-from uavrl.envs.bullet import pybullet
-from uavrl.envs.gym_env import ValleyEnv
+from uavrl.envs.bullet import mesh_shape, pybullet
+from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import NavigationEnv

@@ -13,11 +13,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.helpers.geometry import bullet_world
 from tests.helpers.scenes import LEVEL, ORIGIN, box, clutter, poses
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.envs.mesh import Mesh
+from uavrl.envs.mesh import Mesh, turned
 from uavrl.envs.vlp16 import FIRING_TIMES, NUM_RAYS
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 
 def ranges(cloud: np.ndarray) -> np.ndarray:
@@ -81,29 +82,14 @@ def test_the_scan_tilts_with_the_body() -> None:
     np.testing.assert_allclose(world[~np.isnan(world[:, 2]), 2], 0, atol=2e-3)
 
 
-def pybullet_ranges(
-    meshes: list[Mesh], bodies: list[tuple[Mesh, np.ndarray]], rays: np.ndarray, lengths: float
-) -> np.ndarray:
+def pybullet_ranges(meshes: list[Mesh], rays: np.ndarray, lengths: float) -> np.ndarray:
     """Ranges of rays ``[M, 2, 3]`` (origin, unit direction), NaN for misses."""
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        for mesh, pose in [*((mesh, np.zeros(4)) for mesh in meshes), *bodies]:
-            shape = pybullet.createCollisionShape(
-                pybullet.GEOM_MESH,
-                vertices=mesh.vertices.tolist(),
-                indices=mesh.faces.ravel().tolist(),
-                flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-                physicsClientId=client,
-            )
-            turn = pybullet.getQuaternionFromEuler((0, 0, pose[3]))
-            pybullet.createMultiBody(0, shape, -1, pose[:3].tolist(), turn, physicsClientId=client)
-        out = []
-        for part in np.array_split(rays, math.ceil(len(rays) / 8192)):
-            ends = part[:, 0] + lengths * part[:, 1]
-            out += pybullet.rayTestBatch(part[:, 0].tolist(), ends.tolist(), physicsClientId=client)
-        return np.array([lengths * hit[2] if hit[0] >= 0 else np.nan for hit in out])
-    finally:
-        pybullet.disconnect(client)
+    client, _ = bullet_world(meshes)
+    hits = []
+    for part in np.array_split(rays, math.ceil(len(rays) / 8192)):
+        hits += client.rayTestBatch(part[:, 0].tolist(), (part[:, 0] + lengths * part[:, 1]).tolist())
+    client.disconnect()
+    return np.array([lengths * hit[2] if hit[0] >= 0 else np.nan for hit in hits])
 
 
 @pytest.mark.parametrize("max_range", [4.0, 60.0])
@@ -126,7 +112,8 @@ def test_agrees_with_pybullet_and_sees_moving_planes(max_range: float) -> None:
         some = np.unique(np.concatenate([rng.choice(NUM_RAYS, 1500, replace=False), seen[:1500]]))
         directions = lidar.directions[some] @ rotations[i].T
         rays = np.stack([np.broadcast_to(positions[i], directions.shape), directions], 1)
-        expected = pybullet_ranges(meshes, [(PLANE, pose) for pose in planes], rays, max_range)
+        bodies = [turned(PLANE, yaw).translated((x, y, z)) for x, y, z, yaw in planes]
+        expected = pybullet_ranges([*meshes, *bodies], rays, max_range)
         close = np.isclose(got[i, some], expected, atol=3e-3, rtol=1e-3, equal_nan=True)
         assert close.mean() > 0.995  # rays that graze an edge may differ
 
@@ -216,22 +203,15 @@ def test_scans_of_several_vehicles_are_those_of_each_alone(distorted: bool) -> N
     }
     planes = np.column_stack([positions[:2] + np.array([1.5, 0.5, 0.2]), [0.3, 2.0]])
     together = lidar.scan(positions, rotations, planes, **moves)
+    kept = together.copy()
     assert not np.array_equal(lidar.scan(positions, rotations, **moves), together, equal_nan=True)
     for i in range(4):
         some = {name: values[i : i + 1] for name, values in moves.items()}
         alone = lidar.scan(positions[i : i + 1], rotations[i : i + 1], planes, **some)
         np.testing.assert_array_equal(alone[0], together[i])
-
-
-def test_clouds_of_earlier_scans_stay_as_they_are() -> None:
-    lidar = Lidar(clutter(3), PLANE)
-    positions, rotations = poses(4, 5)
-    whole = lidar.scan(positions, rotations)
-    kept = whole.copy()
-    for i in (0, 3):
-        np.testing.assert_array_equal(lidar.scan(positions[i : i + 1], rotations[i : i + 1])[0], whole[i])
-    np.testing.assert_array_equal(kept, whole)
-    assert lidar.scan(positions[:0], rotations[:0]).shape == (0, NUM_RAYS, 3)
+    np.testing.assert_array_equal(kept, together)  # earlier scans stay as they are
+    none = {name: values[:0] for name, values in moves.items()}
+    assert lidar.scan(positions[:0], rotations[:0], **none).shape == (0, NUM_RAYS, 3)
 
 
 @pytest.mark.parametrize("remake", [copy.deepcopy, lambda lidar: pickle.loads(pickle.dumps(lidar))])
@@ -251,20 +231,16 @@ def test_copies_see_the_same(remake) -> None:
         ({"rotations": np.eye(3)}, "rotations must have shape"),
         ({"moving_poses": [[0, 0, 0]]}, "moving_poses must have shape"),
         ({"moving_poses": [[0, 0, 0, np.inf]]}, "moving_poses must be finite"),
+        ({"moving_poses": [[0, 0, 0, 0]], "moving": None}, "moving mesh"),
+        ({"config": LidarConfig(dropout=0.1)}, "need rng"),
+        ({"config": LidarConfig(motion_distortion=True)}, "velocities is needed"),
     ],
 )
-def test_wrong_poses(arguments: dict, message: str) -> None:
+def test_wrong_arguments(arguments: dict, message: str) -> None:
+    scan = {"positions": ORIGIN, "rotations": LEVEL, **arguments}
+    lidar = Lidar([WALL], scan.pop("moving", PLANE), scan.pop("config", None))
     with pytest.raises(ValueError, match=message):
-        Lidar([WALL], PLANE).scan(**{"positions": ORIGIN, "rotations": LEVEL, **arguments})
-
-
-def test_missing_arguments() -> None:
-    with pytest.raises(ValueError, match="moving mesh"):
-        Lidar([WALL]).scan(ORIGIN, LEVEL, np.zeros((1, 4)))
-    with pytest.raises(ValueError, match="need rng"):
-        Lidar([WALL], None, LidarConfig(dropout=0.1)).scan(ORIGIN, LEVEL)
-    with pytest.raises(ValueError, match="velocities is needed"):
-        Lidar([WALL], None, LidarConfig(motion_distortion=True)).scan(ORIGIN, LEVEL)
+        lidar.scan(**scan)
 
 
 @pytest.mark.parametrize(

@@ -11,23 +11,12 @@ from uavrl.envs.traffic import Leg, Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig
 
 SIZE = np.array([40.0, 30.0])
-SLOWEST, FASTEST = 3.0, 4.0  # m/s
 DT = 0.1  # s
 
 
 @pytest.fixture(scope="module")
 def world() -> World:
     return World(WorldConfig(seeds=(0, 1), planes=3, obstacles=5))
-
-
-def fly(world, seed=0, steps=3000, dt=DT):
-    return Traffic(world, np.random.default_rng(seed)).advance(steps, dt)
-
-
-def legs(path):
-    """Splits one plane's path [T, 4] where it comes in again elsewhere."""
-    moved = np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1)
-    return np.split(path, np.flatnonzero(moved > FASTEST * DT + 1e-6) + 1)
 
 
 def straight_leg(speed: float, backwards: bool = False, speeds: tuple[float, float] | None = None) -> Leg:
@@ -52,14 +41,13 @@ def test_the_next_leg_begins_when_one_ends() -> None:
     last = leg.fly(1, 3.0)[0]
     assert leg.flown == pytest.approx(2.0)
     assert last[0] == pytest.approx(8.0 if leg.backwards else 2.0)
-    assert {way for seed in range(20) for way in [entered(seed)]} == {False, True}
-
-
-def entered(seed: int) -> bool:
-    leg = straight_leg(4.0)
-    leg._rng = np.random.default_rng(seed)
-    leg.fly(1, 3.0)
-    return leg.backwards
+    ways = set()
+    for seed in range(20):
+        leg = straight_leg(4.0)
+        leg._rng = np.random.default_rng(seed)
+        leg.fly(1, 3.0)
+        ways.add(leg.backwards)
+    assert ways == {False, True}
 
 
 def test_speeds_are_drawn_per_leg_within_their_limits() -> None:
@@ -68,11 +56,6 @@ def test_speeds_are_drawn_per_leg_within_their_limits() -> None:
         leg.fly(1, leg.length / 3.0 + 0.1)
         speeds.append(leg.speed)
     assert 3.0 <= min(speeds) < 3.1 and 3.9 < max(speeds) <= 4.0
-
-
-def test_same_generator_same_traffic(world):
-    np.testing.assert_array_equal(fly(world), fly(world))
-    assert not np.allclose(fly(world), fly(world, seed=1))
 
 
 def test_planes_stay_in_their_valley(world):
@@ -94,7 +77,7 @@ def test_planes_fly_at_a_constant_speed_within_the_limits_and_look_ahead(world):
     path, speed = np.array(poses), np.array(speeds)
     same = speed[1:] == speed[:-1]  # no new leg began
     assert 0.98 < same.mean() < 1.0
-    assert speed.min() >= SLOWEST and speed.max() <= FASTEST and np.ptp(speed) > 0.8
+    assert speed.min() >= 3.0 and speed.max() <= 4.0 and np.ptp(speed) > 0.8
     moved = np.diff(path[..., :3], axis=0)
     share = (np.linalg.norm(moved, axis=-1) / DT / speed[1:])[same]
     assert share.max() <= 1.0 + 1e-6
@@ -105,42 +88,15 @@ def test_planes_fly_at_a_constant_speed_within_the_limits_and_look_ahead(world):
     assert seen[same].mean() > 0.95
 
 
-def test_legs_lead_from_edge_to_edge_over_the_walls(world):
-    path = fly(world, steps=6000)
-    entered = set()
-    for leg in legs(path[:, 0])[1:-1]:
-        ends = []
-        for xyz in (leg[0, :3], leg[-1, :3]):
-            to_edges = np.array([xyz[0] + 20, 20 - xyz[0], xyz[1] + 15, 15 - xyz[1]])
-            assert to_edges.min() <= 1.2  # where routes begin, and one step at the highest speed
-            assert xyz[2] > world.valleys[0].ground.heights.max()
-            ends.append(int(to_edges.argmin()))
-        entered |= set(ends)
-    assert entered == {0, 1, 2, 3}
-
-
-def test_planes_are_where_uavs_fly_most_of_the_time_and_at_all_heights(world):
-    path = fly(world)
-    below = path[..., 2] < 5.0
-    assert below.mean() > 0.4
-    shares = np.histogram(path[..., 2][below], bins=[0.0, 2.0, 3.0, 4.0, 5.0])[0] / below.sum()
-    assert shares.min() > 0.1
-
-
 def test_the_time_can_be_cut_into_any_calls(world):
-    whole = fly(world, steps=720)
-    traffic = Traffic(world, np.random.default_rng(0))
-    pieces = np.concatenate([traffic.advance(steps, DT) for steps in (24,) * 20 + (1,) * 20 + (220,)])
-    np.testing.assert_allclose(pieces, whole, atol=1e-6)
-
-
-def test_positions_and_yaws_are_the_last_of_the_path(world):
-    traffic = Traffic(world, np.random.default_rng(0))
-    for _ in range(50):
-        last = traffic.advance(24, 0.05)[-1]
-        np.testing.assert_allclose(traffic.positions, last[:, :3], atol=1e-6)
-        np.testing.assert_allclose(np.cos(traffic.yaws - last[:, 3]), 1.0, atol=1e-9)
-        assert (np.abs(traffic.yaws) <= np.pi).all()
+    whole = Traffic(world, np.random.default_rng(0)).advance(720, DT)
+    assert not np.allclose(Traffic(world, np.random.default_rng(1)).advance(720, DT), whole)
+    traffic, pieces = Traffic(world, np.random.default_rng(0)), []
+    for steps in (24,) * 20 + (1,) * 20 + (220,):
+        pieces.append(traffic.advance(steps, DT))
+        np.testing.assert_allclose(traffic.poses(), pieces[-1][-1], atol=1e-6)
+        assert (np.abs(traffic.poses()[:, 3]) <= np.pi).all()
+    np.testing.assert_allclose(np.concatenate(pieces), whole, atol=1e-6)
 
 
 def test_planes_begin_spread_over_their_routes():
@@ -150,20 +106,9 @@ def test_planes_begin_spread_over_their_routes():
     assert 4.0 < np.mean(starts) < 6.0
 
 
-def test_no_flight_starts_within_the_keep_out_of_a_plane(world):
-    rng, traffic = np.random.default_rng(0), Traffic(world, np.random.default_rng(0))
-    apart, without = [], []
-    for _ in range(200):
-        traffic.advance(1, 3.0)
-        for found, avoid in ((apart, traffic.positions), (without, None)):
-            start = world.sample_task(rng, avoid=avoid).start
-            found.append(np.linalg.norm(traffic.positions - start, axis=1).min())
-    assert min(apart) >= 6.0 > min(without)
-
-
 def test_static_world_has_no_traffic():
     traffic = Traffic(World(WorldConfig(obstacles=5)), np.random.default_rng(0))
-    assert traffic.positions.shape == (0, 3) and traffic.yaws.shape == (0,)
+    assert traffic.positions.shape == (0, 3) and traffic.poses().shape == (0, 4)
     assert traffic.advance(24, 0.1).shape == (24, 0, 4)
 
 
@@ -176,12 +121,6 @@ def test_plane_model():
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     assert high[0] > 0 > low[0] and high[2] > -low[2]  # the fin points up
     np.testing.assert_allclose(plane_mesh(3.0).vertices, mesh.vertices * 1.5, rtol=1e-6)
-
-
-def test_an_environment_shows_the_shape_of_its_planes():
-    env = NavigationEnv(1, world=WorldConfig(planes=3))  # of 3 m
-    np.testing.assert_array_equal(env.plane_mesh.vertices, plane_mesh(3.0).vertices)
-    env.close()
 
 
 def test_an_environment_tells_the_ways_that_its_planes_will_fly():

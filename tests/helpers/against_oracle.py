@@ -17,7 +17,7 @@ from tests.helpers import oracle
 from tests.helpers.updates import ACTIONS, FRAME, STATE, batch_number, cast, episodes, plain
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
-from uavrl.models.classifiers import LinearClassifier
+from uavrl.models.collision import LinearClassifier
 from uavrl.training.compiled import Execution
 from uavrl.training.update import ActorCriticStepper
 

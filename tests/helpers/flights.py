@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
 
 from tests.helpers.configs import composed
-from uavrl.configs import to_dataclass
+from uavrl.config import validate
 from uavrl.rollout.baselines import StraightPolicy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.record import record_flights
@@ -19,7 +19,7 @@ from uavrl.rollout.recording import Recording
 
 STEPS = 12
 SEED = 20_000
-PERCEPTION = to_dataclass(composed()).perception
+PERCEPTION = validate(composed()).perception
 
 
 def unpack(packed: dict[str, Any]) -> np.ndarray:
@@ -29,7 +29,7 @@ def unpack(packed: dict[str, Any]) -> np.ndarray:
 
 
 def reward(name: str, *overrides: str) -> DictConfig:
-    return to_dataclass(composed("config", f"reward={name}", *overrides)).reward
+    return validate(composed("config", f"reward={name}", *overrides)).reward
 
 
 REWARD = reward("navigation_prize")
@@ -38,7 +38,7 @@ REWARD = reward("navigation_prize")
 def small_env(planes: int = 0, steps: int = STEPS) -> DictConfig:
     world = ["seeds=[3,4]", "size=[26.0,20.0]", "obstacles=6", f"planes={planes}"]
     overrides = [f"env.world.{value}" for value in world]
-    return to_dataclass(composed("config", f"env.max_steps={steps}", *overrides)).env
+    return validate(composed("config", f"env.max_steps={steps}", *overrides)).env
 
 
 def flying_env(planes: int = 0, reward: DictConfig | None = None, num_uavs: int = 1) -> TransformedEnv:

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 from omegaconf import OmegaConf
 
-from uavrl.configs import complete, compose
+from uavrl.config import compose, resolve
 from uavrl.runs.episodes import Episode
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +30,7 @@ def episodes(outcomes: str, world_seed: int = 0) -> list[Episode]:
 
 @cache
 def _default() -> dict[str, Any]:
-    config = OmegaConf.to_container(complete(compose("run_dir=here")))
+    config = OmegaConf.to_container(resolve(compose("run_dir=here")))
     assert isinstance(config, dict)
     return {str(key): value for key, value in config.items()}
 

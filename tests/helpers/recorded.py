@@ -23,13 +23,13 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
-from uavrl.configs import TrainConfig, compose, settings_of_run
-from uavrl.configs.build import build
+from uavrl.config import TrainConfig, compose, validate_run
+from uavrl.config.build import build
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import Policy, rollout
 from uavrl.rollout.saved import load_policy
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 
 SCANS = Path(__file__).resolve().parent.parent / "transforms" / "scans.safetensors"
@@ -48,7 +48,7 @@ def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
     """A packaged policy, and the configuration in which its evaluation was flown."""
     config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
     overrides = evaluation(name)["overrides"]
-    return settings_of_run(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
+    return validate_run(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
 
 
 def recorded(name: str) -> dict[str, Tensor]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from uavrl.configs import compose
+from uavrl.config import compose
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples/walker"
 CONFIG_DIR, TRUSTED = ["--config-dir", str(EXAMPLE / "conf")], "packages=[walker]"

@@ -221,14 +221,24 @@ class TestFit:
         loss.evaluate(data[torch.arange(10)])
         assert loss.evaluated == 2
 
-    def test_the_penalty_is_active_after_enough_evaluations_while_it_raises_few_false_alarms(self) -> None:
-        loss, others = lifeguard(min_evaluations=20, evaluation_window=3), episodes(2, collided=False)
+    @pytest.mark.parametrize(
+        ("false_positives", "evaluations", "active"),
+        [(3, 20, False), (3, 21, True), (4, 21, False), (4, 1000, False), (0, 0, False)],
+    )
+    def test_it_is_trusted(self, false_positives: int, evaluations: int, active: bool) -> None:
+        """Of 100 negatives: a rate of 0.97 is enough, 0.96 is not; 20 evaluations are not enough, 21 are."""
+        loss = lifeguard(min_evaluations=20, min_true_negative_rate=0.96)
+        loss.evaluations.extend([[0, false_positives, 100 - false_positives, 100]] * min(evaluations, 1))
+        loss.evaluated = evaluations
+        loss._refresh()
+        assert loss.active is active
+
+    def test_false_alarms_deactivate_the_penalty(self) -> None:
+        loss, others = lifeguard(evaluation_window=3), episodes(2, collided=False)
         loss.observe(episodes(1))
-        active: list[bool] = []
-        for _ in range(21):
+        for _ in range(3):
             loss.evaluate(others)
-            active.append(loss.active)
-        assert active == [False] * 20 + [True]
+        assert loss.active
         loss.classifier.model.intercept.fill_(1.0)
         loss.evaluate(others)
         assert not loss.active

@@ -1,8 +1,9 @@
-"""Eq. 3.3 on numbers worked out by hand, and PSAE's loss under the contract of losses."""
+"""PSAE's loss (Eq. 3.3) on numbers worked out by hand, and under the contract of losses."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
@@ -13,50 +14,7 @@ from tensordict.nn import TensorDictModule
 from tests.helpers.contracts import LossContract
 from uavrl.errors import UavrlError
 from uavrl.losses.psae import PSAELoss
-from uavrl.losses.psae_functional import neighbour_similarity, psae_loss, reconstruction_error
-from uavrl.models.psae import PSAE
-
-STATES = torch.tensor([[[1.0, 0.0]], [[2.0, 2.0]], [[0.0, 3.0]]])  # [3, 1, 2]
-RECONSTRUCTIONS = torch.tensor([[[0.0, 0.0]], [[2.0, 1.0]], [[2.0, 3.0]]])
-FEATURES = torch.tensor([[[0.0, 2.0]], [[3.0, 4.0]], [[-4.0, 3.0]]])
-
-
-def test_the_reconstruction_term() -> None:
-    assert reconstruction_error(STATES, RECONSTRUCTIONS).tolist() == [1.0 + 1.0 + 4.0]
-
-
-def test_the_similarity_term() -> None:
-    # cos((3, 4), (0, 2)) = 8 / (5 * 2), cos((3, 4), (-4, 3)) = 0
-    torch.testing.assert_close(neighbour_similarity(FEATURES), torch.tensor([0.8]))
-
-
-def test_the_neighbours_are_compared_with_the_anchor_and_not_with_each_other() -> None:
-    features = torch.tensor([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
-    assert neighbour_similarity(features).item() == 0.0
-    assert neighbour_similarity(torch.ones(3, 2)).item() == pytest.approx(2.0)
-
-
-def test_the_loss() -> None:
-    loss = psae_loss(torch.tensor([6.0]), torch.tensor([0.8]))
-    torch.testing.assert_close(loss, torch.tensor([0.7 * 6 - 0.3 * 0.8]))
-    assert psae_loss(torch.tensor([6.0]), torch.tensor([0.8]), 0.0).item() == pytest.approx(-0.8)
-    assert psae_loss(torch.tensor([6.0]), torch.tensor([0.8]), 1.0).item() == 6.0
-
-
-@pytest.mark.parametrize("shape", [(2, 4, 5), (3,), (4, 3, 5)])
-def test_what_is_no_triple_is_refused(shape: tuple[int, ...]) -> None:
-    wrong = torch.zeros(shape)
-    with pytest.raises(ValueError, match=r"\[3, \*B, D\]"):
-        reconstruction_error(wrong, wrong)
-    with pytest.raises(ValueError, match=r"\[3, \*B, D\]"):
-        neighbour_similarity(wrong)
-
-
-def test_shapes_that_differ_are_refused() -> None:
-    with pytest.raises(ValueError, match="of the states' shape"):
-        reconstruction_error(STATES, STATES[:, :, :1])
-    with pytest.raises(ValueError, match="of one shape"):
-        psae_loss(torch.zeros(2), torch.zeros(3))
+from uavrl.models import PSAE
 
 
 class Fixed(torch.nn.Module):
@@ -75,34 +33,36 @@ def triple(before: float, anchor: float, after: float) -> TensorDict:
     return TensorDict(data).apply(lambda x: torch.as_tensor(x).reshape(1, 1), batch_size=[1])
 
 
-def test_the_module_on_numbers_worked_out_by_hand() -> None:
+def test_the_loss_on_numbers_worked_out_by_hand() -> None:
     # errors: 1² + 0² + 3²; cos((0, 2), (1, 2)) = 4 / (2 √5), cos((0, 2), (3, 2)) = 4 / (2 √13)
-    loss, metadata = PSAELoss(Fixed()).psae_loss(triple(1.0, 0.0, 3.0))
     similarity = 2 / math.sqrt(5) + 2 / math.sqrt(13)
-    assert metadata["reconstruction_error"].item() == 10.0
-    assert metadata["similarity"].item() == pytest.approx(similarity)
-    assert loss.item() == pytest.approx(0.7 * 10 - 0.3 * similarity)
+    for tradeoff, expected in ((0.7, 0.7 * 10 - 0.3 * similarity), (0.0, -similarity), (1.0, 10.0)):
+        loss, metadata = PSAELoss(Fixed(), tradeoff=tradeoff).psae_loss(triple(1.0, 0.0, 3.0))
+        assert metadata["reconstruction_error"].item() == 10.0
+        assert metadata["similarity"].item() == pytest.approx(similarity)
+        assert loss.item() == pytest.approx(expected)
 
 
-def test_previous_and_next_are_told_from_the_anchor() -> None:
-    loss = PSAELoss(Fixed())
-    one, other = (loss.psae_loss(triple(*values))[0].item() for values in ((1.0, 0.0, 3.0), (0.0, 1.0, 3.0)))
-    assert one != pytest.approx(other)
+class Narrow(Fixed):
+    def forward(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return states, self.gain * states[..., 1:]
 
 
-def test_a_tradeoff_out_of_range_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"tradeoff must be in \[0, 1\], got 1.5"):
-        PSAELoss(PSAE(6), tradeoff=1.5)
-
-
-def test_a_value_estimator_is_refused() -> None:
-    with pytest.raises(UavrlError, match="knows no values"):
-        PSAELoss(PSAE(6)).make_value_estimator()
-
-
-def test_a_network_of_other_keys_is_refused() -> None:
-    with pytest.raises(ValueError, match="to features and reconstruction"):
-        PSAELoss(TensorDictModule(torch.nn.Linear(6, 6), ["observation"], ["features"]))
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: PSAELoss(PSAE(6), tradeoff=1.5), r"tradeoff must be in \[0, 1\], got 1.5"),
+        (lambda: PSAELoss(TensorDictModule(PSAE(6), ["observation"], ["features"])), "to features and reconstruction"),
+        (lambda: PSAELoss(PSAE(6)).make_value_estimator(), "knows no values"),
+        (
+            lambda: PSAELoss(Narrow()).psae_loss(TestPSAELoss().make_data()),
+            r"of the states' shape \[3, 5, 6\], got \[3, 5, 5\]",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises((ValueError, UavrlError), match=message):
+        call()
 
 
 def test_it_trains_the_networks_own_parameters() -> None:

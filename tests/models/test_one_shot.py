@@ -74,32 +74,24 @@ def test_states_without_features_are_alike() -> None:
     assert join_or_found(features, torch.empty(0, 4), 0.98, 10)[0].tolist() == [0, 0]
 
 
-def test_twenty_features_for_the_thesis_state() -> None:
-    classifier = OneShotClassifier()
-    labels = classifier(random_states(50))
-    assert (labels.dtype, labels.shape, classifier.exemplars.shape[1]) == (torch.int64, (50,), 20)
-    assert not list(classifier.parameters())
-
-
-def test_a_state_that_is_nearly_the_same_joins() -> None:
+def test_states_of_the_thesis_have_twenty_features_and_nearly_the_same_ones_join() -> None:
     classifier, states = OneShotClassifier(), random_states(30)
     labels = classifier(states)
+    assert (labels.dtype, labels.shape, classifier.exemplars.shape[1]) == (torch.int64, (30,), 20)
     assert torch.equal(classifier(states + 1e-3 * random_states(30, seed=1)), labels)
     assert len(classifier) == int(labels.max()) + 1 > 20
+    assert not list(classifier.parameters())
+    assert classifier(torch.empty(0, 105)).tolist() == []
 
 
-def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    one, other, states = OneShotClassifier(threshold=0.8), OneShotClassifier(threshold=0.8), random_states(500)
+def test_memory_is_bounded_and_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = (OneShotClassifier(threshold=0.8, max_classes=10) for _ in range(2))
+    states = random_states(500)
     expected = one(states)
+    assert int(expected.max()) + 1 == len(one) == 10
     monkeypatch.setattr(OneShotClassifier, "CHUNK", 7)
     assert torch.equal(other(states), expected)
     assert torch.equal(other.exemplars, one.exemplars)
-
-
-def test_memory_is_bounded() -> None:
-    classifier = OneShotClassifier(max_classes=10)
-    assert int(classifier(random_states(200)).max()) == 9
-    assert len(classifier) == 10
 
 
 def test_the_seed_draws_the_convolution_and_nothing_else_does() -> None:
@@ -125,10 +117,6 @@ def test_state_round_trip() -> None:
     with pytest.raises(RuntimeError, match="exemplars"):
         OneShotClassifier(features=10).load_state_dict(one.state_dict())
     assert len(copy.deepcopy(one)) == len(one)
-
-
-def test_an_empty_batch() -> None:
-    assert OneShotClassifier()(torch.empty(0, 105)).tolist() == []
 
 
 @pytest.mark.parametrize(

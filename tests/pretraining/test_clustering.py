@@ -1,12 +1,17 @@
-"""k-means, elbow and class sizes, on data whose answer is known."""
+"""k-means and elbow on data whose answer is known, and the pictures."""
 
 from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
 
 import pytest
 import torch
 
 from uavrl.errors import UavrlError
-from uavrl.pretraining.clustering import class_sizes, cluster, cluster_each, elbow, size_deviation, standardization
+from uavrl.pretraining import clustering
+from uavrl.pretraining.clustering import cluster, cluster_each, draw, elbow, standardization
 
 
 def blobs(k: int, each: int = 60, width: int = 4, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -17,20 +22,14 @@ def blobs(k: int, each: int = 60, width: int = 4, seed: int = 0) -> tuple[torch.
     return centres[labels] + 0.1 * torch.randn(k * each, width, generator=generator), labels
 
 
-def test_every_blob_is_one_cluster() -> None:
+def test_every_blob_is_one_cluster_and_the_error_the_sum_of_squared_distances() -> None:
     points, labels = blobs(5)
     found = cluster(points, 5)
     pairs = {(a, b) for a, b in zip(labels.tolist(), found.labels.tolist(), strict=True)}
-    assert len(pairs) == 5 == found.k == len({a for a, _ in pairs}) == len({b for _, b in pairs})
-    assert class_sizes(found.labels, 5).tolist() == [60] * 5
-
-
-def test_the_error_is_the_sum_of_squared_distances() -> None:
-    points, _ = blobs(5)
-    found = cluster(points, 5)
+    assert len(pairs) == 5 == len({a for a, _ in pairs}) == len({b for _, b in pairs})
+    assert torch.equal(found.labels, torch.cdist(points, found.centres).argmin(-1))
     distances = (points - found.centres[found.labels]).double().square().sum()
     assert found.sse == pytest.approx(distances.item(), rel=1e-3)
-    assert torch.equal(found.labels, torch.cdist(points, found.centres).argmin(-1))
 
 
 @pytest.mark.parametrize("k", [6, 8, 10])
@@ -38,7 +37,6 @@ def test_the_elbow_of_blobs_is_their_number(k: int) -> None:
     points, _ = blobs(k)
     ks = [2, *range(4, 25, 2)]
     found = cluster_each(points, ks)
-    assert list(found) == ks
     assert elbow(ks, [found[i].sse for i in ks]) == k
 
 
@@ -70,13 +68,22 @@ def test_standardised_features_have_mean_0_and_deviation_1() -> None:
     torch.testing.assert_close(scaled.std(0, correction=0), torch.tensor([1.0, 0.0, 1.0]))
 
 
-def test_class_sizes_count_the_empty_classes() -> None:
-    sizes = class_sizes(torch.tensor([0, 0, 3]), 5)
-    assert sizes.tolist() == [2, 0, 0, 1, 0]
-    assert class_sizes(torch.tensor([0, 0, 3])).tolist() == [2, 0, 0, 1]
+SIZES = {"a": torch.tensor([3, 0, 2]), "b": torch.tensor([4, 1])}
 
 
-def test_the_deviation_of_class_sizes() -> None:
-    # mean 5, squares 9 + 1 + 1 + 1 + 0 + 0 + 4 + 16 = 32, 32 / 8 = 4
-    assert size_deviation(torch.tensor([2, 4, 4, 4, 5, 5, 7, 9])) == 2.0
-    assert size_deviation(torch.tensor([7, 7, 7])) == 0.0
+@pytest.mark.parametrize(("ks", "files"), [([2, 3, 4], ["class_sizes.png", "elbow.png"]), ([], ["class_sizes.png"])])
+def test_pictures_are_drawn_of_the_sizes_and_of_a_curve(tmp_path: Path, ks: list[int], files: list[str]) -> None:
+    draw(tmp_path, ks, [9.0, 2.0, 1.0][: len(ks)], 3 if ks else None, SIZES)
+    assert sorted(p.name for p in tmp_path.iterdir()) == files
+    assert all(p.read_bytes().startswith(b"\x89PNG") for p in tmp_path.iterdir())
+
+
+def test_without_matplotlib_there_are_none_and_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(clustering.log, "disabled", False)  # Hydra disables the loggers that it finds
+    with caplog.at_level(logging.INFO):
+        draw(tmp_path, [2, 3], [2.0, 1.0], 2, SIZES)
+    assert not list(tmp_path.iterdir())
+    assert "pip install 'uavrl[viewer]'" in caplog.text

@@ -10,15 +10,15 @@ import pytest
 import yaml
 
 from tests.helpers.configs import composed
-from uavrl.configs import checked, conf_dir
-from uavrl.configs.pretrain import PretrainConfig, PretrainRecipe
+from uavrl.config import conf_dir, validate
 from uavrl.errors import UavrlError
 from uavrl.losses import PSAELoss
 from uavrl.models import PSAE, TrajectoryClassifier
+from uavrl.pretraining.settings import PretrainConfig, PretrainRecipe
 
 
 def settings(*overrides: str) -> Any:
-    return checked(composed("pretrain", *overrides), PretrainConfig)
+    return validate(composed("pretrain", *overrides), PretrainConfig)
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (conf_dir() / "pretrain").glob("*.yaml")))

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.helpers.states import OUTCOMES, checkpoint_run, walk
 from uavrl.errors import UavrlError
-from uavrl.pretraining import read_states
+from uavrl.pretraining import read_states, triple_centres
 
 WIDTH = 6
 
@@ -46,27 +48,27 @@ def test_of_a_buffer_that_overwrote_its_oldest_transitions_whole_episodes_are_le
 
 
 def test_the_states_of_a_run_may_be_stacked(tmp_path: Path) -> None:
-    flown = [np.arange(10 * i, 10 * i + steps + 3, dtype=np.float32)[:, None] for i, steps in enumerate((5, 1, 8))]
-    written = [np.lib.stride_tricks.sliding_window_view(f[:, 0], 3).copy() for f in flown]  # one state more than steps
+    frames = [np.arange(10 * i, 10 * i + steps + 3, dtype=np.float32)[:, None] for i, steps in enumerate((5, 1, 8))]
+    written = [np.lib.stride_tricks.sliding_window_view(f[:, 0], 3).copy() for f in frames]  # one state more than steps
     checkpoint_run(tmp_path / "run", [states[:-1] for states in written], frames=3)  # each next state is one higher
     assert np.array_equal(read_states(tmp_path / "run").states, np.concatenate([states[:-1] for states in written]))
 
 
-def test_transitions_of_several_steps_end_where_their_flights_did(tmp_path: Path) -> None:
+def test_transitions_of_several_steps_end_where_their_episodes_did(tmp_path: Path) -> None:
     written = episodes()
-    checkpoint_run(tmp_path / "run", written, n_steps=3)  # the last three of each flight are done
+    checkpoint_run(tmp_path / "run", written, n_steps=3)  # the last three of each episode are done
     found = read_states(tmp_path / "run")
     assert np.array_equal(found.states, np.concatenate(written))
     assert np.bincount(found.episode).tolist() == [len(states) for states in written]
     assert found.outcomes == [OUTCOMES[i % 3] for i in range(7)]
 
 
-def test_a_missing_run_or_checkpoint_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UavrlError, match="Expected a run folder at"):
-        read_states(tmp_path / "none")
+def test_a_missing_run_checkpoint_or_episode_is_named(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    with pytest.raises(UavrlError, match="Expected a checkpoint in"):
-        read_states(tmp_path / "empty")
+    checkpoint_run(tmp_path / "run", [])
+    for name, message in (("none", "a run folder at"), ("empty", "a checkpoint in"), ("run", "whole episodes")):
+        with pytest.raises(UavrlError, match=f"Expected {message}"):
+            read_states(tmp_path / name)
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
@@ -78,12 +80,6 @@ def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
         read_states(tmp_path / "run")
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(UavrlError, match="damaged"):
-        read_states(tmp_path / "run")
-
-
-def test_an_empty_buffer_is_refused(tmp_path: Path) -> None:
-    checkpoint_run(tmp_path / "run", [])
-    with pytest.raises(UavrlError, match="Expected whole episodes"):
         read_states(tmp_path / "run")
 
 
@@ -100,3 +96,21 @@ def test_a_perception_that_is_no_mapping_is_refused(tmp_path: Path) -> None:
     checkpoint_run(tmp_path / "run", episodes(), perception="folded")
     with pytest.raises(UavrlError, match=r"Expected perception in .* to be a mapping, got 'folded'"):
         read_states(tmp_path / "run")
+
+
+@pytest.mark.parametrize("episode", [[], [0], [0, 0], [0, 1, 2]])
+def test_without_three_states_in_a_row_there_is_no_triple(episode: list[int]) -> None:
+    assert triple_centres(np.array(episode, np.int32)).tolist() == []
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.integers(1, 7), min_size=1, max_size=30))
+def test_triples_stay_in_their_episode_and_none_is_missing(lengths: list[int]) -> None:
+    episode = np.repeat(np.arange(len(lengths)), lengths)
+    centres = triple_centres(episode)
+    assert all(0 < t < len(episode) - 1 for t in centres), "-1 would wrap around to the end"
+    assert all(episode[t - 1] == episode[t] == episode[t + 1] for t in centres)
+    assert len(centres) == sum(max(length - 2, 0) for length in lengths)
+    assert len(set(centres.tolist())) == len(centres)
+    with pytest.raises(ValueError, match=r"\[N\]"):
+        triple_centres(episode[:, None])

@@ -8,12 +8,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from plotly.offline import get_plotlyjs
 
 from tests.helpers.commands import in_process
 from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder
 from uavrl.cli.report import main
 from uavrl.command_line import override
-from uavrl.reporting.figures import plotly_script
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 
@@ -23,25 +23,26 @@ VOID = {"meta", "input", "br", "link", "img", "hr"}
 class Reader(HTMLParser):
     """Collects text and attributes, and checks that every element that is opened is closed in order."""
 
-    def __init__(self) -> None:
+    def __init__(self, html: str) -> None:
         super().__init__()
         self.open: list[str] = []
-        self.text: list[str] = []
+        self.parts: list[str] = []
         self.fetched: list[str] = []
         self.ids: list[str] = []
         self.links: list[str] = []
+        self.feed(html)
+        self.close()
+        assert not self.open
+        self.text = " ".join(" ".join(self.parts).split())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        values = dict(attrs)
+        values = {key: value or "" for key, value in attrs}
         if tag == "a":
-            self.links.append(values.get("href") or "")
-        else:
-            self.fetched += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "data", "action")]
-        self.fetched += re.findall(r"url\([^)]*\)", values.get("style") or "")
-        if "id" in values:
-            self.ids.append(values["id"] or "")
-        if tag not in VOID:
-            self.open.append(tag)
+            self.links.append(values.pop("href"))
+        self.fetched += [values[key] for key in ("src", "href", "srcset", "data", "action") if key in values]
+        self.fetched += re.findall(r"url\([^)]*\)", values.get("style", ""))
+        self.ids += [values["id"]] if "id" in values else []
+        self.open += [tag] if tag not in VOID else []
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open and self.open.pop() == tag, tag
@@ -50,15 +51,7 @@ class Reader(HTMLParser):
         if self.open and self.open[-1] == "style":
             assert "url(" not in data and "@import" not in data
         elif self.open and self.open[-1] != "script":
-            self.text.append(data)
-
-
-def read(html: str) -> Reader:
-    reader = Reader()
-    reader.feed(html)
-    reader.close()
-    assert not reader.open
-    return reader
+            self.parts.append(data)
 
 
 @pytest.fixture
@@ -72,19 +65,20 @@ def runs(tmp_path: Path) -> Path:
 
 def test_the_page_holds_together_and_fetches_nothing(runs: Path) -> None:
     html = page(make_report([runs], window=2))
-    reader = read(html)
+    reader = Reader(html)
     assert reader.fetched == []
     assert all(link.startswith("#") and link[1:] in reader.ids for link in reader.links)
     assert len(reader.ids) == len(set(reader.ids))
-    assert html.count(plotly_script()[:2000]) == 1
+    assert html.count(get_plotlyjs()[:2000]) == 1
     assert "default-src 'none'" in html
 
 
 def test_the_page_says_what_the_facts_say(runs: Path) -> None:
-    text = " ".join(" ".join(read(page(make_report([runs], window=2, title="Mine & yours"))).text).split())
+    html = page(make_report([runs], window=2, title="Mine & yours"))
+    text = Reader(html).text
     for expected in (
         "Mine & yours",
-        "TD3 + ABR⁺, Eq. 3.6 One seed: it shows what happened once, not what to expect. 1 (0)",
+        "TD3 + ABR⁺, Eq. 3.6 One seed: the spread between seeds is unknown. 1 (0)",
         "1 folder left out",
         "episodes.csv is missing",
         "Steps to 78 %",
@@ -99,32 +93,23 @@ def test_the_page_says_what_the_facts_say(runs: Path) -> None:
         assert expected in text, expected
     best, second = text.index("TD3, prize 2 (0, 1) 100.0 %"), text.index("TD3 + ABR⁺, Eq. 3.6 One seed")
     assert best < second < text.index("Learning curves"), "the answer comes first, and the best group"
+    compared = html[html.index('id="thesis"') : html.index('id="settings"')]
+    rows = re.findall(r'<tr><td class="l">(\w+)</td><td class="l">([^<]+)</td>', compared)
+    assert set(rows) == {("td3", "ABR⁺")}, "of the thesis only the rows of the runs"
 
 
 def test_what_is_not_there_is_not_shown(tmp_path: Path) -> None:
-    """Twelve episodes make no curve in steps of fifty, and a reward that the thesis has not stands beside nothing."""
+    """Twelve episodes make no curve in steps of fifty, and the thesis has no row with this reward."""
     run_folder(tmp_path / "short", "ccaccaccacca")
-    html = page(make_report([tmp_path / "short"]))
-    reader = read(html)
-    text = " ".join(" ".join(reader.text).split())
-    assert "Too short to draw: TD3, prize. A curve begins at episode 50, a tenth of the window" in text
-    assert "No run of this report learns and is paid as one of the thesis's rows." in text
-    assert "plot-steps-success" not in reader.ids and 'class="switch"' not in html and "Thesis: success" not in text
-    assert "plot-steps-success" in read(page(make_report([tmp_path / "short"], window=10))).ids
-
-
-def test_a_short_run_beside_a_long_one_is_named(tmp_path: Path) -> None:
-    run_folder(tmp_path / "short", "ca", {"reward": "navigation"})
-    run_folder(tmp_path / "long", "ca" * 30)
-    html = page(make_report([tmp_path]))
-    assert "Too short to draw: TD3, Eq. 3.6." in html and "plot-steps-success" in read(html).ids
-
-
-def test_of_the_thesis_only_the_rows_of_the_runs_are_shown(runs: Path) -> None:
-    html = page(make_report([runs], window=2))
-    beside = html[html.index('id="thesis"') : html.index('id="settings"')]
-    rows = re.findall(r'<tr><td class="l">(\w+)</td><td class="l">([^<]+)</td>', beside)
-    assert set(rows) == {("td3", "ABR⁺")}
+    reader = Reader(html := page(make_report([tmp_path / "short"])))
+    assert "Too short to draw: TD3, prize. A curve begins at episode 50, a tenth of the window" in reader.text
+    assert "No run of this report has the learner and the reward of one of the thesis's rows." in reader.text
+    assert "Thesis: success" not in reader.text
+    assert "plot-steps-success" not in reader.ids and 'class="switch"' not in html
+    assert "plot-steps-success" in Reader(page(make_report([tmp_path / "short"], window=10))).ids
+    run_folder(tmp_path / "long", "ca" * 30, {"reward": "navigation"})
+    reader = Reader(page(make_report([tmp_path])))
+    assert "Too short to draw: TD3, prize." in reader.text and "plot-steps-success" in reader.ids
 
 
 def test_names_from_files_cannot_write_html(tmp_path: Path) -> None:
@@ -134,32 +119,27 @@ def test_names_from_files_cannot_write_html(tmp_path: Path) -> None:
     evaluation(folder, 1, 2, env=evil, valleys=evil)
     html = page(make_report([tmp_path], window=2, title=evil))
     assert "<script>alert" not in html and "<img src=x" not in html and "<b>run" not in html
-    assert read(html).fetched == []
+    assert Reader(html).fetched == []
 
 
-def test_evaluations_with_missing_or_strange_values(tmp_path: Path) -> None:
+def test_evaluations_with_missing_or_strange_values_and_with_positions(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "run", "ca")
     evaluation(folder, 1, 2, env=None, valleys=[3], path_efficiency="x", median_clearance=None, training_steps=None)
     content = json.loads((folder / "evaluation.json").read_text())
     del content["steps_per_arrival"], content["valleys"]
     (folder / "evaluation_2.json").write_text(json.dumps(content))
-    assert "evaluation_2.json" in page(make_report([tmp_path], window=2))
-
-
-def test_where_flights_went_is_shown_for_the_evaluations_that_tell_it(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "run", "ca")
-    evaluation(folder, 1, 2)
-    assert "Where the flights went" not in page(make_report([tmp_path], window=2))
-    evaluation(folder, 1, 2, "evaluation_valleys=7.json", valleys=[7], whereabouts=WHEREABOUTS)
     html = page(make_report([tmp_path], window=2))
-    text = " ".join(re.sub(r"<[^>]+>", " ", html[html.index("Where the flights went") :]).split())
-    assert "evaluation_valleys=7.json 2.0 / 3.5 / 4.9 1.1 / 6.2 / 13.3 12.5 % 25.0 % 50.0 % 12.5 %" in text
+    assert "evaluation_2.json" in html and "Positions: altitude" not in html
+    evaluation(folder, 1, 2, "evaluation_valleys=7.json", valleys=[7], whereabouts=WHEREABOUTS)
+    text = Reader(page(make_report([tmp_path], window=2))).text
+    row = "evaluation_valleys=7.json 2.0 / 3.5 / 4.9 1.1 / 6.2 / 13.3 12.5 % 25.0 % 50.0 % 12.5 %"
+    assert row in text[text.index("Positions: altitude") :]
 
 
 def test_more_groups_than_colours(tmp_path: Path) -> None:
     for i in range(9):
         run_folder(tmp_path / f"run{i}", "ca", algo__gamma=0.9 + i / 100)
-    read(page(make_report([tmp_path], window=2)))
+    Reader(page(make_report([tmp_path], window=2)))
 
 
 @pytest.fixture
@@ -196,6 +176,7 @@ def test_the_command_ends_in_one_sentence(
     runs: Path, tmp_path: Path, report: Callable[..., tuple[int, str, str]]
 ) -> None:
     output = tmp_path / "page.html"
+    folder = "{} cannot be written (it is a folder): choose another with {}=FILE."
     for values, expected in (
         ({"runs": tmp_path / "nowhere"}, "There is nothing to report"),
         ({"runs": tmp_path / "nowhere*"}, "There is nothing to report"),
@@ -203,20 +184,12 @@ def test_the_command_ends_in_one_sentence(
         ({"window": 0}, "window must be at least 1, got 0"),
         ({"json": output}, "json must be another file than output"),
         ({"json": runs}, "cannot be written"),
-        ({"json": Path()}, ". cannot be written (it is a folder): choose another with json=FILE."),
+        ({"json": Path()}, folder.format(".", "json")),
+        *(({"output": Path(path)}, folder.format(path, "output")) for path in (".", "/", "..")),
     ):
         code, _, err = report(**{"runs": runs, "output": output, **values})
         assert code == 1 and expected in err.splitlines()[-1] and "Traceback" not in err
         assert not output.exists()
-
-
-@pytest.mark.parametrize("output", [".", "/", ".."])
-def test_a_page_that_would_be_a_folder_is_told(
-    output: str, runs: Path, report: Callable[..., tuple[int, str, str]]
-) -> None:
-    code, _, err = report(runs, output=Path(output))
-    expected = f"uavrl: {output} cannot be written (it is a folder): choose another with output=FILE."
-    assert (code, err.splitlines()) == (1, [expected])
 
 
 @pytest.mark.parametrize("package", ["plotly", "jinja2"])

@@ -55,12 +55,12 @@ def test_what_to_know_stands_at_the_group_and_at_the_run(tmp_path: Path) -> None
     report = make_report([tmp_path], window=2)
     notes = {group["label"]: group["notes"] for group in report.groups}
     assert notes == {
-        "TD3-FORK, prize": ["One seed: it shows what happened once, not what to expect."],
-        "TD3, prize": ["Its seeds have flown 3 to 4 episodes.", "Its runs were made by different states of the code."],
+        "TD3-FORK, prize": ["One seed: the spread between seeds is unknown."],
+        "TD3, prize": ["Its seeds have 3 to 4 episodes.", "Its runs were made by different states of the code."],
     }
     assert report.warnings() == ["one: Unfinished: 2 of 7 episodes."]
     limits = {"steps": {"trainer__steps": 11}, "good": {"trainer__until_success": 0.5, "trainer__window": 2}}
-    for name, limit in limits.items():  # flights take ten steps
+    for name, limit in limits.items():  # episodes take ten steps
         run_folder(tmp_path / name / "ended", "ca", trainer__episodes=7, **limit)
     run_folder(tmp_path / "steps" / "begun", "ca", seed=1, trainer__episodes=7, trainer__steps=21)
     assert make_report([tmp_path / "good"], window=2).warnings() == []
@@ -68,7 +68,7 @@ def test_what_to_know_stands_at_the_group_and_at_the_run(tmp_path: Path) -> None
     assert {run["name"]: run["versions"] for run in report.runs}["two0"] == {"uavrl": "0.1.0", "commit": "a" * 40}
 
 
-def test_evaluations_are_put_together_by_what_was_flown(tmp_path: Path) -> None:
+def test_evaluations_are_put_together_by_their_tasks(tmp_path: Path) -> None:
     for seed, arrived, other in ((0, 8, 6), (1, 10, 4)):
         folder = run_folder(tmp_path / f"run{seed}", "ca", seed=seed)
         evaluation(folder, arrived, 10)
@@ -89,7 +89,7 @@ def test_evaluations_are_put_together_by_what_was_flown(tmp_path: Path) -> None:
     assert third["flown"] == "static, valleys 0, 10 tasks of seed 3, env.max_steps=9"
 
 
-def test_groups_stand_beside_the_row_that_they_repeat(tmp_path: Path) -> None:
+def test_groups_are_compared_with_the_row_of_the_thesis_that_they_repeat(tmp_path: Path) -> None:
     run_folder(tmp_path / "a", "ca", {"reward": "traditional"})
     run_folder(tmp_path / "b", "aa", {"backward_reward": "abr_plus", "lifeguard": "mlp"})
     run_folder(tmp_path / "c", "ca")
@@ -122,7 +122,7 @@ def test_settings_that_differ(tmp_path: Path) -> None:
     }
 
 
-def test_what_is_wrong_is_told_and_the_rest_reported(tmp_path: Path) -> None:
+def test_what_is_wrong_is_named_and_the_rest_reported(tmp_path: Path) -> None:
     run_folder(tmp_path / "good", "ca", trainer__episodes=7)
     (run_folder(tmp_path / "bad", "ca", seed=1) / "config.yaml").unlink()
     report = make_report([tmp_path, tmp_path / "nowhere"], window=5)
@@ -132,18 +132,22 @@ def test_what_is_wrong_is_told_and_the_rest_reported(tmp_path: Path) -> None:
         assert fact in warning
 
 
-def test_nothing_to_report_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(UavrlError, match=r"There is nothing to report\. .*holds no run"):
-        make_report([tmp_path])
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({}, r"There is nothing to report\. .*holds no run"),
+        ({"window": 0}, "must be"),
+        ({"threshold": 0.0}, "must be"),
+        ({"threshold": 1.5}, "must be"),
+        ({"threshold": float("nan")}, "must be"),
+    ],
+)
+def test_nothing_to_report_and_numbers_out_of_range(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(UavrlError, match=message):
+        make_report([tmp_path], **settings)
 
 
-@pytest.mark.parametrize("wrong", [{"window": 0}, {"threshold": 0.0}, {"threshold": 1.5}, {"threshold": float("nan")}])
-def test_numbers_out_of_range(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    with pytest.raises(UavrlError, match="must be"):
-        make_report([tmp_path], **wrong)
-
-
-def test_the_return_is_told_by_its_terms_where_all_episodes_name_them(tmp_path: Path) -> None:
+def test_the_return_is_split_by_its_terms_where_all_episodes_name_them(tmp_path: Path) -> None:
     older, newer = run_folder(tmp_path / "older", "ca"), run_folder(tmp_path / "newer", "ca", seed=1)
     rows = [replace(each, terms={"progress": 2.0 * each.episode, "arrival": 0.0}) for each in episodes("ca")]
     lines = [",".join(map(str, line)) for line in (Episode.header(rows[0].terms), *(r.row(r.terms) for r in rows))]
@@ -151,10 +155,10 @@ def test_the_return_is_told_by_its_terms_where_all_episodes_name_them(tmp_path: 
     report = make_report([newer])
     assert report.groups[0]["last"]["return_terms"] == {"progress": 3.0, "arrival": 0.0}
     shown = page(report)
-    assert "What the return is made of" in shown and re.search(r"<th[^>]*>progress</th>", shown)
+    assert "Terms of the return" in shown and re.search(r"<th[^>]*>progress</th>", shown)
     both = make_report([older, newer])
     assert both.groups[0]["last"]["return_terms"] == {}
-    assert "What the return is made of" not in page(both)
+    assert "Terms of the return" not in page(both)
 
 
 def test_json_gives_back_the_facts_and_names_no_place_of_this_machine(tmp_path: Path) -> None:

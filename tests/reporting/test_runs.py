@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.helpers.folders import ROOT, WHEREABOUTS, evaluation, run_folder
-from uavrl.configs import complete, compose
+from uavrl.config import compose, learner_name, resolve
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 from uavrl.reporting.runs import Run, read_runs
@@ -29,7 +29,7 @@ def reason(folder: Path) -> str:
 
 def test_a_run_folder(tmp_path: Path) -> None:
     run = only(run_folder(tmp_path / "one", "cat", seed=3))
-    assert (run.name, run.seed, run.learner, run.planned, run.steps) == ("one", 3, "td3", 3, 30)
+    assert (run.name, run.seed, run.steps, run.finished) == ("one", 3, 30, True)
     assert [e.outcome for e in run.episodes] == ["collided", "arrived", "timed_out"]
     assert (run.choices["algo"], run.settings["algo"], run.settings["algo.gamma"]) == ("td3", "td3", 0.99)
     assert run.notes == [] and run.versions == {} and run.evaluations == []
@@ -42,12 +42,9 @@ def test_runs_are_found_below_a_folder_each_once(tmp_path: Path) -> None:
     (tmp_path / "sweep/a/states/episodes.csv").write_text("what lies in a run is none")
     runs, left_out = read_runs([tmp_path / "sweep", tmp_path / "sweep/a", tmp_path])
     assert [run.name for run in runs] == ["a", "b", "c"] and not left_out
-
-
-def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
-    for name in ("x/run", "y/run"):
-        run_folder(tmp_path / name, "a", seed=ord(name[0]))
-    assert [run.name for run in read_runs([tmp_path])[0]] == ["x/run", "y/run"]
+    run_folder(tmp_path / "d/c", "a", seed=1)
+    names = [run.name for run in read_runs([tmp_path])[0]]
+    assert names == [f"{tmp_path.name}/c", "d/c", "a", "b"], "runs of one name are named with their folder"
 
 
 def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
@@ -58,83 +55,65 @@ def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("config.yaml", b""),
-        ("config.yaml", b"env: {"),
-        ("config.yaml", b"- a\n- list\n"),
-        ("config.yaml", b"\x00\xff\xfe\x80"),
-        ("episodes.csv", b""),
-        ("episodes.csv", b"\x00\xff\xfe\x80\n"),
-    ],
-)
-def test_a_broken_file_is_named(tmp_path: Path, name: str, content: bytes) -> None:
-    folder = run_folder(tmp_path / "run", "aca")
-    (folder / name).write_bytes(content)
-    assert reason(folder) == f"{name} cannot be read: mend it from a copy, or leave the folder out."
-    (folder / name).unlink()
-    assert reason(folder) == f"{name} is missing: bring it back, or leave the folder out."
-
-
-@pytest.mark.parametrize(
     ("name", "content", "lacks"),
     [
+        *[("config.yaml", text, None) for text in (b"", b"env: {", b"- a\n- list\n", b"\x00\xff\xfe\x80")],
+        *[("episodes.csv", text, None) for text in (b"", b"\x00\xff\xfe\x80\n")],
         ("episodes.csv", b"minutes,total_steps,outcome\n0.0683,41,collided\n", "column `episode`"),
         ("episodes.csv", b"episode,total_steps,outcome\n1,41,collided\n", "column `episode_return`"),
         ("config.yaml", b"env: {name: static}\n", "key `seed`"),
         ("config.yaml", b"seed: 0\ntrainer: {episodes: 3}\n", "key `choices`"),
     ],
 )
-def test_a_file_of_another_format_is_not_called_broken(tmp_path: Path, name: str, content: bytes, lacks: str) -> None:
+def test_a_file_that_is_broken_or_of_another_format_is_named(
+    tmp_path: Path, name: str, content: bytes, lacks: str | None
+) -> None:
     folder = run_folder(tmp_path / "run", "aca")
     (folder / name).write_bytes(content)
-    assert reason(folder) == f"{name} has no {lacks}: it was not written by this version of uavrl-train."
+    broken = f"{name} cannot be read: mend it from a copy, or leave the folder out."
+    other = f"{name} has no {lacks}: it was not written by this version of uavrl-train."
+    assert reason(folder) == (other if lacks else broken)
+    (folder / name).unlink()
+    assert reason(folder) == f"{name} is missing: bring it back, or leave the folder out."
 
 
-@pytest.mark.parametrize(
-    ("find", "replace"),
-    [
+def test_rows_of_episodes_that_cannot_be_are_no_run_and_one_cut_off_does_not_count(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "run", "aca")
+    file = folder / "episodes.csv"
+    text = file.read_text()
+    for find, replace in (
         ("2,20,collided", "2,20,crashed"),
         ("2,20,", "2,5,"),
         ("2,20,", "7,20,"),
         ("3,30,", f"3,{10**20},"),
         ("2,20,collided,-10.0", "2,20,collided,nan"),
-    ],
-)
-def test_episodes_that_cannot_be_are_no_run(tmp_path: Path, find: str, replace: str) -> None:
-    folder = run_folder(tmp_path / "run", "aca")
-    text = (folder / "episodes.csv").read_text()
-    assert find in text
-    (folder / "episodes.csv").write_text(text.replace(find, replace))
-    assert reason(folder).startswith("episodes.csv cannot be read")
-
-
-def test_a_row_cut_off_does_not_count_and_no_row_is_no_run(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "run", "aca")
-    file = folder / "episodes.csv"
-    file.write_bytes(file.read_bytes()[:-20])
+    ):
+        assert find in text
+        file.write_text(text.replace(find, replace))
+        assert reason(folder).startswith("episodes.csv cannot be read"), replace
+    file.write_text(text[:-20])
     assert len(only(folder).episodes) == 2
     assert "cannot be read" in reason(run_folder(tmp_path / "empty", ""))
 
 
 def test_a_run_is_called_by_its_choices_whatever_its_values_are(tmp_path: Path) -> None:
-    config = complete(compose("algo=ddpg", "lifeguard=mlp", "reward=traditional", "run_dir=here"))
+    config = resolve(compose("algo=ddpg", "lifeguard=mlp", "reward=traditional", "run_dir=here"))
     folder = run_folder(tmp_path / "run", "a")
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config))
     run = only(folder)
-    assert run.learner == "ddpg_lg_mlp" and run.settings["reward"] == "traditional"
+    assert learner_name(run.choices) == "ddpg_lg_mlp" and run.settings["reward"] == "traditional"
     assert not [key for key in run.settings if key.endswith(("_target_", ".name")) or key.startswith("choices")]
 
 
-@pytest.mark.parametrize("made", ["artifact", "pretrained"])
-def test_class_sizes_are_those_of_the_artifact(tmp_path: Path, made: str) -> None:
-    folder = run_folder(tmp_path / "run", "a")
-    (folder / made).mkdir()
-    (folder / made / "artifact.json").write_text(json.dumps({"class_sizes": {"psae": {"classes": 5, "sd": 1.5}}}))
-    assert only(folder).class_sizes == {"psae": {"number": 5, "sd": 1.5}}
+def test_class_sizes_are_those_of_the_artifact(tmp_path: Path) -> None:
+    for made in ("artifact", "pretrained"):
+        (run_folder(tmp_path / made, "a") / made).mkdir()
+        sizes = {"class_sizes": {"psae": {"classes": 5, "sd": 1.5}}}
+        (tmp_path / made / made / "artifact.json").write_text(json.dumps(sizes))
+        assert only(tmp_path / made).class_sizes == {"psae": {"number": 5, "sd": 1.5}}
 
 
-def test_evaluations_are_read_without_their_flights(tmp_path: Path) -> None:
+def test_evaluations_are_read_without_their_episodes(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "run", "a")
     evaluation(folder, 8, 10, whereabouts=WHEREABOUTS)
     evaluation(folder, 5, 10, "evaluation_valleys=100.json", valleys=[100], path_efficiency="x")
@@ -150,22 +129,20 @@ def test_evaluations_are_read_without_their_flights(tmp_path: Path) -> None:
     assert run.notes == ["evaluation_bad.json cannot be read and is left out."]
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
+def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path) -> None:
+    folder = run_folder(tmp_path / "run", "a")
+    damages: list[dict[str, Any]] = [
         {"episodes": 0},
         {"success": {"rate": "much"}},
         {"success": {"rate": 1.2}},
         {"collision": {"rate": float("inf")}},
         {"whereabouts": {**WHEREABOUTS, "height_quarters": [0.5, 0.5]}},
         {"whereabouts": {**WHEREABOUTS, "altitude": {"p5": 1.0, "p50": 2.0}}},
-    ],
-)
-def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path, damage: dict[str, Any]) -> None:
-    folder = run_folder(tmp_path / "run", "a")
-    evaluation(folder, 8, 10, **damage)
-    run = only(folder)
-    assert (run.evaluations, run.notes) == ([], ["evaluation.json cannot be read and is left out."])
+    ]
+    for damage in damages:
+        evaluation(folder, 8, 10, **damage)
+        run = only(folder)
+        assert (run.evaluations, run.notes) == ([], ["evaluation.json cannot be read and is left out."]), damage
 
 
 def test_no_damage_raises(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from tensordict import TensorDict, TensorDictBase
 from uavrl.errors import UavrlError
 from uavrl.rollout.baselines import COSTS, VectorFieldHistogram
 from uavrl.rollout.policies import named_policy
-from uavrl.transforms.functional import Statistic
-from uavrl.transforms.reductions import REDUCTIONS, Reduction
+from uavrl.transforms.reduction import Statistic
+from uavrl.transforms.state import REDUCTIONS, Reduction
 
 
 class Told:

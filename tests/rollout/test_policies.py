@@ -16,7 +16,7 @@ from tests.helpers.recorded import SCANS, as_evaluated, evaluation, recorded, re
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies
 from uavrl.rollout.rollout import fly
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 
 TASKS = 150  # of its evaluation's 500, which are flown again

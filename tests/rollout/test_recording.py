@@ -21,7 +21,7 @@ from uavrl.rollout.environment import make_env
 from uavrl.rollout.record import record_flight, record_flights
 from uavrl.rollout.recording import load_recording, save_recording, thinned
 from uavrl.rollout.rollout import fly
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 
 
 def same(a: Any, b: Any) -> None:

@@ -28,7 +28,7 @@ from tests.helpers.foreign import (
     plant,
     rewrite,
 )
-from uavrl.configs import to_dataclass
+from uavrl.config import validate
 from uavrl.errors import UavrlError
 from uavrl.rollout.recording import load_recording
 from uavrl.rollout.saved import load_policy
@@ -116,7 +116,7 @@ def test_a_configuration_works_nothing_out(
     kept = [each for each in text if each.partition(":")[0] != line.partition(":")[0]]
     (tmp_path / "config.yaml").write_text("\n".join([*kept, line]) + "\n")
     with pytest.raises(UavrlError) as told:
-        to_dataclass(read_config(tmp_path))
+        validate(read_config(tmp_path))
     assert said in str(told.value) and "the secret" not in str(told.value)
     assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
 
@@ -128,7 +128,7 @@ def test_a_source_in_the_folder_is_not_read(target: str, tmp_path: Path, monkeyp
     config = composed()
     config.reward._target_ = target.format(folder=tmp_path)
     with pytest.raises(UavrlError, match="which is no name of a class"):
-        to_dataclass(config)
+        validate(config)
     assert not (tmp_path / "ran").exists()
 
 

@@ -10,8 +10,8 @@ import torch
 
 from uavrl.errors import UavrlError
 from uavrl.models import TrajectoryClassifier
-from uavrl.models import trajectory_classifier as module
-from uavrl.models.trajectory_classifier import packaged_artifact
+from uavrl.models import psae as module
+from uavrl.models.psae import packaged_artifact
 from uavrl.runs.weights import ARTIFACT
 
 
@@ -90,7 +90,7 @@ def test_truncated_or_missing_weights_are_refused(folder: Path) -> None:
 @pytest.mark.parametrize("sizes", [{"k": 8}, {"inputs": 105}, {"classifier_hidden": [7]}])
 def test_sizes_that_are_not_those_of_the_weights_are_refused(folder: Path, sizes: dict[str, object]) -> None:
     change(folder, sizes={**ARTIFACT.about(folder)["sizes"], **sizes})
-    with pytest.raises(UavrlError, match=r"is damaged .the sizes that it tells are not those of its weights"):
+    with pytest.raises(UavrlError, match=r"is damaged .its sizes are not those of its weights"):
         TrajectoryClassifier.load(folder)
 
 
@@ -127,7 +127,7 @@ def test_the_packaged_artifact_is_found_beside_the_code(
 ) -> None:
     with pytest.raises(UavrlError, match="the artifact no_such_artifact"):
         packaged_artifact("no_such_artifact")
-    monkeypatch.setattr(module, "__file__", str(tmp_path / "models" / "trajectory_classifier.py"))
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "models" / "psae.py"))
     (tmp_path / "artifacts").mkdir()
     folder.rename(tmp_path / "artifacts" / "abr_plus_static")
     assert TrajectoryClassifier.load(packaged_artifact()).k == 9

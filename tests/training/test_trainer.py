@@ -15,7 +15,7 @@ from torch import Tensor
 
 from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import LIFEGUARD, small_config
-from uavrl.configs import to_dataclass
+from uavrl.config import validate
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.losses import LifeGuard
@@ -48,7 +48,7 @@ class Run:
 
 def built(run_dir: Path, *overrides: str) -> EpisodeTrainer:
     config = small_config(run_dir, *overrides)
-    settings = to_dataclass(config)
+    settings = validate(config)
     seed_everything(settings.seed)
     return build_trainer(settings, config, create_run(config))
 
@@ -211,7 +211,7 @@ def test_noisy_actions_stay_within_the_limits(tmp_path: Path) -> None:
 
 def test_a_barrier_restarts_the_environment_at_task_0_with_a_seed_of_its_own(tmp_path: Path, learning: Run) -> None:
     config, run = small_config(tmp_path), learning
-    world = World(to_dataclass(config).env.world)
+    world = World(validate(config).env.world)
     segments: list[list[Episode]] = [[]]
     for episode in run.episodes:
         flown = {e.task for e in segments[-1]}

@@ -11,8 +11,8 @@ from torchrl.envs import check_env_specs
 
 from tests.helpers.own_parts import CHOSEN, OWN, TRUSTED
 from tests.helpers.runs import small_config
-from uavrl.configs import compose
-from uavrl.configs.checked import to_dataclass
+from uavrl.config import compose
+from uavrl.config.validation import validate
 from uavrl.errors import UavrlError
 from uavrl.losses import Enhancer
 from uavrl.rollout.baselines import VectorFieldHistogram
@@ -42,7 +42,7 @@ class Still:
 def test_the_guides_actions_are_flown_with_noise_and_chance_flies_without_one(tmp_path: Path) -> None:
     for noise in (0.0, 0.1):
         config = small_config(tmp_path / "run", "guide=vfh", f"algo.exploration_noise={noise}")
-        env = make_training_env(to_dataclass(config), seed=0)
+        env = make_training_env(validate(config), seed=0)
         state = env.reset()
         expected = VectorFieldHistogram()(state.clone())["action"]
         assert torch.equal(state["guide_action"], expected)
@@ -51,7 +51,7 @@ def test_the_guides_actions_are_flown_with_noise_and_chance_flies_without_one(tm
         assert torch.equal(got, expected) == (noise == 0.0)
         torch.testing.assert_close(got, expected, atol=1.0, rtol=0.0)
         env.close()
-    plain = make_training_env(to_dataclass(small_config(tmp_path / "run")), seed=0)
+    plain = make_training_env(validate(small_config(tmp_path / "run")), seed=0)
     assert not isinstance(plain, GuidedEnv)
     plain.close()
 
@@ -69,7 +69,7 @@ def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) ->
     told = ["guide.flight_level=3", "guide.radius=4", "guide.reduction=range_image", "guide.statistic=proximity"]
     config = compose(*CHOSEN, TRUSTED, "guide=vfh", *told, f"run_dir={tmp_path}", own=[OWN / "conf"])
     with pytest.raises(UavrlError, match="guide reads 'faces'"):
-        make_training_env(to_dataclass(config), seed=0)
+        make_training_env(validate(config), seed=0)
 
 
 def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -77,7 +77,7 @@ def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest
         caplog.clear()
         length = [f"trainer.{limit}"] if limit.startswith("episodes") else ["trainer.episodes=200", f"trainer.{limit}"]
         few = ["guide=vfh", "algo.random_steps=300", "env.max_steps=30", *length]
-        warn_of_random_steps(to_dataclass(small_config(tmp_path / "run", *few)))
+        warn_of_random_steps(validate(small_config(tmp_path / "run", *few)))
         assert (f"the guide may fly the whole run, trainer.{limit}," in caplog.text) == told
 
 
@@ -85,13 +85,13 @@ def test_random_steps_that_last_as_long_as_the_run_are_told(tmp_path: Path, capl
     for steps, told in ((300, True), (301, False)):
         caplog.clear()
         few = ["algo.random_steps=300", "trainer.episodes=200", f"trainer.steps={steps}"]
-        warn_of_random_steps(to_dataclass(small_config(tmp_path / "run", *few)))
+        warn_of_random_steps(validate(small_config(tmp_path / "run", *few)))
         assert ("the run ends by then, by trainer.steps=300" in caplog.text) == told
 
 
 def test_the_guides_action_is_mirrored_with_the_policys_as_it_sees(tmp_path: Path) -> None:
     chosen = ["guide=vfh", "perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true"]
-    settings = to_dataclass(small_config(tmp_path / "run", *chosen))
+    settings = validate(small_config(tmp_path / "run", *chosen))
     env = make_training_env(settings, seed=0)
     buffer = make_buffer(settings, env, network_sizes(env), torch.device("cpu"))
     (mirror,) = (part for part in inner_transforms(buffer.transform) if isinstance(part, Mirror))
@@ -103,7 +103,7 @@ def test_the_guides_action_is_mirrored_with_the_policys_as_it_sees(tmp_path: Pat
 def test_a_guides_costs_can_be_given(tmp_path: Path) -> None:
     costs = "{obstacle: 2, goal: 1, level: 0.3, turn: 0.2, width: 6, nearness: 2, caution: 0.5}"
     config = small_config(tmp_path / "run", "guide=vfh", f"guide.costs={costs}")
-    env = make_training_env(to_dataclass(config), seed=0)
+    env = make_training_env(validate(config), seed=0)
     assert (env.transform[-1].guide.costs.obstacle, env.transform[-1].guide.costs.caution) == (2.0, 0.5)
     env.close()
 

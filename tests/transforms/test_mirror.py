@@ -14,7 +14,7 @@ from tests.helpers.flights import small_env
 from uavrl.envs import NavigationEnv
 from uavrl.envs.simulation import Simulation
 from uavrl.transforms import Mirror, NavigationState, TruncatedIcosahedron, mirror_action, mirror_observation
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.observation import navigation_observation
 
 LEFT_RIGHT = torch.tensor([1.0, -1.0, 1.0])
@@ -45,15 +45,11 @@ def test_the_mirrored_scan_of_a_real_flight_reduces_to_the_mirrored_observation(
     torch.testing.assert_close(mirror_observation(seen), image, rtol=0.0, atol=1e-6)
 
 
-def test_every_frame_of_a_state_is_mirrored_by_itself(flown: TensorDict) -> None:
-    states = flown["observation"]
-    frames = mirror_observation(states).unflatten(-1, (3, 35))
-    assert torch.equal(frames, mirror_observation(states.unflatten(-1, (3, 35))))
-
-
 def test_the_image_of_an_image_is_the_original(flown: TensorDict) -> None:
     assert torch.equal(mirror_observation(mirror_observation(flown["observation"])), flown["observation"])
     assert torch.equal(mirror_action(mirror_action(flown["action"])), flown["action"])
+    frames = flown["observation"].unflatten(-1, (3, 35))  # each is mirrored by itself
+    assert torch.equal(mirror_observation(frames).flatten(-2), mirror_observation(flown["observation"]))
 
 
 def test_faces_change_places_in_pairs_and_those_straight_ahead_stay() -> None:
@@ -120,11 +116,10 @@ def test_half_of_what_is_sampled_is_mirrored_whole_and_nothing_that_is_stored() 
     assert torch.equal(buffer.storage[:]["observation"], data["observation"])
 
 
-def test_another_width_is_refused() -> None:
+def test_another_width_and_other_settings_are_refused() -> None:
     with pytest.raises(ValueError, match=r"observations \[\*B, F \* 35\], got \[2, 36\]"):
         mirror_observation(torch.zeros(2, 36))
-
-
-def test_a_probability_out_of_range_is_refused() -> None:
     with pytest.raises(ValueError, match="probability must be in"):
         Mirror(probability=1.5)
+    with pytest.raises(ValueError, match="reduction must be one of"):
+        Mirror(reduction="cube")  # type: ignore[arg-type]

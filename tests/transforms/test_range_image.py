@@ -10,12 +10,13 @@ from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs import TransformedEnv, check_env_specs
 
+from tests.helpers.clouds import OfClouds
 from tests.helpers.contracts import TransformContract
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
-from uavrl.transforms import REDUCTIONS, Mirror, NavigationState, RangeImage, mirror_observation
-from uavrl.transforms.functional import truncated_icosahedron
+from uavrl.transforms import REDUCTIONS, Mirror, NavigationState, RangeImage
+from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image, range_image_directions
 
 
@@ -111,44 +112,19 @@ def test_whatever_a_driver_writes_for_a_miss_reads_as_nothing(reduce: Callable[.
         assert not reduce(torch.tensor(miss).expand(1, 28928, 3), 4.0, statistic).any()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [((torch.zeros(5, 2),), "shape"), ((torch.zeros(5, 3), 0.0), "radius"), ((torch.zeros(5, 3), 4.0, "mean"), "stat")],
-)
-def test_wrong_arguments(arguments: tuple, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        range_image(*arguments)
-
-
-def test_a_mirrored_scan_is_the_mirrored_observation() -> None:
-    clouds = torch.randn(8, 300, 3, generator=torch.Generator().manual_seed(1)) * 2
-    seen, image = (
-        torch.cat([range_image(points) / 4, beside], -1)
-        for points, beside in (
-            (clouds, torch.tensor([0.1, 0.2, 0.3]).expand(8, 3)),
-            (clouds * torch.tensor([1.0, -1.0, 1.0]), torch.tensor([0.1, -0.2, 0.3]).expand(8, 3)),
-        )
-    )
-    torch.testing.assert_close(mirror_observation(seen, reduction="range_image"), image)
-
-
-def test_a_mirror_shows_the_guides_action_as_the_policys() -> None:
-    data = TensorDict(
-        {
-            "observation": torch.rand(4, 75),
-            "action": torch.ones(4, 4),
-            "guide_action": torch.full((4, 4), 0.5),
-            "next": {"observation": torch.rand(4, 75)},
-        },
-        [4],
-    )
+def test_a_mirror_shows_the_mirrored_scan_and_the_guides_action_as_the_policys() -> None:
+    clouds = torch.randn(4, 300, 3, generator=torch.Generator().manual_seed(1)) * 2
+    seen, mirrored = torch.zeros(2, 4, 75)
+    for state, side in ((seen, 1.0), (mirrored, -1.0)):
+        state[:, :72] = range_image(clouds * torch.tensor([1.0, side, 1.0])) / 4
+        state[:, 72:] = torch.tensor([0.1, 0.2 * side, 0.3])
+    actions = {"action": torch.ones(4, 4), "guide_action": torch.full((4, 4), 0.5)}
+    data = TensorDict({"observation": seen, **actions, "next": {"observation": mirrored}}, [4])
     image = Mirror(actions=["action", "guide_action"], probability=1.0, reduction="range_image")(data)
     assert image["action"][0].tolist() == [1.0, -1.0, 1.0, -1.0]
     assert image["guide_action"][0].tolist() == [0.5, -0.5, 0.5, -0.5]
-    seen = mirror_observation(data["next", "observation"], reduction="range_image")
-    assert image["next", "observation"].equal(seen)
-    with pytest.raises(ValueError, match="reduction must be one of"):
-        Mirror(reduction="cube")  # type: ignore[arg-type]
+    torch.testing.assert_close(image["observation"], mirrored)
+    torch.testing.assert_close(image["next", "observation"], seen)
 
 
 def test_the_state_of_a_flight() -> None:
@@ -163,17 +139,6 @@ def test_the_state_of_a_flight() -> None:
         NavigationState(reduction="cube")  # type: ignore[arg-type]
 
 
-class TestTransform(TransformContract):
+class TestTransform(OfClouds, TransformContract):
     def make_transform(self) -> RangeImage:
         return RangeImage()
-
-    def make_data(self, *batch: int) -> TensorDict:
-        return TensorDict(
-            {"point_cloud": torch.randn(*batch, 60, 3, generator=torch.Generator().manual_seed(0))}, batch
-        )
-
-    @staticmethod
-    def make_env() -> object:
-        from tests.transforms.test_truncated_icosahedron import CloudEnv
-
-        return CloudEnv((3,))

@@ -26,16 +26,18 @@ def transitions(*batch: int) -> TensorDict:
     return TensorDict({**frame(), "next": {**frame(), "reward": uniform(1)}}, batch)
 
 
-class TestTraditionalReward(TransformContract):
-    def make_transform(self) -> TraditionalReward:
-        return TraditionalReward()
-
+class OfTransitions:
     @staticmethod
     def make_env() -> SmallEnv:
         return SmallEnv()
 
     def make_data(self, *batch: int) -> TensorDict:
         return transitions(*batch)
+
+
+class TestTraditionalReward(OfTransitions, TransformContract):
+    def make_transform(self) -> TraditionalReward:
+        return TraditionalReward()
 
     def test_literal_values(self) -> None:
         """Eq. 2.15 by hand: progress 5 - 4.25; the prize; the punishment; a collision beats an arrival."""
@@ -48,16 +50,9 @@ class TestTraditionalReward(TransformContract):
         assert reward.tolist() == [0.75, 50.0, -50.0, -50.0]
 
 
-class TestNavigationReward(TransformContract):
+class TestNavigationReward(OfTransitions, TransformContract):
     def make_transform(self) -> NavigationReward:
         return NavigationReward()
-
-    @staticmethod
-    def make_env() -> SmallEnv:
-        return SmallEnv()
-
-    def make_data(self, *batch: int) -> TensorDict:
-        return transitions(*batch)
 
     @pytest.mark.parametrize(
         ("altitude", "heading", "elevation", "collided", "expected"),
@@ -74,15 +69,8 @@ class TestNavigationReward(TransformContract):
         self, altitude: float, heading: float, elevation: float, collided: bool, expected: float
     ) -> None:
         """Eq. 3.6 by hand with w = (8, 1, 0.5, 0.5), p = 3.5 and half a metre of progress."""
-        reward = navigation_reward(
-            tensor(5.0),
-            tensor(4.5),
-            tensor(altitude),
-            tensor(heading),
-            tensor(elevation),
-            tensor(False),
-            tensor(collided),
-        )
+        flown = (5.0, 4.5, altitude, heading, elevation, False, collided)
+        reward = navigation_reward(*map(tensor, flown))
         assert reward.item() == pytest.approx(expected)
 
     def test_the_arrival_pays_only_where_it_is_asked_to(self) -> None:

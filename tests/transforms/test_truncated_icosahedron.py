@@ -12,13 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 from tensordict import TensorDict
-from torchrl.data import Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
+from tests.helpers.clouds import CloudEnv, OfClouds
 from tests.helpers.contracts import TransformContract
-from uavrl.transforms.functional import truncated_icosahedron, truncated_icosahedron_faces
-from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+from uavrl.transforms.icosahedron import TruncatedIcosahedron, truncated_icosahedron, truncated_icosahedron_faces
 
 PHI = (1 + 5**0.5) / 2
 NAN = math.nan
@@ -257,57 +256,9 @@ def test_wrong_arguments(arguments: tuple, message: str) -> None:
         truncated_icosahedron(*arguments)
 
 
-class CloudEnv(EnvBase):
-    """Emits random clouds of 50 points under ``key``; the episode of row i ends after 2 + i steps."""
-
-    def __init__(self, batch_size: tuple[int, ...] = (), key: object = "point_cloud") -> None:
-        super().__init__(batch_size=torch.Size(batch_size))
-        self.key = key
-        self.observation_spec = Composite(shape=batch_size)
-        self.observation_spec[key] = Unbounded((*batch_size, 50, 3))
-        self.observation_spec["steps"] = Unbounded((*batch_size, 1))
-        self.action_spec = Bounded(-1.0, 1.0, (*batch_size, 2))
-        self.reward_spec = Unbounded((*batch_size, 1))
-        self.steps = torch.zeros(*batch_size, 1)
-        self.generator = torch.Generator()
-        self._set_seed(0)
-
-    def _set_seed(self, seed: int | None) -> None:
-        self.generator.manual_seed(seed or 0)
-
-    def _observe(self) -> TensorDict:
-        td = TensorDict({"steps": self.steps}, self.batch_size)
-        td[self.key] = torch.randn(*self.batch_size, 50, 3, generator=self.generator) * 3
-        return td
-
-    def _reset(self, tensordict: TensorDict | None) -> TensorDict:
-        again = torch.ones_like(self.steps, dtype=torch.bool)
-        if tensordict is not None:  # TorchRL hands over nothing but the mask
-            again = tensordict.get("_reset", again)
-        self.steps = self.steps.masked_fill(again, 0.0)
-        return self._observe()
-
-    def _step(self, tensordict: TensorDict) -> TensorDict:
-        self.steps = self.steps + 1
-        out = self._observe()
-        out["reward"] = torch.ones_like(self.steps)
-        rows = torch.arange(max(self.batch_size.numel(), 1)).reshape(*self.batch_size, 1)
-        out["done"] = out["terminated"] = self.steps >= 2 + rows
-        return out
-
-
-class TestTransform(TransformContract):
+class TestTransform(OfClouds, TransformContract):
     def make_transform(self) -> TruncatedIcosahedron:
         return TruncatedIcosahedron()
-
-    @staticmethod
-    def make_env() -> CloudEnv:
-        return CloudEnv((3,))
-
-    def make_data(self, *batch: int) -> TensorDict:
-        return TensorDict(
-            {"point_cloud": torch.randn(*batch, 60, 3, generator=torch.Generator().manual_seed(0))}, batch
-        )
 
     @pytest.mark.parametrize("batch_size", [(), (2, 3)])
     def test_the_cloud_is_dropped_and_faces_are_bounded(self, batch_size: tuple[int, ...]) -> None:
@@ -319,32 +270,17 @@ class TestTransform(TransformContract):
         assert {"faces", ("next", "faces")} <= set(keys)
         assert not [key for key in keys if "point_cloud" in (key if isinstance(key, tuple) else (key,))]
 
-    def test_partial_resets_keep_running_rows(self) -> None:
-        env = TransformedEnv(CloudEnv((3,)), TruncatedIcosahedron())
-        td = env.reset()
-        td["_reset"] = torch.tensor([[True], [False], [True]])
-        before = td["faces"].clone()
-        after = env.reset(td)["faces"]
-        assert after.shape == (3, 32)
-        assert before[0].ne(after[0]).any()
-        rollout = env.rollout(6, break_when_any_done=False)
-        assert rollout["next", "done"].sum(1)[..., 0].tolist() == [3, 2, 1]
-
     def test_kept_cloud_agrees_with_the_function(self) -> None:
         env = TransformedEnv(CloudEnv((2,)), TruncatedIcosahedron(del_keys=False, radius=6.0, statistic="range"))
         check_env_specs(env)
         rollout = env.rollout(2)
         assert rollout["faces"].equal(truncated_icosahedron(rollout["point_cloud"], 6.0, "range"))
 
-    def test_nested_keys(self) -> None:
-        env = TransformedEnv(
-            CloudEnv((2,), key=("sensors", "cloud")),
-            TruncatedIcosahedron(in_keys=[("sensors", "cloud")], out_keys=[("sensors", "faces")]),
-        )
+    def test_nested_keys_and_the_same_key_in_and_out(self) -> None:
+        keys = {"in_keys": [("sensors", "cloud")], "out_keys": [("sensors", "faces")]}
+        env = TransformedEnv(CloudEnv((2,), key=("sensors", "cloud")), TruncatedIcosahedron(**keys))
         check_env_specs(env)
         assert set(env.rollout(2)["sensors"].keys()) == {"faces"}
-
-    def test_same_key_in_and_out(self) -> None:
         env = TransformedEnv(CloudEnv(), TruncatedIcosahedron(out_keys=["point_cloud"]))
         check_env_specs(env)
         assert env.reset()["point_cloud"].shape == (32,)

@@ -17,10 +17,10 @@ from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.rollout.recording import Recording
 from uavrl.transforms import RangeImage, TruncatedIcosahedron
-from uavrl.transforms.functional import truncated_icosahedron_faces
+from uavrl.transforms.icosahedron import truncated_icosahedron_faces
 from uavrl.transforms.range_image import range_image
-from uavrl.viewer.flight_page import above_ground, make_page, pack, page_data, write_page
-from uavrl.viewer.flight_shapes import belt, football, shell
+from uavrl.viewer.flight_page import above_ground, make_page, page_data, write_page
+from uavrl.viewer.flight_shapes import Shell, belt, football, shell
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +56,11 @@ def test_the_numbers_in_the_page_are_those_of_the_flight(page: Page) -> None:
         assert shown["reward_names"] == list(flight.reward_names)
 
 
-def test_a_page_of_many_flights_stays_small() -> None:
+def test_a_page_of_many_flights_stays_small_and_one_of_none_has_data() -> None:
     replay = small_recording()
     many = Recording(replay.source, replay.flights * 25, replay.sceneries)
     assert len(make_page(many).encode()) < 15e6
+    assert page_data(Recording({}, (), {}))["flights"] == []
 
 
 def test_text_from_outside_cannot_leave_the_data() -> None:
@@ -70,35 +71,31 @@ def test_text_from_outside_cannot_leave_the_data() -> None:
     assert len(page.scripts) == 4
 
 
-def test_packing() -> None:
-    values = np.array([[1.25, -3.0], [0.0, 2.0]])
-    np.testing.assert_array_equal(unpack(pack(values)), values)
-    np.testing.assert_allclose(unpack(pack(values, scale=3.0 / 32767)), values, atol=0.5 * 3.0 / 32767)
-    assert unpack(pack(np.array([3, -4]))).tolist() == [3, -4]
+def corners_that_turn_outwards(shape: Shell) -> np.ndarray:
+    """The corners ``[T, 3, 3]`` of a shell's triangles, which lie on its sphere of 4 m."""
+    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
+    corners = shape.vertices[shape.triangles]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((outward * corners.mean(1)).sum(1) > 0).all()
+    return corners
 
 
 def test_the_football_is_that_of_the_reduction() -> None:
     shape, faces = football(4.0), truncated_icosahedron_faces(4.0)
-    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
     np.testing.assert_allclose(np.linalg.norm(np.diff(shape.vertices[shape.edges], axis=1), axis=-1), 1.614, atol=1e-3)
     assert np.bincount(shape.faces).tolist() == [3] * 12 + [4] * 20
-    corners = shape.vertices[shape.triangles]
+    corners = corners_that_turn_outwards(shape)
     heights = np.einsum("tci,ti->tc", corners, faces.normals.numpy()[shape.faces])
     np.testing.assert_allclose(heights, faces.offsets.numpy()[shape.faces, None].repeat(3, 1), atol=1e-5)
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert ((outward * faces.normals.numpy()[shape.faces]).sum(1) > 0).all()
 
 
 def test_the_belt_is_that_of_the_range_image() -> None:
     shape = belt(4.0)
-    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
     assert np.bincount(shape.faces).tolist() == [2] * 72
     assert len(shape.edges) == 24 * 4 + 24 * 3  # four rings and three posts a column
-    corners = shape.vertices[shape.triangles]
+    corners = corners_that_turn_outwards(shape)
     middles = torch.tensor(corners.mean(1) * 0.5)
     assert range_image(middles[:, None]).argmax(-1).tolist() == shape.faces.tolist()
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert ((outward * corners.mean(1)).sum(1) > 0).all()
     assert len(shell(RangeImage.directions().numpy(), 4.0).vertices) == 96
 
 
@@ -106,12 +103,9 @@ def test_cells_of_another_reduction_are_what_is_nearest_to_their_directions() ->
     around = np.arange(8) * np.pi / 4
     sectors = np.stack([np.cos(around), np.sin(around), np.zeros(8)], -1)
     shape = shell(sectors, 4.0)
-    np.testing.assert_allclose(np.linalg.norm(shape.vertices, axis=1), 4.0)
-    corners = shape.vertices[shape.triangles]
+    corners = corners_that_turn_outwards(shape)
     x, y, _ = corners.mean(1).T
     assert (np.round(np.arctan2(y, x) / (np.pi / 4)).astype(int) % 8 == shape.faces).all()
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert ((outward * corners.mean(1)).sum(1) > 0).all()
     sides = np.arctan2(*shape.vertices[shape.edges].mean(1)[:, 1::-1].T) / (np.pi / 4) - 0.5
     lie = np.abs(sides - np.round(sides)) < 0.2  # borders run half-way between two sectors, but near the poles
     assert lie.mean() > 0.8
@@ -136,10 +130,3 @@ def test_without_plotly_the_page_says_what_to_install(monkeypatch: pytest.Monkey
     with pytest.raises(UavrlError, match=r"pip install 'uavrl\[report\]'"):
         write_page(small_recording(), tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_page_of_no_flights_has_data() -> None:
-    assert page_data(Recording({}, (), {}))["flights"] == []
-
-
-# ---------------------------------------------------------------------- in a browser

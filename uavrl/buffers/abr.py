@@ -8,7 +8,7 @@ from typing import Any
 from uavrl.buffers.backward_reward import BackwardReward
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
-from uavrl.models.trajectory_classifier import TrajectoryClassifier, packaged_artifact
+from uavrl.models.psae import TrajectoryClassifier, packaged_artifact
 from uavrl.ranges import Count, Folder, NonNegative, Share, Whole
 from uavrl.runs.weights import ARTIFACT
 

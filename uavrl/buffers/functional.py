@@ -1,4 +1,4 @@
-"""What happens to episodes on their way into a buffer, as functions.
+"""The equations of a buffer's write path as functions of whole episodes.
 
 The augmentative backward reward is that of Chansuparp (2022), §3.4, Eq. 3.5, Algorithm 3.1.
 
@@ -13,18 +13,10 @@ from uavrl.buffers.history import TrajectoryHistory
 
 
 def window_ends(steps: int, frames: int = 3) -> Tensor:
-    """Where each window of an episode ends: step Z = k p_frames for k = 1 … ⌊T / p_frames⌋ (Algorithm 3.1).
+    """The last step of each window: Z = k p_frames for k = 1 … ⌊T / p_frames⌋ (Algorithm 3.1), else ValueError.
 
-    Args:
-        steps: T.
-        frames: p_frames.
-
-    Returns:
-        ``[T // frames]`` int64, positions counted from 0, so that 2 is the third step. What is left at the end
-        belongs to no window.
-
-    Raises:
-        ValueError: when ``frames`` is not positive.
+    They are int64 ``[T // frames]``, counted from 0, so that 2 is the third step. The rest of the T steps belongs to no
+    window.
 
     Examples:
         >>> window_ends(10).tolist(), window_ends(2).tolist()
@@ -38,14 +30,8 @@ def window_ends(steps: int, frames: int = 3) -> Tensor:
 def window_sums(reward: Tensor, frames: int = 3) -> Tensor:
     """The sum of each window's rewards: r_{Z - p_frames + 1} + … + r_Z (Algorithm 3.1, before it is floored).
 
-    Summed in double precision, so that neither the order nor the device moves a sum across an integer.
-
-    Args:
-        reward: the rewards of one episode, ``[T]``.
-        frames: p_frames.
-
-    Returns:
-        ``[T // frames]`` float64.
+    The rewards ``[T]`` of one episode give float64 ``[T // frames]``, so that neither the order nor the device moves a
+    sum across an integer.
 
     Raises:
         ValueError: for another shape or type, or sums that are not finite.
@@ -60,7 +46,7 @@ def window_sums(reward: Tensor, frames: int = 3) -> Tensor:
     sums = reward[:whole].double().reshape(-1, frames).sum(-1)
     if not bool((sums.abs() < 2.0**63).all()):
         raise ValueError(
-            "Expected finite rewards in an episode that arrived, got a window whose sum is not: check the reward."
+            "Expected finite rewards in a successful episode, got a window whose sum is not: check the reward."
         )
     return sums
 
@@ -73,20 +59,20 @@ def backward_reward(
     frames: int = 3,
     multiplier: float = 0.2,
 ) -> Tensor:
-    """Relabels one episode that arrived: r += m p_addReward in each window (Eq. 3.5, Algorithm 3.1).
+    """Relabels one successful episode: r += m p_addReward in each window (Eq. 3.5, Algorithm 3.1).
 
     m is the place of the window's floored sum R among the distinct ones that its class has seen, itself included.
     The windows enter the history one after the other, so that earlier ones of the same episode count.
 
     Args:
-        reward: ``[T]``.
+        reward: ``[T]``; it is not modified.
         labels: the class l of each window, integers ``[T // frames]``.
-        history: H, which takes the windows in.
+        history: H; the windows are added to it.
         frames: p_frames.
         multiplier: p_addReward.
 
     Returns:
-        The new rewards ``[T]``, in the type of ``reward``, which stays as it is.
+        The new rewards ``[T]``, in the type of ``reward``.
 
     Raises:
         ValueError: for other shapes or types; the history is untouched then.
@@ -108,7 +94,7 @@ def backward_reward(
 
 
 def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int) -> tuple[Tensor, Tensor]:
-    """The discounted sum of the next n rewards, and over how many steps it goes.
+    """The discounted sum of the next n rewards, and its number of steps.
 
     ``R_t = Σ_{i<k} γ^i r_{t+i}`` with ``k = min(n, steps to the episode's end)`` (Sutton (1988); Barth-Maron et al.
     (2018), Eq. 3: the target is ``R_t + γ^k Q(s_{t+k}, μ(s_{t+k}))``).
@@ -143,14 +129,7 @@ def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int)
 
 
 def check_labels(labels: Tensor, count: int) -> None:
-    """Refuses labels that are not ``count`` integers.
-
-    Raises:
-        ValueError: for another shape or type.
-
-    Examples:
-        >>> check_labels(torch.tensor([3, 3]), 2)
-    """
+    """Raises ValueError for labels that are not ``count`` integers."""
     integer = isinstance(labels, Tensor) and not (labels.is_floating_point() or labels.is_complex())
     if not integer or labels.dtype == torch.bool or labels.shape != (count,):
         got = f"{labels.dtype} {list(labels.shape)}" if isinstance(labels, Tensor) else type(labels).__name__

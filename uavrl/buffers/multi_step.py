@@ -10,11 +10,11 @@ from uavrl.buffers.functional import multi_step_returns
 class MultiStep(Transform):
     """Turns whole episodes into n-step transitions while a replay buffer stores them.
 
-    The reward becomes the n-step return, and all else under ``"next"``, the flags included, is what it was n steps on,
-    or at the episode's end. ``steps_to_next_obs [T, 1]`` goes beside it: TorchRL's value estimators discount by it.
+    The reward becomes the n-step return. All else under ``"next"``, the flags included, comes from n steps later, or
+    from the episode's end. TorchRL's value estimators discount by ``steps_to_next_obs [T, 1]``.
 
-    What differs from :class:`torchrl.envs.transforms.MultiStepTransform`: the last steps of an episode are written with
-    it, not at the next write, and ``terminated`` moves with the state, so that nothing bootstraps from an end.
+    Unlike :class:`torchrl.envs.transforms.MultiStepTransform` it writes the last steps of an episode with the episode,
+    not at the next write, and moves ``terminated`` with the state, so that nothing bootstraps from an end.
 
     Args:
         n_steps: n.

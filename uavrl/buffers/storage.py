@@ -1,4 +1,4 @@
-"""Where transitions lie, and how those of stacked frames share them."""
+"""Storages of transitions; one keeps stacked frames once."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from torchrl.data import LazyTensorStorage
 
 from uavrl.upstream import rows
 
-FIRST = "first_frame"  # where the number of an observation's first frame lies
+FIRST = "first_frame"  # the key of the number of an observation's first frame
 
 
 class GatheringStorage(LazyTensorStorage):
-    """TorchRL's storage, which copies the rows of a random batch one by one instead of number by number.
-
-    ``tensor.index_select`` reads a transition as one piece; ``tensor[index]`` does not and takes about twice as long.
+    """TorchRL's storage with random batches by ``index_select``, which takes half the time of ``tensor[index]``.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -42,24 +40,22 @@ class GatheringStorage(LazyTensorStorage):
 class FrameStorage(GatheringStorage):
     """Keeps each frame once, and gives back bit by bit the transitions that it was given.
 
-    A state of F stacked frames shares F - 1 of them with the state after it, which is again the state of the next
-    transition. Kept is the run of frames behind them: the F frames of a first state, then one for each transition.
-    With ``frames=1`` that is each state once, whatever it is made of. Where a transition does not go on where the
-    last one ended, a new run begins, so that writes may hold anything: whole episodes, single steps of one
-    environment (cheap, too), or steps that have nothing to do with each other.
+    A state of F stacked frames shares F - 1 of them with the next state, which is again the state of the next
+    transition. The storage keeps the run of frames behind them: the F frames of a first state, then one for each
+    transition. With ``frames=1`` that is each state once, whatever it is made of. A transition that does not begin
+    where the last one ended begins a new run: writes may be whole episodes, single steps of one environment, or steps
+    that have nothing to do with each other.
 
-    TorchRL's ``compact_obs`` with :class:`~torchrl.envs.transforms.NextStateReconstructor` drops the next states as
-    well, but finds them again only where the batch holds the following step, and gives NaN at the end of an episode:
-    with random batches, and with time-outs that bootstrap from the last state, that does not do.
+    TorchRL's ``compact_obs`` with :class:`~torchrl.envs.transforms.NextStateReconstructor` drops the next states too,
+    but needs the following step in the same batch, and gives NaN at the end of an episode.
 
-    Memory grows as the storage fills, with as many frames as the transitions in it need. Not for several processes
-    that write to one storage.
+    Memory grows as the storage fills, with as many frames as the transitions in it need. Only one process may write.
 
     Args:
         max_size: transitions.
         frames: F, frames stacked along the last dimension of an observation, oldest first.
-        observation: key of the observations, ``[T, F * W]``; the next ones lie under ``("next", observation)``.
-        device: where everything lies.
+        observation: key of the observations, ``[T, F * W]``; that of the next ones is ``("next", observation)``.
+        device: of everything stored.
 
     Raises:
         ValueError: at a write, for observations that are no stack of F frames, each moved up by one. TorchRL's writer
@@ -87,7 +83,7 @@ class FrameStorage(GatheringStorage):
         super().__init__(max_size, device=device)
         self.frames = frames
         self.keys = (observation, ("next", observation) if isinstance(observation, str) else ("next", *observation))
-        # Frame number i since the beginning lies at i % len(ring); those before `_oldest` are needed no more.
+        # Frame number i since the beginning is at i % len(ring); those before `_oldest` are needed no more.
         self._ring: Tensor | None = None
         self._oldest = self._end = 0
 
@@ -125,16 +121,15 @@ class FrameStorage(GatheringStorage):
     def get(self, index: Any) -> Any:
         """The transitions at ``index``, which may be anything that a tensor takes."""
         batch = super().get(index).copy()
-        first = batch.pop(FIRST)
+        numbers = batch.pop(FIRST)[..., None] + torch.arange(self.frames, device=self.device)
         for step, key in enumerate(self.keys):
-            batch.set(key, self._windows(first + step).flatten(-2))
+            batch.set(key, self._frames(numbers + step).flatten(-2))
         return batch
 
     def state_dict(self) -> dict[str, Any]:
-        """What is filled: ``transitions``, the ``frames [n, W]`` that they need, and how many make a state.
+        """The ``transitions``, the ``frames [n, W]`` that they need, and ``stacked``, F; the last alone if it is empty.
 
-        An observation begins at ``frames[first_frame]``, the next one a row later; ``stacked`` is F, and there alone
-        where nothing is stored.
+        An observation begins at ``frames[first_frame]``, the next one a row later.
         """
         if not len(self):
             return {"stacked": torch.tensor(self.frames)}
@@ -145,11 +140,7 @@ class FrameStorage(GatheringStorage):
         return {"transitions": transitions, "frames": frames, "stacked": torch.tensor(self.frames)}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Replaces everything by what :meth:`state_dict` gave.
-
-        Raises:
-            ValueError: when it holds states of another number of frames.
-        """
+        """Replaces everything by what :meth:`state_dict` gave; ValueError for states of another number of frames."""
         if int(state_dict["stacked"]) != self.frames:
             raise ValueError(f"Expected states of {self.frames} frames, got those of {int(state_dict['stacked'])}.")
         if "transitions" not in state_dict:
@@ -180,7 +171,7 @@ class FrameStorage(GatheringStorage):
 
     @property
     def frame_bytes(self) -> int:
-        """What the frames take that are kept."""
+        """Memory of the frames that are kept."""
         return 0 if self._ring is None else (self._end - self._oldest) * self._ring[0].nbytes
 
     def _empty(self) -> None:
@@ -189,7 +180,7 @@ class FrameStorage(GatheringStorage):
         self._oldest = self._end = 0
 
     def _refuse_a_hole(self, cursor: Any, count: int) -> None:
-        """Keeps places that nothing was written to from being read: they would lie between the old and the new ones."""
+        """Refuses a write that would leave places between the old and the new ones to which nothing was written."""
         if isinstance(cursor, slice):
             return
         last = int(cursor.max() if isinstance(cursor, Tensor) else max(cursor))
@@ -215,10 +206,6 @@ class FrameStorage(GatheringStorage):
         """The frames ``[*B, W]`` with these numbers ``[*B]``."""
         assert self._ring is not None
         return self._ring.index_select(0, numbers.flatten() % len(self._ring)).unflatten(0, numbers.shape)
-
-    def _windows(self, first: Tensor) -> Tensor:
-        """The frames ``[*B, F, W]`` of the observations that begin at ``first [*B]``."""
-        return self._frames(first[..., None] + torch.arange(self.frames, device=self.device))
 
     def _write(self, first: Tensor, frames: Tensor) -> None:
         """Gives ``frames [T, n, W]`` the numbers from ``first [T]`` on."""

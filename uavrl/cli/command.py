@@ -17,25 +17,26 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import configure_logging, one_sentence
 from uavrl.cli.help import show
+from uavrl.cli.keys import check_choices, choices_with, known_keys
 from uavrl.cli.process import command_process
 from uavrl.command_line import override
-from uavrl.configs import conf_dir, register_resolvers
-from uavrl.configs.checks import did_you_mean
-from uavrl.configs.choices import check_choices, choices_with, known_keys
-from uavrl.configs.parts import PARTS, names_taken
-from uavrl.configs.registry import compose, with_choices
+from uavrl.config import conf_dir
+from uavrl.config.parts import PARTS, names_taken
+from uavrl.config.sentences import did_you_mean
+from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
 
+SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
 
 
 def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Makes a console command of a function that takes the configuration ``conf/NAME.yaml``, as overridden."""
-    register_resolvers()
+    register_run_name()
 
     def decorate(function: Callable[[DictConfig], None]) -> Callable[[], None]:
         @wraps(function)
-        def checked(config: DictConfig) -> None:
+        def composed(config: DictConfig) -> None:
             mistakes.composed = True
             configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
             with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
@@ -44,7 +45,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
                 function(with_choices(config, choices) if "env" in config else config)
 
         mistakes = _Mistakes(name)
-        by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(checked)
+        by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(composed)
 
         @wraps(function)
         def main() -> None:
@@ -109,6 +110,9 @@ def explained(error: Exception, name: str) -> str:
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         return _no_such_key(first.split("'")[-2].split("@")[0], name)
+    deleted = [override[1:] for override in _command_line()[1] if override.startswith("~")]
+    if first.startswith("Error resolving interpolation") and deleted:
+        return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
     if isinstance(error, AssertionError):
         return "An override changes something below a key that has nothing below it: --help=all lists all keys."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
@@ -127,11 +131,13 @@ def _no_such_key(key: str, name: str) -> str:
     """Why a key cannot be changed: another choice has it, the yaml of this one leaves it out, or there is none."""
     folders, overrides = _command_line()
     group, _, below = key.partition(".")
+    known = known_keys(name, folders)
+    if key not in known and (near := did_you_mean(key, known, ": ", cutoff=SLIP)) != ".":
+        return f"There is no key {key!r}{near}"
     values = [override for override in overrides if override.partition("=")[0] == key]
     if values and (choice := _choice_that_takes(key, name, folders, [o for o in overrides if o not in values])):
         theirs = any((folder / group / f"{choice}.yaml").is_file() for folder in folders)
         return f"{choice}.yaml has no {below}: {'add it there, or ' if theirs else ''}write +{values[-1]}"
-    known = known_keys(name, folders)
     if key in known:
         having = f"{group}={' or '.join(choices_with(key, folders))}"
         return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."

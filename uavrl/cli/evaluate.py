@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command, given_overrides
 from uavrl.cli.suite import evaluate_suite
 from uavrl.command_line import command_line
-from uavrl.configs import EvaluateConfig, checked
+from uavrl.config import EvaluateConfig, validate
 from uavrl.rollout.policies import choose, distinguishing, name_of_output, policy_folder, require_fit
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.provenance import processor, versions
@@ -19,7 +19,7 @@ from uavrl.runs.provenance import processor, versions
 @command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
-    settings = checked(config, EvaluateConfig)
+    settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
         evaluate_suite(settings, evaluate, given_overrides())
         return
@@ -37,7 +37,7 @@ def main(config: DictConfig) -> None:
 
 def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
     """Flies the tasks of one evaluation, and writes what came of them with the overrides that made it."""
-    settings = checked(config, EvaluateConfig)
+    settings = validate(config, EvaluateConfig)
     folder = policy_folder(settings.run, settings.policy)
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
@@ -61,9 +61,9 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
         told["valleys"] = list(chosen.env.world.seeds)
         told["planes"] = chosen.env.world.planes
         told["num_uavs"] = count  # planes move with the steps of all
-    offered: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}
+    context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}
     with multiplied_by(settings.products, settings.threads) as told["products"]:
-        env = make_env(chosen.env, chosen.perception, measure_clearance=True, **offered)
+        env = make_env(chosen.env, chosen.perception, measure_clearance=True, **context)
         try:
             require_fit(chosen, env)
             places = Whereabouts(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None

@@ -1,22 +1,38 @@
 """``uavrl-export``: the policy of a run on its own, small enough to give away."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
-from uavrl.configs import checked
-from uavrl.configs.checks import did_you_mean
-from uavrl.configs.export import ExportConfig
+from uavrl.config import validate
+from uavrl.config.sentences import did_you_mean, require
 from uavrl.errors import UavrlError
+from uavrl.ranges import Folder, Text
 from uavrl.rollout.policies import packaged_policies, policy_folder
+
+
+@dataclass
+class ExportConfig:
+    """conf/export.yaml: one policy on its own."""
+
+    packages: tuple[Text, ...] = ()
+    run: Folder | None = None
+    policy: str | None = None
+    checkpoint: Folder | None = None
+    output: Folder | None = None
+
+    def __post_init__(self) -> None:
+        """Checks that there is a place to write to."""
+        require(self.output is not None, "output", "a folder to write the policy to", self.output)
 
 
 @command("export")
 def main(config: DictConfig) -> None:
     """Writes weights and configuration; evaluation and replay take the folder as ``run=``."""
-    _export(checked(config, ExportConfig))
+    _export(validate(config, ExportConfig))
 
 
 def _export(settings: ExportConfig) -> None:

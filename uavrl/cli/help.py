@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from uavrl.configs import conf_dir
+from uavrl.config import conf_dir
 
 ABOUT = {
     "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),

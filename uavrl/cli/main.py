@@ -4,7 +4,7 @@ import sys
 from importlib import import_module
 
 from uavrl.cli.process import command_process
-from uavrl.configs.checks import did_you_mean
+from uavrl.config.sentences import did_you_mean
 from uavrl.errors import UavrlError
 
 COMMANDS = {

@@ -6,8 +6,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
-from uavrl.configs import checked
-from uavrl.configs.pretrain import PretrainConfig
+from uavrl.config import validate
 
 
 @command("pretrain")
@@ -17,11 +16,12 @@ def main(config: DictConfig) -> None:
 
 
 def _pretrain(config: DictConfig) -> None:
-    settings = checked(config, PretrainConfig)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
+    from uavrl.pretraining.settings import PretrainConfig
     from uavrl.training.matmul import multiplied_by
 
+    settings = validate(config, PretrainConfig)
     with multiplied_by(settings.products, settings.threads):
         about = pretrain(settings)
     source, learned, elbow = about["source"], about["classifier"], about["sse"]["elbow"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,15 +11,53 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.command_line import command_line
-from uavrl.configs import checked
-from uavrl.configs.replay import ReplayConfig
+from uavrl.config import validate
+from uavrl.config.sentences import require
+from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
+from uavrl.ranges import Count, Folder
 from uavrl.rollout.policies import choose, distinguishing, name_of_output, policy_folder
 from uavrl.runs.files import writable
 from uavrl.runs.weights import POLICY
 
 if TYPE_CHECKING:
     from uavrl.rollout.recording import Recording
+
+
+MOST_FLIGHTS = 50  # in one page
+
+
+@dataclass
+class ReplayConfig(FlyingConfig):
+    """conf/replay.yaml: the flights of one page."""
+
+    flight: Folder | None = None
+    task: int | None = None
+    tasks: tuple[int, ...] | None = None
+    episodes: Count | None = None
+    data: Folder | None = None
+    points: Count = 1500
+
+    def __post_init__(self) -> None:
+        """Checks what belongs together."""
+        chosen = [key for key in ("task", "tasks", "episodes") if getattr(self, key) is not None]
+        require(len(chosen) <= 1, "The choice of tasks", "one of task, tasks and episodes", " and ".join(chosen))
+        told = [key for key in ("task", "tasks", "episodes", "valleys", "checkpoint") if getattr(self, key) is not None]
+        own = "the only choice, since the file brings its flights"
+        require(self.flight is None or not told, "flight", f"{own} (leave {', '.join(told)} out)", self.flight)
+        require(self.task is None or self.task >= 0, "task", "a number from 0", self.task)
+        listed = self.tasks
+        distinct = listed is None or (len(listed) > 0 and min(listed) >= 0 and len(set(listed)) == len(listed))
+        require(distinct, "tasks", "a list of different numbers from 0", listed)
+        few = len(self.task_numbers) <= MOST_FLIGHTS
+        require(few, "The number of flights", f"at most {MOST_FLIGHTS} in one page", len(self.task_numbers))
+
+    @property
+    def task_numbers(self) -> tuple[int, ...]:
+        """The tasks to fly, in their order; task 0 if none is chosen."""
+        if self.tasks is not None:
+            return tuple(self.tasks)
+        return tuple(range(self.episodes)) if self.episodes is not None else (self.task or 0,)
 
 
 @command("replay")
@@ -28,7 +67,7 @@ def main(config: DictConfig) -> None:
 
 
 def _replay(config: DictConfig, overrides: list[str]) -> None:
-    settings = checked(config, ReplayConfig)
+    settings = validate(config, ReplayConfig)
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
         raise UavrlError("Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz, and no two of them.")
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
@@ -94,9 +133,9 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
 
     def flown() -> Recording:
         parts = (chosen.env, chosen.perception, chosen.reward)
-        offered: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": 1}
-        offered["tasks"] = settings.task_numbers  # valleys that none of them needs are not built
-        env = make_env(*parts, keep_cloud=True, measure_clearance=True, **offered)
+        context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": 1}
+        context["tasks"] = settings.task_numbers  # valleys that none of them needs are not built
+        env = make_env(*parts, keep_cloud=True, measure_clearance=True, **context)
         told: dict[str, Any] = {"seed": settings.seed, "source": source, "risk": risk, "max_points": settings.points}
         try:
             return record_flights(env, chosen.policy, settings.task_numbers, progress=settings.progress, **told)

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import multiprocessing
 import os
 import signal
@@ -17,9 +18,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uavrl.cli.errors import configure_logging
-from uavrl.configs import EvaluateConfig
-from uavrl.configs.machine import machine_processors
-from uavrl.configs.registry import compose_again
+from uavrl.config import EvaluateConfig
+from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError, was_interrupted
 from uavrl.rollout.policies import distinguishing, file_of_policy, name_of_output, policy_folder
 from uavrl.runs.episodes import outcomes_of
@@ -30,6 +30,7 @@ from uavrl.runs.weights import POLICY
 
 log = logging.getLogger(__name__)
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
+CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")  # of a container, on Linux: microseconds of processor time in each period
 Evaluate = Callable[[DictConfig, list[str], Path], dict[str, Any]]
 
 
@@ -101,6 +102,16 @@ def _flown(
                 raise UavrlError(f"{name}: {error}") from error
             log.info("%s is flown", name)
     return results
+
+
+def machine_processors(quota: Path = CPU_QUOTA) -> int:
+    """The processors that this process may use, which can be fewer than the machine has."""
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if quota.is_file():
+        share, _, period = quota.read_text(encoding="utf-8").partition(" ")
+        if share.isdigit():
+            allowed = min(allowed, math.ceil(int(share) / int(period)))
+    return max(allowed, 1)
 
 
 @contextmanager

@@ -15,9 +15,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.cli.command import command
 from uavrl.cli.errors import one_sentence, sentence
+from uavrl.cli.memory import require_memory
 from uavrl.command_line import command_line
-from uavrl.configs import TrainConfig, complete, settings_of_run, to_dataclass
-from uavrl.configs.memory import require_memory
+from uavrl.config import TrainConfig, resolve, validate, validate_run
+from uavrl.config.values import to_plain
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.files import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
@@ -77,9 +78,10 @@ def _command(config: DictConfig) -> None:
 
 
 def _train(config: DictConfig) -> None:
-    _check(to_dataclass(config))
+    settings = validate(config)
+    _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
-    config = complete(config)
+    config = OmegaConf.create(to_plain(settings))
     from uavrl.runs.lock import locked
     from uavrl.training.run import create_run, resume_config
 
@@ -93,7 +95,7 @@ def _train(config: DictConfig) -> None:
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-    _check(settings_of_run(config))
+    _check(validate_run(config))
     _check_machine(config)
     with full_disk_told(run_dir):
         _fly(config, run_dir, resume=True)
@@ -135,7 +137,7 @@ def _check_machine(config: DictConfig) -> None:
 
 def _train_in_sweep(config: DictConfig) -> None:
     """Trains a combination, goes on with it, or leaves it alone where it is finished or another process flies it."""
-    _check(to_dataclass(config))
+    _check(validate(config))
     if config.resume is not None:
         raise UavrlError(
             "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
@@ -147,7 +149,7 @@ def _train_in_sweep(config: DictConfig) -> None:
     from uavrl.training.sweep import is_begun, is_finished, run_folder
 
     run_dir = run_folder(config)
-    config = complete(config)
+    config = resolve(config)
     if run_dir in (*_swept.ended, *_swept.elsewhere):
         raise UavrlError(
             f"Two combinations of the sweep mean the same run {run_dir}: they differ in nothing that is learned from; "

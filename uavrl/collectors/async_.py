@@ -6,14 +6,14 @@ from contextlib import contextmanager
 from multiprocessing import active_children, resource_tracker
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
+from pydantic import Field
 from tensordict import TensorDictBase
 from torchrl.collectors import MultiAsyncCollector
 from torchrl.envs import EnvBase
 
 from uavrl.errors import FlyingEnded, UavrlError
-from uavrl.ranges import Count
 from uavrl.runs.interrupts import interrupts_held_back
 
 
@@ -36,7 +36,9 @@ class AsyncCollector(MultiAsyncCollector):
 
     flies_elsewhere: ClassVar[bool] = True
 
-    def __init__(self, create_env_fn: Callable[[], EnvBase], *, processes: Count = 1, **kwargs: Any) -> None:
+    def __init__(
+        self, create_env_fn: Callable[[], EnvBase], *, processes: Annotated[int, Field(ge=1, le=256)] = 1, **kwargs: Any
+    ) -> None:
         others = active_children()
         try:
             resource_tracker.ensure_running()  # starting it later would let interrupts through again

@@ -11,10 +11,11 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import torch
+from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector
@@ -22,7 +23,6 @@ from torchrl.collectors.distributed import RayCollector as TorchRLRayCollector
 from torchrl.envs import EnvBase
 
 from uavrl.errors import FlyingEnded, UavrlError
-from uavrl.ranges import Count
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.upstream import ray_job
 
@@ -75,7 +75,7 @@ class RayCollector(TorchRLRayCollector):
         create_env_fn: Callable[[], EnvBase],
         policy: TensorDictModuleBase,
         *,
-        workers: Count = 2,
+        workers: Annotated[int, Field(ge=1, le=4096)] = 2,
         address: str | None = None,
         num_threads: int = 1,
         trajs_per_batch: int = 1,

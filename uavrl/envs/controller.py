@@ -7,14 +7,12 @@ import numpy as np
 from uavrl.envs.quadrotor import GRAVITY, ROTOR_SPINS, Aerodynamics, Airframe, drag, mixing_matrix
 
 THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
-_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # row (x, y) → (-y, x)
-
-
 VELOCITY_GAIN = np.array([2.6, 2.6, 4.0])  # 1/s, acceleration per velocity error along x, y, z
 RATE_GAIN = np.array([24.0, 24.0, 6.0])  # 1/s, angular acceleration per rate error about x, y, z
 ATTITUDE_GAIN = 7.0  # 1/s, rate per tilt error
 DISTURBANCE_RATE = 2.0  # 1/s, at which the estimate of unknown forces (wind) follows them
 DISTURBANCE_LIMIT = 6.0  # N, most that it can be along each axis
+_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # row (x, y) → (-y, x)
 
 
 def _within(values: np.ndarray, least: np.ndarray | float, most: np.ndarray | float) -> np.ndarray:
@@ -23,19 +21,11 @@ def _within(values: np.ndarray, least: np.ndarray | float, most: np.ndarray | fl
 
 
 def feasible_command(command: np.ndarray, airframe: Airframe, aerodynamics: Aerodynamics) -> np.ndarray:
-    """Slows circles that are tighter than the tilt limit allows.
+    """Slows circles that are tighter than the tilt limit allows: commands ``[N, 4]`` in m/s and rad/s.
 
     A velocity v in the yaw-aligned frame and a yaw rate ψ' make a circle: it takes the acceleration |ψ'| |v| towards
     the centre, and drag takes its share. A vehicle at its tilt limit has g tan(limit), so at 2.83 m/s and 2 rad/s,
     the corner of the action range, it lacks about 6 %. Slowing keeps the direction; saturation would turn it.
-
-    Args:
-        command: ``[N, 4]``: velocities in m/s and yaw rate in rad/s.
-        airframe: Gives mass and tilt limit.
-        aerodynamics: Gives the drag.
-
-    Returns:
-        ``[N, 4]``, with x and y scaled where needed.
     """
     per_mass = aerodynamics.coefficients[0] / airframe.total_mass
     speed = np.sqrt((command[:, :3] ** 2).sum(1))
@@ -47,26 +37,16 @@ def feasible_command(command: np.ndarray, airframe: Airframe, aerodynamics: Aero
     return feasible
 
 
-def to_world(
-    command: np.ndarray, rotation: np.ndarray, yaw_rate: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The commanded velocity in world axes, and the acceleration that keeps it turning with the yaw.
+def to_world(command: np.ndarray, rotation: np.ndarray, yaw_rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The commanded velocity ``[N, 3]`` in world axes, and the acceleration ``[N, 3]`` that turns it with the yaw.
 
     Errata: Chansuparp (2022), Eq. 2.1, multiplies 6-vectors element by element and mixes up its angles; what is meant
-    is this rotation about the vertical by the yaw ψ.
-
-    Args:
-        command: ``[N, 4]``: velocities in the yaw-aligned body frame in m/s, and yaw rate in rad/s.
-        rotation: ``[N, 3, 3]``, body to world.
-        yaw_rate: ``[N]``, what the vehicles turn at in rad/s; default: what is commanded.
-
-    Returns:
-        Two ``[N, 3]``, in m/s and m/s².
+    is this rotation about the vertical by the yaw ψ. ``command [N, 4]`` holds velocities in the yaw-aligned body frame
+    in m/s and a yaw rate; ``rotation [N, 3, 3]`` leads from body to world, ``yaw_rate [N]`` is that of now in rad/s.
     """
     head = rotation[:, :2, 0]
     cos, sin = (head / np.sqrt(np.maximum(np.add.reduce(head * head, axis=1, keepdims=True), 1e-12))).T
-    forward, left, up, commanded = command.T
-    yaw_rate = commanded if yaw_rate is None else yaw_rate
+    forward, left, up, _ = command.T
     velocity, acceleration = np.empty((len(command), 3)), np.zeros((len(command), 3))
     velocity[:, 0], velocity[:, 1], velocity[:, 2] = cos * forward - sin * left, sin * forward + cos * left, up
     acceleration[:, 0], acceleration[:, 1] = -yaw_rate * velocity[:, 1], yaw_rate * velocity[:, 0]
@@ -74,15 +54,7 @@ def to_world(
 
 
 def limit_force(force: np.ndarray, airframe: Airframe) -> np.ndarray:
-    """Keeps a force within what the rotors can give; the vertical part comes first, then the tilt limit.
-
-    Args:
-        force: ``[N, 3]`` in world axes in N.
-        airframe: Gives weight, thrust and tilt limit.
-
-    Returns:
-        ``[N, 3]`` in N.
-    """
+    """Keeps forces ``[N, 3]`` (N, world axes) within what the rotors give: first the vertical part, then the tilt."""
     most = (1 - THRUST_RESERVE) * airframe.max_total_thrust * math.cos(airframe.tilt_limit)
     vertical = np.minimum(np.maximum(force[:, 2:], 0.3 * airframe.total_mass * GRAVITY), most)
     horizontal = force[:, :2]
@@ -92,13 +64,9 @@ def limit_force(force: np.ndarray, airframe: Airframe) -> np.ndarray:
 
 
 def tilt_error(direction: np.ndarray) -> np.ndarray:
-    """The turn that brings the body's z axis to a direction: 2 sin(angle / 2) about the shortest axis.
+    """The turn ``[N, 2]`` about x and y that brings the body's z axis to unit vectors ``[N, 3]`` in body axes.
 
-    Args:
-        direction: ``[N, 3]``, unit vectors in body axes.
-
-    Returns:
-        ``[N, 2]``, about x and y, near rad. It grows up to 180°, so that a vehicle on its back turns over.
+    It is 2 sin(angle / 2) about the shortest axis and grows up to 180°, so that a vehicle on its back turns over.
     """
     half_cosine = np.sqrt(np.maximum(0.5 + 0.5 * direction[:, 2:], 1e-3))
     return direction[:, :2] @ _QUARTER_TURN / half_cosine
@@ -145,11 +113,6 @@ class VelocityController:
     an estimate of the wind's force. :meth:`thrusts`, the inner loop, turns the body's z axis towards that force, rate
     errors into moments, and thrust and moments into rotor thrusts. The drag that it expects is that of still air.
 
-    Args:
-        count: Number of vehicles N.
-        airframe: The vehicle.
-        aerodynamics: Its drag.
-
     Attributes:
         disturbance: ``[N, 3]``, estimate of the unknown forces in world axes in N.
     """
@@ -180,15 +143,11 @@ class VelocityController:
         lift: np.ndarray,
         dt: float,
     ) -> None:
-        """Outer loop: chooses the force for the inner loop.
+        """Outer loop: chooses the force for the inner loop, ``dt`` s after the last call.
 
-        Args:
-            command: ``[N, 4]``, see :func:`to_world`.
-            rotation: ``[N, 3, 3]``, body to world.
-            velocity: ``[N, 3]``, of the centre of mass in world axes in m/s.
-            twist: ``[N, 2, 3]``: that velocity in body axes, and the body rates in rad/s.
-            lift: ``[N]``, thrust of all rotors now in N.
-            dt: Time since the last call in s.
+        ``command`` and ``rotation`` are those of :func:`to_world`. ``velocity [N, 3]`` is that of the centre of mass in
+        world axes in m/s, ``twist [N, 2, 3]`` the same in body axes beside the body rates in rad/s, and ``lift [N]``
+        the thrust of all rotors now in N.
         """
         resistance = drag(twist, self._coefficients)
         drag_world = np.matmul(rotation, resistance[:, 0, :, None])[:, :, 0]

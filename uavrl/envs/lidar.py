@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from uavrl.envs.embree import EmbreeScene, TriangleMesh
 from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.ray_culling import RayCuller
@@ -21,6 +21,13 @@ from uavrl.envs.vlp16 import (
     NUM_RAYS,
     firing_directions,
 )
+from uavrl.errors import MissingSimulator
+
+try:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+except ModuleNotFoundError as error:
+    raise MissingSimulator(error.name or "embreex") from error
 
 __all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
 
@@ -34,7 +41,7 @@ class LidarConfig:
 
     Args:
         max_range: farthest range in metres. The device reaches 100 m; cut to the circumradius of the reduction (4 m),
-            `uavrl.transforms.functional.truncated_icosahedron` gives the identical result for less than half the time.
+            `uavrl.transforms.icosahedron.truncated_icosahedron` gives the identical result for less than half the time.
         min_range: points nearer than this are not reported, in metres; 0 is off. The device has 0.9.
         range_noise: standard deviation of the range error in metres; 0 is off. About 0.01 for the device.
         dropout: probability in [0, 1) that a hit is not reported.
@@ -45,9 +52,9 @@ class LidarConfig:
         4.0
     """
 
-    max_range: float = 100.0
+    max_range: Annotated[float, Field(le=1000)] = 100.0
     min_range: float = 0.0
-    range_noise: float = 0.0
+    range_noise: Annotated[float, Field(le=100)] = 0.0
     dropout: float = 0.0
     motion_distortion: bool = False
 
@@ -73,12 +80,11 @@ def _embree_scene(mesh: Mesh) -> EmbreeScene:
 
 
 class Lidar:
-    """Casts whole VLP-16 scans of any number of vehicles at once.
+    """Casts whole VLP-16 scans of any number of vehicles at once; the vehicles do not see each other.
 
     One Embree call casts a vehicle's rays against the static scene; at short range, only those that pass near a
     triangle (`uavrl.envs.ray_culling.RayCuller`), which changes no result. Moving bodies live in a small Embree scene
-    of their own, in the body's frame: only rays that can hit a body's bounding sphere are carried there, and only where
-    it is within range. The vehicles do not see each other.
+    of their own, in the body's frame: only rays that can hit a body's bounding sphere are carried there.
 
     Args:
         meshes: static triangle meshes in the world frame. May be empty.
@@ -87,21 +93,16 @@ class Lidar:
 
     Attributes:
         directions: ``float32 [28928, 3]``, read-only, as `uavrl.envs.vlp16.firing_directions` gives them.
-        num_points: points in one scan: 28,928.
 
     Examples:
         A wall 2 m ahead, seen from the origin:
 
-        >>> import numpy as np
-        >>> from uavrl.envs.mesh import Mesh
-        >>> corners = [[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]]
-        >>> lidar = Lidar([Mesh(np.array(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32))])
+        >>> wall = Mesh([[2, -9, -9], [2, 9, -9], [2, 9, 9], [2, -9, 9]], [[0, 1, 2], [0, 2, 3]])
+        >>> lidar = Lidar([wall])
         >>> cloud = lidar.scan(np.zeros((1, 3)), np.eye(3)[None])
         >>> cloud.shape, round(float(cloud[0, 0, 0]), 4), bool(np.isnan(cloud[0, 904 * 16]).all())
         ((1, 28928, 3), 2.0, True)
     """
-
-    num_points: ClassVar[int] = NUM_RAYS
 
     def __init__(self, meshes: Sequence[Mesh], moving: Mesh | None = None, config: LidarConfig | None = None) -> None:
         self.config = LidarConfig() if config is None else config
@@ -114,7 +115,11 @@ class Lidar:
         self._moving_scene = None if moving is None else _embree_scene(moving)
         self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
         self._reach = np.float32(self.config.max_range)
-        self._culler = self._build_culler()
+        self._culler: RayCuller | None = None
+        # In a long scan all rays are candidates, and a moving sensor sweeps more: culling would not pay.
+        if self._meshes and self.config.max_range <= _CULLED_RANGE and not self.config.motion_distortion:
+            grid = AZIMUTH_STEPS, AZIMUTH_STEP, np.radians(LASER_ELEVATIONS)
+            self._culler = RayCuller(Mesh.merge(self._meshes), self.config.max_range, *grid)
 
     def __reduce__(self) -> tuple[type[Lidar], tuple[list[Mesh], Mesh | None, LidarConfig]]:
         """Rebuilds the Embree scenes where the sensor is copied or sent to, as they cannot be pickled."""
@@ -132,17 +137,17 @@ class Lidar:
     ) -> np.ndarray:
         """Casts one scan per vehicle.
 
-        With motion distortion the pose is that of the first firing and moves on with constant velocities, and each
-        point is given in the sensor frame at its own firing, as the device gives it. Moving bodies stand still
-        during a scan.
+        With motion distortion, which alone needs velocities, the pose is that of the first firing and moves on with
+        constant velocities, and each point is given in the sensor frame at its own firing, as the device gives it.
+        Moving bodies stand still during a scan.
 
         Args:
             positions: ``[N, 3]``, sensor positions in the world in metres.
             rotations: ``[N, 3, 3]``, sensor-to-world rotation matrices.
             moving_poses: ``[K, 4]``, (x, y, z, yaw) of the moving bodies in metres and radians.
-            velocities: ``[N, 3]``, world-frame velocities in m/s. Needed for motion distortion only.
-            angular_velocities: ``[N, 3]``, world-frame angular velocities in rad/s. Needed for motion distortion only.
-            rng: source of range noise and dropout. Needed for these only.
+            velocities: ``[N, 3]``, world-frame velocities in m/s.
+            angular_velocities: ``[N, 3]``, world-frame angular velocities in rad/s.
+            rng: source of range noise and dropout, which need it.
 
         Returns:
             ``float32 [N, 28928, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
@@ -161,17 +166,16 @@ class Lidar:
             raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
         if rng is None and (self.config.range_noise > 0.0 or self.config.dropout > 0.0):
             raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
-        if self.config.motion_distortion:
+        moved = self.config.motion_distortion
+        if moved:
             velocities = _checked("velocities", velocities, positions.shape)
             angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
-        else:
-            velocities = angular_velocities = None
         ranges = np.full((len(positions), NUM_RAYS), np.nan, dtype=np.float32)
         near = None if self._culler is None else self._culler.candidates(positions, rotations)
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
             origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ self._columns
             speed = 0.0
-            if velocities is not None and angular_velocities is not None:
+            if moved and velocities is not None and angular_velocities is not None:
                 origins = origins + (velocities[vehicle, :, None] * FIRING_TIMES).astype(np.float32)
                 directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
                 speed = float(np.linalg.norm(velocities[vehicle]))
@@ -180,15 +184,8 @@ class Lidar:
                 _cast(self._static_scene, origins, directions, rays, ranges[vehicle], self._reach)
             for pose in poses:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
-        self._spoil(ranges, rng)
+        self._add_noise(ranges, rng)
         return (self._columns[:, None] * ranges).transpose(1, 2, 0)
-
-    def _build_culler(self) -> RayCuller | None:
-        """Returns the culler if it pays: in a long scan all rays are candidates, and a moving sensor sweeps more."""
-        if self.config.max_range > _CULLED_RANGE or self.config.motion_distortion or not self._meshes:
-            return None
-        elevations = np.radians(LASER_ELEVATIONS)
-        return RayCuller(Mesh.merge(self._meshes), self.config.max_range, AZIMUTH_STEPS, AZIMUTH_STEP, elevations)
 
     def _cast_body(
         self,
@@ -213,7 +210,7 @@ class Lidar:
         from_body = to_body @ (origins - pose[:3, None].astype(np.float32))
         _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
 
-    def _spoil(self, ranges: np.ndarray, rng: np.random.Generator | None) -> None:
+    def _add_noise(self, ranges: np.ndarray, rng: np.random.Generator | None) -> None:
         """Applies noise, dropout and the minimum range."""
         config = self.config
         if config.range_noise > 0.0 or config.dropout > 0.0:

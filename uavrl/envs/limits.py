@@ -8,11 +8,6 @@ from typing import Any
 from uavrl.errors import UavrlError
 
 
-def in_turn(counts: Iterable[int] | int) -> tuple[int, ...]:
-    """The numbers that valleys take in turn, of which there may be one."""
-    return (counts,) if isinstance(counts, int) else tuple(counts)
-
-
 def check_hull(radius: float, height: float, clearance: float) -> None:
     """Refuses vehicles that touch something wherever they start: a hull that reaches farther than starts keep off."""
     reach = max(radius, height / 2)

@@ -1,9 +1,10 @@
-"""Triangle meshes: the one description of geometry that physics and LiDAR share."""
+"""Triangle meshes, the one description of geometry that physics and LiDAR share, and shapes to build them from."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,7 +22,7 @@ class Mesh:
         """Brings both arrays to the types that Embree and PyBullet take."""
         object.__setattr__(self, "vertices", np.ascontiguousarray(self.vertices, dtype=np.float32))
         object.__setattr__(self, "faces", np.ascontiguousarray(self.faces, dtype=np.int32))
-        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or self.faces.ndim != 2 or self.faces.shape[1] != 3:
+        if any(array.ndim != 2 or array.shape[1] != 3 for array in (self.vertices, self.faces)):
             raise ValueError(
                 f"A mesh takes vertices [V, 3] and faces [F, 3], got {self.vertices.shape} and {self.faces.shape}."
             )
@@ -67,3 +68,81 @@ def cut_up(corners: np.ndarray, small: Callable[[np.ndarray], np.ndarray]) -> np
         middle = (a + b) / 2.0
         corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
     return np.concatenate(found)
+
+
+def signed_volume(mesh: Mesh) -> float:
+    """Returns the enclosed volume in m³: positive for a closed mesh whose faces turn outwards."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def loft(rings: np.ndarray) -> Mesh:
+    """Returns the closed skin over rings ``[S, P, 3]`` that turn alike: ``2 S P`` triangles that turn outwards."""
+    count, points, _ = rings.shape
+    ring = np.arange(points)
+    after = (ring + 1) % points
+    below = (np.arange(count - 1) * points)[:, None]
+    a, b, c, d = below + ring, below + after, below + after + points, below + ring + points
+    sides = [np.stack(corners, -1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
+    middle, top = np.full(points, count * points), (count - 1) * points
+    caps = [np.stack([after, ring, middle], -1), np.stack([ring + top, after + top, middle + 1], -1)]
+    vertices = np.concatenate([rings.reshape(-1, 3), rings[:1].mean(1), rings[-1:].mean(1)])
+    mesh = Mesh(vertices, np.concatenate(sides + caps))
+    return mesh if signed_volume(mesh) > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
+
+
+def tube(path: np.ndarray, radii: np.ndarray, sides: int = 8) -> Mesh:
+    """Returns a closed tube along ``path [S, 2]``, x and z in the plane y = 0, with ``radii [S]``."""
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normal = np.stack([tangent[:, 1], np.zeros(len(path)), -tangent[:, 0]], -1)
+    angle = np.arange(sides) * 2 * np.pi / sides
+    round_ = np.cos(angle)[:, None] * normal[:, None] + np.sin(angle)[:, None] * np.array([0.0, 1.0, 0.0])
+    centre = np.stack([path[:, 0], np.zeros(len(path)), path[:, 1]], -1)
+    return loft(centre[:, None] + np.asarray(radii)[:, None, None] * round_)
+
+
+@lru_cache(maxsize=4)
+def icosphere(subdivisions: int) -> Mesh:
+    """Returns the unit sphere as an icosahedron whose faces are split in four ``subdivisions`` times."""
+    phi = (1 + 5**0.5) / 2
+    corners = np.array([(0, s, t * phi) for s in (-1, 1) for t in (-1, 1)])
+    vertices = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)])
+    apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
+    edge = np.isclose(apart, 2.0)
+    faces = [
+        (i, j, k) for i in range(12) for j in range(i) for k in range(j) if edge[i, j] and edge[j, k] and edge[i, k]
+    ]
+    turned = [f if np.linalg.det(vertices[list(f)]) > 0 else f[::-1] for f in faces]
+    points, triangles = vertices / np.linalg.norm(vertices[0]), np.array(turned)
+    for _ in range(subdivisions):
+        points, triangles = _split(points, triangles)
+    return Mesh(points, triangles)
+
+
+def _split(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Splits every triangle of a unit sphere in four."""
+    a, b, c = triangles.T
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    unique, index = np.unique(edges, axis=0, return_inverse=True)
+    middle = points[unique].sum(1)
+    ab, bc, ca = index.reshape(3, -1) + len(points)
+    split = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+    points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+    return points, np.concatenate([np.stack(corners, -1) for corners in split])
+
+
+def blob(
+    rng: np.random.Generator, radii: tuple[float, float, float], roughness: float = 0.2, subdivisions: int = 2
+) -> Mesh:
+    """Returns a bumpy ellipsoid around the origin; no bump moves its surface by more than the share ``roughness``."""
+    sphere = icosphere(subdivisions)
+    waves, phases = rng.normal(size=(3, 5)) * 2.0, rng.uniform(0, 2 * np.pi, 5)
+    bumps = np.cos(sphere.vertices @ waves + phases).mean(1, keepdims=True)
+    return Mesh(sphere.vertices * (1 + roughness * bumps) * np.asarray(radii), sphere.faces)
+
+
+def turned(mesh: Mesh, yaw: float) -> Mesh:
+    """Returns the mesh turned about the z axis by ``yaw`` in rad."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return Mesh(mesh.vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]), mesh.faces)

@@ -3,52 +3,48 @@
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
+from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
-from uavrl.envs.goal_angles import goal_elevation_deg, goal_heading_deg
+from uavrl.envs.interface import checked_action, goal_elevation_deg, goal_heading_deg, navigation_specs
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
-from uavrl.envs.simulation import Simulation
+from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count
 from uavrl.transforms.state import ACTION_LIMIT
 
 Hidden = Literal["planes"]
-CONTROL_RATE = 10  # Hz
-PHYSICS_RATE = 240  # Hz
+TICKS = PHYSICS_RATE // CONTROL_RATE  # physics steps in a step
+_Made = TypeVar("_Made")
 
 
 class NavigationEnv(EnvBase):
     """Quadrotors that fly to goals through a cluttered valley, seeing only through a VLP-16 LiDAR.
 
-    The batch is native: ``num_uavs`` vehicles with tasks of their own fly in one PyBullet world,
-    invisible to each other, and one Embree call casts all their rays (Chansuparp (2022), §4.1).
+    The batch is native: ``num_uavs`` vehicles with tasks of their own fly in one PyBullet world, invisible to each
+    other, and one Embree call casts all their rays (Chansuparp (2022), §4.1). A step is 0.1 s: 24 physics steps, then
+    a scan. Actions ``(l_x, l_y, l_z, a_z)`` are the velocities in the yaw-aligned body frame (m/s) and the yaw rate
+    (rad/s), each in [-2, 2].
 
-    Every step is 0.1 s: 24 physics steps, then a LiDAR scan. Actions are ``(l_x, l_y, l_z, a_z)``: the
-    velocities in the yaw-aligned body frame (m/s) and the yaw rate (rad/s), each in [-2, 2].
+    It emits ``point_cloud`` (``[28928, 3]``, m, sensor frame, NaN = no return), ``altitude`` (m), ``heading_deg`` and
+    ``elevation_deg`` (the thesis's h and g), and for rewards, metrics and pictures ``distance``, ``position``,
+    ``velocity``, ``goal``, ``arrived``, ``collided``, ``world_seed`` and ``task``. Its own reward is the progress to
+    the goal in metres; the thesis's rewards are transforms (:mod:`uavrl.transforms`).
 
-    The environment emits ``point_cloud`` (``[28928, 3]``, m, sensor frame, NaN = no return),
-    ``altitude`` (m), ``heading_deg`` and ``elevation_deg`` (the thesis's h and g), and for rewards,
-    metrics and pictures ``distance``, ``position``, ``velocity``, ``goal``, ``arrived``, ``collided``,
-    ``world_seed`` and ``task``. Its own reward is the progress to the goal in metres; the thesis's
-    rewards are transforms (:mod:`uavrl.transforms`).
-
-    Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, so that two policies flown with
-    one seed meet the same tasks (only a plane in the way makes the environment draw it anew). ``reset(task=k)``
-    goes on with task ``k``.
-    ``set_seed`` also rebuilds physics and traffic at the next full reset: what follows is bit-identical
-    to a newly built environment with that seed. Partial resets before that draw the new seed's tasks already.
+    Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, so that two policies that are rolled out with
+    one seed meet the same tasks (only a plane in the way moves a start); ``reset(task=k)`` goes on with task ``k``.
+    ``set_seed`` also rebuilds physics and traffic at the next full reset: what follows is bit-identical to a new
+    environment with that seed. Partial resets before that draw the new seed's tasks already.
 
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
@@ -57,8 +53,7 @@ class NavigationEnv(EnvBase):
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
         max_steps: steps until an episode is truncated (Table 4.1: 300).
-        blind: whether the LiDAR reports nothing at all, so that only altitude and angles tell the UAV anything; nothing
-            is cast then.
+        blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
         tasks: the tasks that will begin: valleys that none of these needs are not built. None: any task.
@@ -69,22 +64,19 @@ class NavigationEnv(EnvBase):
         ValueError: for settings out of range, a world without solvable tasks, NaN actions, or a step after ``close``.
 
     Examples:
-        >>> from torchrl.envs import check_env_specs
-        >>> env = NavigationEnv(num_uavs=2)
-        >>> check_env_specs(env)
-        >>> env.rollout(3)["next", "point_cloud"].shape
+        >>> NavigationEnv(num_uavs=2).rollout(3)["next", "point_cloud"].shape
         torch.Size([2, 3, 28928, 3])
     """
 
     def __init__(
         self,
-        num_uavs: Count = 8,
+        num_uavs: Annotated[int, Field(ge=1, le=512)] = 8,
         *,
         world: WorldConfig | None = None,
         lidar: LidarConfig | None = None,
         airframe: Airframe | None = None,
         aerodynamics: Aerodynamics | None = None,
-        max_steps: Count = 300,
+        max_steps: Annotated[int, Field(ge=1, le=10**6)] = 300,
         blind: bool = False,
         blind_to: Hidden | None = None,
         measure_clearance: bool = False,
@@ -96,8 +88,7 @@ class NavigationEnv(EnvBase):
         if blind_to not in (None, "planes"):
             raise ValueError(f"blind_to must be None or 'planes', got {blind_to!r}.")
         super().__init__(device=device, batch_size=torch.Size([num_uavs]))
-        self.num_uavs = num_uavs
-        self.max_steps = max_steps
+        self.num_uavs, self.max_steps = num_uavs, max_steps
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
@@ -114,45 +105,15 @@ class NavigationEnv(EnvBase):
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
         self._goal = np.zeros((num_uavs, 3))
-        self._valley = np.zeros(num_uavs, dtype=np.int64)
-        self._world_seed = np.zeros(num_uavs, dtype=np.int64)
-        self._task = np.zeros(num_uavs, dtype=np.int64)
-        self._steps = np.zeros(num_uavs, dtype=np.int64)
-        self._make_specs()
+        self._valley, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
+        self.observation_spec, self.done_spec = navigation_specs(num_uavs, self.device, clearance=measure_clearance)
+        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, (num_uavs, 4), self.device, torch.float32)
+        self.reward_spec = Unbounded((num_uavs, 1), self.device, torch.float32)
+        specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
+        self._dtypes = {key: spec.dtype for key, spec in specs.items()}
         self._seed = whole("seed", seed)
         self.set_seed(self._seed)
         self.is_closed = False  # TorchRL closes what says so, in collectors and when it is no longer needed
-
-    def _make_specs(self) -> None:
-        n, device = self.num_uavs, self.device
-
-        def vector(width: int) -> Unbounded:
-            return Unbounded(shape=(n, width), dtype=torch.float32, device=device)
-
-        def flag() -> Binary:
-            return Binary(n=1, shape=(n, 1), dtype=torch.bool, device=device)
-
-        def count() -> Unbounded:
-            return Unbounded(shape=(n, 1), dtype=torch.int64, device=device)
-
-        entries = {
-            "point_cloud": Unbounded(shape=(n, NUM_RAYS, 3), dtype=torch.float32, device=device),
-            **{key: vector(1) for key in ("altitude", "heading_deg", "elevation_deg", "distance")},
-            **{key: vector(3) for key in ("position", "velocity", "goal")},
-            **{key: flag() for key in ("arrived", "collided")},
-            **{key: count() for key in ("world_seed", "task")},
-        }
-        if self.measure_clearance:
-            entries["clearance"] = vector(1)
-        self.observation_spec = Composite(entries, shape=(n,), device=device)
-        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, shape=(n, 4), dtype=torch.float32, device=device)
-        self.reward_spec = vector(1)
-        self.done_spec = Composite(
-            {key: flag() for key in ("done", "terminated", "truncated")}, shape=(n,), device=device
-        )
-
-        specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
-        self._dtypes = {key: spec.dtype for key, spec in specs.items()}
 
     def _set_seed(self, seed: int | None) -> None:
         seed = 0 if seed is None else whole("seed", seed)
@@ -164,27 +125,25 @@ class NavigationEnv(EnvBase):
 
     def _rebuild(self) -> None:
         """Builds physics, traffic and generators anew from the seed; meshes and the ray-casting scene stay."""
-        self.close_simulation()
-        traffic_rng, lidar_rng, gust_rng = (
-            np.random.default_rng(s) for s in np.random.SeedSequence(self._seed).spawn(3)
-        )
-        self._traffic = Traffic(self.world, traffic_rng)
-        planes = len(self.traffic.positions)
-        mesh = self.traffic.mesh if planes else None
-        self._lidar_rng = lidar_rng
+        if self._simulation is not None:
+            self._simulation.close()
+            self._simulation = None
+        seeds = np.random.SeedSequence(self._seed).spawn(3)
+        traffic_rng, self._lidar_rng, gusts = map(np.random.default_rng, seeds)
+        self._traffic, meshes, air = Traffic(self.world, traffic_rng), self.world.meshes, self.aerodynamics
+        planes = len(self._traffic.positions)
+        mesh = self._traffic.mesh if planes else None
         self._simulation = Simulation(
-            self.world.meshes,
+            meshes,
             self.num_uavs,
             airframe=self.airframe,
-            aerodynamics=self.aerodynamics,
+            aerodynamics=air,
             plane_mesh=mesh,
             plane_count=planes,
-            physics_rate=PHYSICS_RATE,
-            control_rate=CONTROL_RATE,
-            rng=gust_rng,
+            rng=gusts,
         )
         if self._lidar is None and not self.blind:
-            self._lidar = Lidar(self.world.meshes, mesh, self._lidar_config)
+            self._lidar = Lidar(meshes, mesh, self._lidar_config)
         self._next_task = 0
         self._stale = False
         if planes:
@@ -213,12 +172,10 @@ class NavigationEnv(EnvBase):
         if self._simulation is None or (self._stale and mask.all()):
             self._rebuild()
         self._next_task = self._next_task if task is None else whole("task", task)
-        self._place(np.flatnonzero(mask))
-        nothing = np.zeros(self.num_uavs, dtype=bool)
-        data = self._observe(np.flatnonzero(mask), nothing, nothing)
-        for key in ("done", "terminated", "truncated"):
-            data[key] = nothing[:, None]
-        return self._pack(data)
+        index, nothing = np.flatnonzero(mask), np.zeros(self.num_uavs, dtype=bool)
+        self._place(index)
+        data = self._observe(index, nothing, nothing)
+        return self._pack({**data, "done": nothing, "terminated": nothing, "truncated": nothing})
 
     def _task_rng(self, task: int) -> np.random.Generator:
         """What draws a task."""
@@ -237,11 +194,9 @@ class NavigationEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self._require_open()
-        action = self._checked_action(tensordict.get("action", None))
+        action = checked_action(tensordict.get("action", None), self.num_uavs)
         distance_tm1 = self._distance()
-        path = None
-        if len(self.traffic.positions):
-            path = self.traffic.advance(PHYSICS_RATE // CONTROL_RATE, 1 / PHYSICS_RATE)
+        path = self.traffic.advance(TICKS, 1 / PHYSICS_RATE) if len(self.traffic.positions) else None
         collided = self.simulation.step(action, path)
         collided |= self.world.out_of_bounds(self.simulation.position, self._valley)
         arrived = self.world.arrived(self.simulation.position, self._goal) & ~collided
@@ -249,74 +204,51 @@ class NavigationEnv(EnvBase):
         terminated = arrived | collided
         truncated = (self._steps >= self.max_steps) & ~terminated
         data = self._observe(np.arange(self.num_uavs), arrived, collided)
-        data["reward"] = (distance_tm1 - self._distance())[:, None]
-        data["terminated"], data["truncated"] = terminated[:, None], truncated[:, None]
-        data["done"] = data["terminated"] | data["truncated"]
-        return self._pack(data)
-
-    def _checked_action(self, action: object) -> np.ndarray:
-        if not isinstance(action, torch.Tensor) or action.shape != (self.num_uavs, 4):
-            came = tuple(action.shape) if isinstance(action, torch.Tensor) else type(action).__name__
-            raise UavrlError(
-                f"Expected an action of shape ({self.num_uavs}, 4), one row (l_x, l_y, l_z, a_z) for each UAV, got "
-                f"{came}: check the policy's output."
-            )
-        if action.is_complex():
-            raise UavrlError(f"Expected an action of real numbers, got {action.dtype}: check the policy's output.")
-        return action.detach().to("cpu", torch.float64).numpy()
+        ends = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
+        return self._pack({**data, "reward": distance_tm1 - data["distance"], **ends})
 
     def _distance(self) -> np.ndarray:
         return np.sqrt(((self._goal - self.simulation.position) ** 2).sum(1))
 
     def _observe(self, index: np.ndarray, arrived: np.ndarray, collided: np.ndarray) -> dict[str, np.ndarray]:
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
-        simulation = self.simulation
-        position, velocity = simulation.position, simulation.velocity
-        data = {
-            "point_cloud": self._scan(index),
-            "altitude": position[:, 2:],
-            "heading_deg": goal_heading_deg(position, simulation.yaw, self._goal)[:, None],
-            "elevation_deg": goal_elevation_deg(position, self._goal)[:, None],
-            "distance": self._distance()[:, None],
-            "position": position,
-            "velocity": velocity,
-            "goal": self._goal,
-            "arrived": arrived[:, None],
-            "collided": collided[:, None],
-            "world_seed": self._world_seed[:, None],
-            "task": self._task[:, None],
-        }
+        simulation, goal = self.simulation, self._goal
+        position = simulation.position
+        data = {"point_cloud": self._scan(index), "position": position, "velocity": simulation.velocity, "goal": goal}
+        data |= {"altitude": position[:, 2], "distance": self._distance(), "arrived": arrived, "collided": collided}
+        data |= {"world_seed": self._world_seed, "task": self._task}
+        data["heading_deg"] = goal_heading_deg(position, simulation.yaw, goal)
+        data["elevation_deg"] = goal_elevation_deg(position, goal)
         if self.measure_clearance:
-            data["clearance"] = simulation.closest_distance()[:, None]
+            data["clearance"] = simulation.closest_distance()
         return data
+
+    def _built(self, made: _Made | None) -> _Made:
+        self._require_open()
+        if made is None:
+            raise RuntimeError("Reset the environment first: before that it has no simulation and no planes.")
+        return made
 
     @property
     def simulation(self) -> Simulation:
         """The physics, with attitudes, sensor positions and more; there is none before the first reset."""
-        self._require_open()
-        if self._simulation is None:
-            raise RuntimeError("Reset the environment first: before that it has no simulation.")
-        return self._simulation
+        return self._built(self._simulation)
 
     @property
     def traffic(self) -> Traffic:
         """The planes on their ways; there are none before the first reset."""
-        self._require_open()
-        if self._traffic is None:
-            raise RuntimeError("Reset the environment first: before that it has no planes.")
-        return self._traffic
+        return self._built(self._traffic)
 
     def plane_poses(self) -> np.ndarray:
         """Returns x, y, z in m and yaw in rad of all planes, ``[K, 4]``."""
-        return np.column_stack([self.traffic.positions, self.traffic.yaws])
+        return self.traffic.poses()
 
     def plane_paths(self, steps: int) -> np.ndarray:
         """Returns where all planes will be after each of the next steps: x, y, z in m and yaw in rad, ``[T, K, 4]``.
 
         It copies the traffic, which takes some milliseconds.
         """
-        ticks = PHYSICS_RATE // CONTROL_RATE
-        return deepcopy(self.traffic).advance(steps * ticks, 1 / PHYSICS_RATE)[ticks - 1 :: ticks]
+        return deepcopy(self.traffic).advance(steps * TICKS, 1 / PHYSICS_RATE)[TICKS - 1 :: TICKS]
 
     @property
     def plane_mesh(self) -> Mesh:
@@ -326,7 +258,8 @@ class NavigationEnv(EnvBase):
     def _scan(self, index: np.ndarray) -> np.ndarray:
         if self._lidar is None:
             return self._no_returns
-        points = self._cast(self._lidar, index)
+        planes = self.plane_poses() if self.world.config.planes and self.blind_to != "planes" else None
+        points = self.simulation.scan(self._lidar, index, planes, self._lidar_rng)
         if len(index) == self.num_uavs:
             return points
         cloud = self._no_returns.copy(order="K")
@@ -338,32 +271,13 @@ class NavigationEnv(EnvBase):
         """The clouds of the blind: filled once, and the same array after every step."""
         return np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
 
-    def _cast(self, lidar: Lidar, index: np.ndarray) -> np.ndarray:
-        simulation = self.simulation
-        planes = self.plane_poses() if self.world.config.planes and self.blind_to != "planes" else None
-        position, rotation = simulation.lidar_position[index], simulation.rotation[index]
-        velocity = simulation.velocity[index]
-        spin = (rotation @ simulation.angular_velocity[index][:, :, None])[:, :, 0]
-        if lidar.config.motion_distortion:  # the scan is the spin that ends now
-            position = position - velocity / CONTROL_RATE
-            rotation = Rotation.from_rotvec(-spin / CONTROL_RATE).as_matrix() @ rotation
-        return lidar.scan(position, rotation, planes, velocities=velocity, angular_velocities=spin, rng=self._lidar_rng)
-
     def _pack(self, data: dict[str, np.ndarray]) -> TensorDict:
-        tensors = {
-            # `point_cloud` is fresh and float32 already: it is not copied; the others are small and copied
-            key: torch.as_tensor(
-                np.array(v) if key != "point_cloud" else v, dtype=self._dtypes[key], device=self.device
-            )
-            for key, v in data.items()
-        }
+        tensors = {}
+        for key, values in data.items():
+            if key != "point_cloud":  # which is fresh and float32 already: the others are small, and copied
+                values = np.array(values if values.ndim > 1 else values[:, None])
+            tensors[key] = torch.as_tensor(values, dtype=self._dtypes[key], device=self.device)
         return TensorDict(tensors, batch_size=self.batch_size, device=self.device)
-
-    def close_simulation(self) -> None:
-        """Frees the PyBullet world, if there is one."""
-        if self._simulation is not None:
-            self._simulation.close()
-            self._simulation = None
 
     def _require_open(self) -> None:
         if self.is_closed:
@@ -371,8 +285,9 @@ class NavigationEnv(EnvBase):
 
     def _free(self) -> None:
         """Frees the PyBullet world, the ray-casting scene and the valleys."""
-        self.close_simulation()
-        self._lidar = self._traffic = None
+        if self._simulation is not None:
+            self._simulation.close()
+        self._simulation = self._lidar = self._traffic = None
         for made in ("world", "_no_returns"):
             self.__dict__.pop(made, None)
 

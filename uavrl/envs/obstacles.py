@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh
-from uavrl.envs.shapes import blob, tube, turned
+from uavrl.envs.mesh import Mesh, blob, tube, turned
 from uavrl.envs.terrain import HeightField
 
 ROOT = -1.2  # m: obstacles reach this far below the ground at their middle, so that none floats over a slope
@@ -134,17 +133,6 @@ def make_obstacle(rng: np.random.Generator, kind: str, scale: float = 1.0, yaw: 
     return mesh.translated((-middle[0], -middle[1], 0.0))
 
 
-def outline_radius(mesh: Mesh) -> float:
-    """Returns the radius in metres of the circle around the origin that holds the mesh seen from above."""
-    return float(np.linalg.norm(mesh.vertices[:, :2], axis=1).max())
-
-
-def choose_place(places: np.ndarray, radius: float, circles: np.ndarray) -> int:
-    """Returns the index of the first of ``places [P, 2]`` with ``GAP`` to all ``circles [K, 3]``, or the roomiest."""
-    apart = np.linalg.norm(places[:, None] - circles[:, :2], axis=-1) - circles[:, 2] - radius
-    return int(np.minimum(apart.min(1, initial=np.inf), GAP).argmax())
-
-
 def lowest_ground(ground: HeightField, xy: np.ndarray, radius: float) -> float:
     """Returns the least height of the ground within about ``radius`` of ``xy [2]``, so that nothing floats."""
     angle = np.linspace(0, 2 * np.pi, 16, endpoint=False)
@@ -168,12 +156,13 @@ def place_obstacles(rng: np.random.Generator, count: int, scale: float, ground: 
     obstacles = []
     for kind in (MIX[i % len(MIX)] for i in range(count)):
         mesh = make_obstacle(rng, kind, scale, 0.0)
-        radius = outline_radius(mesh)
+        radius = float(np.linalg.norm(mesh.vertices[:, :2], axis=1).max())  # of its outline, seen from above
         if kind == "buttress":
             places, yaws = wall_places(rng, np.maximum(half + MARGIN - radius, 0.0), ATTEMPTS)
         else:
             places, yaws = rng.uniform(-half, half, (ATTEMPTS, 2)), rng.uniform(0, 2 * np.pi, ATTEMPTS)
-        chosen = choose_place(places, radius, circles)
+        apart = np.linalg.norm(places[:, None] - circles[:, :2], axis=-1) - circles[:, 2] - radius
+        chosen = int(np.minimum(apart.min(1, initial=np.inf), GAP).argmax())  # the first with a gap, or the roomiest
         x, y = places[chosen].tolist()
         mesh = turned(mesh, yaws[chosen])
         z = lowest_ground(ground, places[chosen], min(radius, FOOT))

@@ -10,36 +10,32 @@ from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
-from uavrl.ranges import Positive, Range
+from uavrl.ranges import Positive, Rule
 
 GRAVITY = 9.81  # m/s²
 Vector = tuple[float, float, float]
-Tilt = Annotated[float, Range("an angle in (0, π/2) rad", lambda angle: 0 < angle < math.pi / 2)]
+Mass = Annotated[float, Field(le=1e4)]
+Offset = Annotated[float, Field(ge=-10, le=10)]
+Length = Annotated[float, Field(gt=0, le=10)]
+Coefficient = Annotated[float, Field(le=1e3)]
+Speed = Annotated[float, Field(ge=-100, le=100)]
+Tilt = Annotated[float, Rule("an angle in (0, π/2) rad", lambda angle: 0 < angle < math.pi / 2)]
 
 # The rotors sit in front, at the left, at the back and at the right; neighbours turn against each other.
 ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 ROTOR_SPINS = np.array([-1.0, 1.0, -1.0, 1.0])  # sign of the yaw moment that each rotor leaves on the body
 
 # Products of quaternion entries (x, y, z, w), numbered 4 i + j, that add up to the entries of a rotation matrix.
-_PRODUCTS = np.zeros((16, 9))
-for _entry, _terms in enumerate(
-    (
-        {0: 1, 5: -1, 10: -1, 15: 1},
-        {1: 2, 11: -2},
-        {2: 2, 7: 2},
-        {1: 2, 11: 2},
-        {0: -1, 5: 1, 10: -1, 15: 1},
-        {6: 2, 3: -2},
-        {2: 2, 7: -2},
-        {6: 2, 3: 2},
-        {0: -1, 5: -1, 10: 1, 15: 1},
-    )
-):
-    for _product, _factor in _terms.items():
-        _PRODUCTS[_product, _entry] = _factor
+_ENTRIES = (
+    {0: 1, 5: -1, 10: -1, 15: 1}, {1: 2, 11: -2}, {2: 2, 7: 2},
+    {1: 2, 11: 2}, {0: -1, 5: 1, 10: -1, 15: 1}, {6: 2, 3: -2},
+    {2: 2, 7: -2}, {6: 2, 3: 2}, {0: -1, 5: -1, 10: 1, 15: 1},
+)  # fmt: skip
+_PRODUCTS = np.array([[float(terms.get(product, 0)) for terms in _ENTRIES] for product in range(16)])
 
 
 def _require_three(config: object, names: tuple[str, ...]) -> None:
@@ -80,20 +76,20 @@ class Airframe:
         (2.307, [0.0, 0.0, 0.036])
     """
 
-    mass: float = 1.477
-    inertia: Vector = (0.01152, 0.01152, 0.0218)
-    arm: float = 0.275
-    thrust_coefficient: float = 1.53819e-5
-    torque_to_thrust: Positive = 0.01534
-    motor_time_constant: float = 0.05
-    max_total_thrust: float = 38.0
+    mass: Mass = 1.477
+    inertia: tuple[Mass, Mass, Mass] = (0.01152, 0.01152, 0.0218)
+    arm: Annotated[float, Field(le=10)] = 0.275
+    thrust_coefficient: Annotated[float, Field(le=1)] = 1.53819e-5
+    torque_to_thrust: Length = 0.01534
+    motor_time_constant: Annotated[float, Field(le=100)] = 0.05
+    max_total_thrust: Annotated[float, Field(le=1e6)] = 38.0
     tilt_limit: Tilt = 0.5
     collision_radius: Positive = 0.35
     collision_height: Positive = 0.28
-    lidar_mass: float = 0.83
-    lidar_position: Vector = (0.0, 0.0, 0.1)
-    lidar_diameter: Positive = 0.103
-    lidar_height: Positive = 0.072
+    lidar_mass: Mass = 0.83
+    lidar_position: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.1)
+    lidar_diameter: Length = 0.103
+    lidar_height: Length = 0.072
 
     def __post_init__(self) -> None:
         """Refuses vehicles that cannot fly."""
@@ -168,12 +164,12 @@ class Aerodynamics:
         [[0.12, 0.12, 0.1], [0.074, 0.074, 0.051]]
     """
 
-    air_density: float = 1.225
-    force_coefficients: Vector = (0.19592, 0.19592, 0.16327)
-    moment_coefficients: Vector = (0.12107, 0.12107, 0.08268)
-    wind: Vector = (0.0, 0.0, 0.0)
-    gust_intensity: float = 0.0
-    gust_time_constant: float = 1.0
+    air_density: Coefficient = 1.225
+    force_coefficients: tuple[Coefficient, Coefficient, Coefficient] = (0.19592, 0.19592, 0.16327)
+    moment_coefficients: tuple[Coefficient, Coefficient, Coefficient] = (0.12107, 0.12107, 0.08268)
+    wind: tuple[Speed, Speed, Speed] = (0.0, 0.0, 0.0)
+    gust_intensity: Annotated[float, Field(le=100)] = 0.0
+    gust_time_constant: Annotated[float, Field(le=1e6)] = 1.0
 
     def __post_init__(self) -> None:
         """Refuses air that would push instead of drag."""
@@ -191,27 +187,13 @@ class Aerodynamics:
 
 
 def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices of unit quaternions: every entry is a sum of products of two quaternion entries.
-
-    Args:
-        quaternion: ``[N, 4]`` in the order x, y, z, w.
-
-    Returns:
-        ``[N, 3, 3]``, body to world.
-    """
+    """Rotation matrices ``[N, 3, 3]``, body to world, of unit quaternions ``[N, 4]`` in the order x, y, z, w."""
     products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
     return (products @ _PRODUCTS).reshape(-1, 3, 3)
 
 
 def mixing_matrix(airframe: Airframe) -> np.ndarray:
-    """What the rotors do together: ``(total thrust, moments about x, y, z) = matrix @ thrusts``.
-
-    Args:
-        airframe: Gives arm and torque per thrust.
-
-    Returns:
-        ``[4, 4]`` from N to (N, N m, N m, N m).
-    """
+    """``[4, 4]``: (total thrust in N, moments about x, y, z in N m) = matrix @ the rotors' thrusts in N."""
     x, y = airframe.arm * ROTOR_DIRECTIONS.T
     return np.stack([np.ones(4), y, -x, airframe.torque_to_thrust * ROTOR_SPINS])
 
@@ -235,17 +217,10 @@ def drag(twist: np.ndarray, coefficients: np.ndarray, limit: np.ndarray | float 
 def gust_step(
     gust: np.ndarray, intensity: float, time_constant: float, dt: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Gusts one time step later: first-order noise (Ornstein-Uhlenbeck), the simplest of Dryden's spectra.
+    """Gusts ``[N, 3]`` in m/s one time step later: first-order noise (Ornstein-Uhlenbeck), exact for any ``dt`` in s.
 
-    Args:
-        gust: ``[N, 3]`` in m/s.
-        intensity: Its stationary standard deviation in m/s.
-        time_constant: Its correlation time in s.
-        dt: Time step in s; the step is exact for any length.
-        rng: Source of the noise.
-
-    Returns:
-        ``[N, 3]`` in m/s.
+    It is the simplest of Dryden's spectra; ``intensity`` is its stationary standard deviation in m/s, and
+    ``time_constant`` its correlation time in s.
     """
     kept = np.exp(-dt / time_constant)
     return kept * gust + intensity * np.sqrt(1 - kept**2) * rng.standard_normal(gust.shape)

@@ -7,8 +7,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from uavrl.envs.free_space import Surface, grid_points
 from uavrl.envs.mesh import Mesh
+from uavrl.envs.tasks import Surface, grid_points
 from uavrl.errors import UavrlError
 
 CELL = 0.5  # m, between two points of the map along x and y

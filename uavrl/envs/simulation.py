@@ -2,12 +2,12 @@
 
 import weakref
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from uavrl.envs.bodies import PLANE, STATIC, add_fixed, add_vehicle
-from uavrl.envs.bullet import pybullet, silenced
-from uavrl.envs.clearance import Clearance
+from uavrl.envs.bullet import PLANE, STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import (
@@ -21,18 +21,21 @@ from uavrl.envs.quadrotor import (
 )
 from uavrl.errors import UavrlError
 
+if TYPE_CHECKING:
+    from uavrl.envs.lidar import Lidar
+
+CONTROL_RATE = 10  # Hz
+PHYSICS_RATE = 240  # Hz
 COMMAND_LIMIT = 2.0  # m/s and rad/s: Chansuparp (2022), Table 4.1
 TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz; 1 where it does not divide
 CONTACT_DISTANCE = 1e-3  # m: Bullet stops a body where it touches, within rounding, before it penetrates
 
 
 class Simulation:
-    """N quadrotors in one PyBullet world: they touch static geometry and planes, never each other.
+    """N quadrotors in one PyBullet world (Chansuparp (2022), §2.1): they touch geometry and planes, never each other.
 
     Gravity, rigid-body motion and contacts are Bullet's; rotors, drag and control are ours, at the physics rate. All
     quantities are ``float64`` numpy arrays in SI units, new ones after every reset and step.
-
-    Source: Chansuparp (2022), §2.1.
 
     Args:
         meshes: Static geometry.
@@ -65,8 +68,8 @@ class Simulation:
         aerodynamics: Aerodynamics | None = None,
         plane_mesh: Mesh | None = None,
         plane_count: int = 0,
-        physics_rate: int = 240,
-        control_rate: int = 10,
+        physics_rate: int = PHYSICS_RATE,
+        control_rate: int = CONTROL_RATE,
         rng: np.random.Generator | None = None,
     ) -> None:
         self.airframe, self.aerodynamics = airframe or Airframe(), aerodynamics or Aerodynamics()
@@ -80,6 +83,7 @@ class Simulation:
         if self.aerodynamics.gust_intensity and rng is None:
             raise ValueError("Gusts need a source of randomness: pass rng.")
         self.count, self.substeps, self._dt = count, physics_rate // control_rate, 1 / physics_rate
+        self._control_rate = control_rate
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
         self.motors_on = True
         self._rng = rng
@@ -104,19 +108,16 @@ class Simulation:
 
     def _build(self, meshes: Sequence[Mesh], plane_mesh: Mesh | None, plane_count: int) -> None:
         """Connects and fills the world."""
-        with silenced():
-            self._client = pybullet.connect(pybullet.DIRECT)
+        self._client = connect()
         if self._client < 0:
             raise RuntimeError("PyBullet gave no physics client: close simulations that are no longer needed.")
         self._disconnect = weakref.finalize(self, pybullet.disconnect, physicsClientId=self._client)
         pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=self._client)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=self._dt, deterministicOverlappingPairs=1, physicsClientId=self._client
-        )
+        exact = {"fixedTimeStep": self._dt, "deterministicOverlappingPairs": 1}
+        pybullet.setPhysicsEngineParameter(**exact, physicsClientId=self._client)
         self._statics = [add_fixed(self._client, part, STATIC) for mesh in meshes for part in mesh.split()]
-        self._planes = [
-            add_fixed(self._client, plane_mesh, PLANE) for _ in range(plane_count) if plane_mesh is not None
-        ]
+        planes = [] if plane_mesh is None else [plane_mesh] * plane_count
+        self._planes = [add_fixed(self._client, mesh, PLANE) for mesh in planes]
         self._vehicles = [add_vehicle(self._client, self.airframe) for _ in range(self.count)]
         self._clearance = Clearance(self._client, meshes, self._statics + self._planes, self.airframe)
         self._row = {body: row for row, body in enumerate(self._vehicles)}
@@ -138,30 +139,30 @@ class Simulation:
         self._move_planes(self._checked_poses(poses, (len(self._planes), 4)).tolist())
 
     def step(self, commands: np.ndarray, plane_path: np.ndarray | None = None) -> np.ndarray:
-        """Flies on for one control period.
+        """Runs one control period; returns which vehicles touched anything in any of its physics steps, ``bool [N]``.
 
         Args:
             commands: ``[N, 4]``: velocities in the yaw-aligned body frame in m/s and yaw rate in rad/s, clipped to
                 [-2, 2].
             plane_path: ``[substeps, K, 4]``: x, y, z in m and yaw in rad of the planes in each physics step.
-
-        Returns:
-            ``bool [N]``: which vehicles touched anything in any of the physics steps.
         """
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
-        path: list[list[list[float]]] = []
-        if plane_path is not None:
-            path = self._checked_poses(plane_path, (self.substeps, len(self._planes), 4)).tolist()
-        touched = np.zeros(self.count, dtype=bool)
+        shape = (self.substeps, len(self._planes), 4)
+        path = [] if plane_path is None else self._checked_poses(plane_path, shape).tolist()
+        touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
         for substep in range(self.substeps):
             if path:
                 self._move_planes(path[substep])
             if substep % self._tracking_period == 0:
-                self._track(target)
+                lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
+                velocity = self._twist_world[:, 0]
+                self._controller.track(target, self.rotation, velocity, self._twist, lift, period)
             self._push()
             pybullet.stepSimulation(physicsClientId=self._client)
             self._read()
-            self._mark_contacts(touched)
+            for contact in pybullet.getContactPoints(physicsClientId=self._client):
+                if contact[8] <= CONTACT_DISTANCE:
+                    touched[[self._row[body] for body in contact[1:3] if body in self._row]] = True
         self._publish()
         return touched
 
@@ -183,10 +184,9 @@ class Simulation:
         return np.concatenate([poses[..., :3], np.sin(half), np.cos(half)], axis=-1)
 
     def _move_planes(self, poses: list[list[float]]) -> None:
+        client = self._client
         for body, (x, y, z, sin, cos) in zip(self._planes, poses, strict=True):
-            pybullet.resetBasePositionAndOrientation(
-                body, (x, y, z), (0.0, 0.0, sin, cos), physicsClientId=self._client
-            )
+            pybullet.resetBasePositionAndOrientation(body, (x, y, z), (0.0, 0.0, sin, cos), physicsClientId=client)
 
     def _read(self) -> None:
         """Reads all states; Bullet gives the centre of mass, and velocities in world axes."""
@@ -201,12 +201,6 @@ class Simulation:
         self._twist_world = state[:, 7:].reshape(-1, 2, 3)
         self.rotation = rotation_from_quaternion(state[:, 3:7])
         self._twist = np.matmul(self._twist_world, self.rotation)  # rows times R = Rᵀ times columns: body axes
-
-    def _track(self, target: np.ndarray) -> None:
-        """Runs the controller's outer loop."""
-        lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
-        period = self._tracking_period * self._dt
-        self._controller.track(target, self.rotation, self._twist_world[:, 0], self._twist, lift, period)
 
     def _push(self) -> None:
         """Runs the inner loop and the rotors, and applies thrust, drag and moments at the centres of mass."""
@@ -237,13 +231,6 @@ class Simulation:
         twist[:, 0] -= np.matmul((self._wind + self._gust)[:, None], self.rotation)[:, 0]
         return twist
 
-    def _mark_contacts(self, touched: np.ndarray) -> None:
-        for contact in pybullet.getContactPoints(physicsClientId=self._client):
-            if contact[8] <= CONTACT_DISTANCE:
-                for body in contact[1:3]:
-                    if body in self._row:
-                        touched[self._row[body]] = True
-
     def _publish(self) -> None:
         """Turns the last state into the public quantities."""
         rotation = self.rotation
@@ -254,6 +241,17 @@ class Simulation:
         self.angular_velocity = self._twist[:, 1].copy()
         self.yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
         self.lidar_position = self.position + rotation @ self._lidar_offset
+
+    def scan(
+        self, lidar: "Lidar", index: np.ndarray, planes: np.ndarray | None, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Returns what the LiDARs of the vehicles ``int [M]`` see now, as :meth:`uavrl.envs.Lidar.scan` gives it."""
+        position, rotation, velocity = self.lidar_position[index], self.rotation[index], self.velocity[index]
+        spin = (rotation @ self.angular_velocity[index][:, :, None])[:, :, 0]
+        if lidar.config.motion_distortion:  # the scan is the spin that ends now
+            position = position - velocity / self._control_rate
+            rotation = Rotation.from_rotvec(-spin / self._control_rate).as_matrix() @ rotation
+        return lidar.scan(position, rotation, planes, velocities=velocity, angular_velocities=spin, rng=rng)
 
     def closest_distance(self) -> np.ndarray:
         """Returns ``[N]``: m from each hull to the nearest geometry or plane, at most 5; below 0 inside."""

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh
+from uavrl.envs.mesh import Mesh, loft, tube
 from uavrl.envs.routes import STEP
-from uavrl.envs.shapes import loft, tube
 from uavrl.envs.world import World
 
 WING_GAP = 0.36  # between the two wings of a plane, as a share of its wingspan
@@ -44,7 +43,7 @@ def _sections(span: np.ndarray, chord: np.ndarray, lead: np.ndarray, thickness: 
 
 
 class Leg:
-    """The flight of one plane along a route of its valley, and the plane's own source of the next ones."""
+    """One plane's way along a route of its valley, and the plane's own source of the next ones."""
 
     def __init__(self, rng: np.random.Generator, routes: Sequence[np.ndarray], speed: tuple[float, float]) -> None:
         self._rng, self._routes, self._speeds = rng, routes, speed
@@ -109,22 +108,17 @@ class Traffic:
     @property
     def positions(self) -> np.ndarray:
         """Where the planes are: ``[K, 3]`` in metres, those of the first valley first."""
-        return self._poses()[:, :3]
+        return self.poses()[:, :3]
 
-    @property
-    def yaws(self) -> np.ndarray:
-        """Headings ``[K]`` in rad, in [-π, π]."""
-        return self._poses()[:, 3]
+    def poses(self) -> np.ndarray:
+        """X, y, z in metres and yaw in rad, in [-π, π], of all planes now: ``[K, 4]``."""
+        poses = [leg.pose(np.array([leg.flown]))[0] for leg in self.legs]
+        return self._in_world(np.array(poses).reshape(-1, 4))
 
     def advance(self, steps: int, dt: float) -> np.ndarray:
         """Flies on by ``steps`` times ``dt`` s: x, y, z in m and yaw in rad after each, ``[steps, K, 4]``."""
         paths = [leg.fly(steps, dt) for leg in self.legs]
         return self._in_world(np.stack(paths, axis=1) if paths else np.zeros((steps, 0, 4)))
-
-    def _poses(self) -> np.ndarray:
-        """Returns x, y, z and yaw ``[K, 4]`` now."""
-        poses = [leg.pose(np.array([leg.flown]))[0] for leg in self.legs]
-        return self._in_world(np.array(poses).reshape(-1, 4))
 
     def _in_world(self, poses: np.ndarray) -> np.ndarray:
         """Moves x, y, z and yaw ``[..., K, 4]`` from the valleys' frames into the world's, the yaws to [-π, π]."""

@@ -9,18 +9,14 @@ __all__ = ["AZIMUTH_STEP", "AZIMUTH_STEPS", "FIRING_TIMES", "LASER_ELEVATIONS", 
 LASER_ELEVATIONS = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
 """Elevation of each laser id in degrees, in the order in which the lasers fire."""
 
-AZIMUTH_STEPS = 1808
-"""Firing cycles in one revolution at 10 Hz."""
-
+AZIMUTH_STEPS = 1808  # firing cycles in one revolution at 10 Hz
 NUM_RAYS = AZIMUTH_STEPS * len(LASER_ELEVATIONS)
 """Rays in one scan: 28,928."""
 
 _CYCLE = 55.296e-6  # s, all 16 lasers and the recharge time
 _LASER_INTERVAL = 2.304e-6  # s, from one laser to the next
 _SPIN_RATE = 2.0 * math.pi * 10.0  # rad/s
-
-AZIMUTH_STEP = _SPIN_RATE * _CYCLE
-"""Turn from cycle to cycle in radians: 0.1991°."""
+AZIMUTH_STEP = _SPIN_RATE * _CYCLE  # rad from cycle to cycle: 0.1991°
 
 FIRING_TIMES: np.ndarray = (
     np.arange(AZIMUTH_STEPS)[:, None] * _CYCLE + np.arange(len(LASER_ELEVATIONS)) * _LASER_INTERVAL
@@ -29,7 +25,7 @@ FIRING_TIMES: np.ndarray = (
 
 
 def firing_directions() -> np.ndarray:
-    """Returns the unit directions of one scan in the order in which the sensor fires.
+    """Returns the unit directions ``float32 [28928, 3]`` of one scan in the order in which the sensor fires.
 
     The order is firing cycle (1808), then laser id (16). The sensor starts straight ahead and turns clockwise seen from
     above, as the VLP-16 does: 0.1991° from cycle to cycle and 0.0083° from laser to laser within a cycle.

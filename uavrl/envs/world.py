@@ -6,7 +6,7 @@ from itertools import cycle
 
 import numpy as np
 
-from uavrl.envs.limits import in_turn, require_finite, whole
+from uavrl.envs.limits import require_finite, whole
 from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.routes import plan_routes
@@ -30,6 +30,11 @@ LARGEST = {
 }
 
 
+def in_turn(counts: Iterable[int] | int) -> tuple[int, ...]:
+    """The numbers that valleys take in turn, of which there may be one."""
+    return (counts,) if isinstance(counts, int) else tuple(counts)
+
+
 @dataclass
 class WorldConfig:
     """Size, contents and rules of the world.
@@ -41,8 +46,8 @@ class WorldConfig:
         size: Extent of a valley along x and y in m.
         obstacles: Number of obstacles per valley, or a list of numbers that the valleys take in turn.
         obstacle_scale: Factor on all lengths of the obstacles.
-        flight_level: Height in m (world z) at which flights start.
-        ceiling: Height above the ground in m at which a flight ends; the goal cylinder reaches up to it.
+        flight_level: Height in m (world z) at which episodes start.
+        ceiling: Height above the ground in m at which an episode ends; the goal cylinder reaches up to it.
         goal_radius: Radius of the goal cylinder in m.
         min_goal_distance: Least horizontal distance from start to goal in m.
         min_clearance: Least distance in m from start and goal, at flight level, to the geometry.
@@ -167,17 +172,13 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int)
             f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
             "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
         )
-    return Valley(seed, origin, ground, obstacles, flight, _routes(config, seed, ground, obstacles))
-
-
-def _routes(config: WorldConfig, seed: int, ground: HeightField, obstacles: list[Obstacle]) -> list[np.ndarray]:
-    """Plans the planes' ways, where there are planes."""
-    if not config.planes:
-        return []
-    radius = config.plane_wingspan / 2
-    top = float(np.ceil(ground.heights.max() + radius))
-    solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
-    return plan_routes(np.random.default_rng([seed, 2]), solid, config.size, top, config.ceiling, radius, ROUTES)
+    routes: list[np.ndarray] = []
+    if config.planes:
+        rng, radius = np.random.default_rng([seed, 2]), config.plane_wingspan / 2
+        top = float(np.ceil(ground.heights.max() + radius))
+        solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
+        routes = plan_routes(rng, solid, config.size, top, config.ceiling, radius, ROUTES)
+    return Valley(seed, origin, ground, obstacles, flight, routes)
 
 
 def draw_valley(config: WorldConfig, rng: np.random.Generator) -> int:
@@ -249,7 +250,7 @@ class World:
         drawn = draw_valley(self.config, rng)
         if drawn not in self.built:
             raise UavrlError(
-                f"The task flies in the valley of seed {self.config.seeds[drawn]}, which was not built: name the task "
+                f"The task is set in the valley of seed {self.config.seeds[drawn]}, which was not built: name the task "
                 f"when the environment is made, or leave out tasks."
             )
         return self.built.index(drawn)

@@ -12,8 +12,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer, Model, Sample
-from uavrl.losses.lifeguard_functional import annealed_weight, is_trusted, lifeguard_penalty
-from uavrl.models.collision_classifier import CollisionClassifier, confusion_rates
+from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
 _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes each
@@ -134,7 +133,8 @@ class LifeGuard(Enhancer):
 
     def _refresh(self) -> None:
         """Computes :attr:`active`: to compute it within the actor's loss would break a traced graph."""
-        self._active = is_trusted(self._counts(), self.evaluated, self.min_evaluations, self.min_true_negative_rate)
+        rate = confusion_rates(self._counts()).true_negative
+        self._active = self.evaluated > self.min_evaluations and rate > self.min_true_negative_rate
 
     def _counts(self) -> Tensor:
         """``[E, 4]`` of the last evaluations."""
@@ -150,7 +150,7 @@ class LifeGuard(Enhancer):
         constants = {name: p.detach() for name, p in self.classifier.named_parameters()}
         logit = functional_call(self.classifier, constants, (features,))
         c = (logit > 0).to(logit.dtype) if self.penalty == "label" else logit.sigmoid()
-        return lifeguard_penalty(c, self.weight)
+        return c * self.weight
 
     def _features(self, tensordict: TensorDictBase) -> Tensor:
         """``[*B, observations + actions]``: the last observation in the state, and the action."""
@@ -216,7 +216,7 @@ class LifeGuard(Enhancer):
         self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
         if self.successes is not None and arrived is not None:
             self.successes.extend(arrived.float().tolist())
-            self.weight.fill_(annealed_weight(self.penalty_weight, torch.tensor(self.successes)))
+            self.weight.fill_(self.penalty_weight * (1.0 - sum(self.successes) / len(self.successes)))
 
     def _known(self, transitions: TensorDictBase) -> Tensor:
         """The constant features of transitions, with the classifier's device and type."""

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import torch
+import torch.nn.functional as F
 from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, dispatch
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from uavrl.errors import UavrlError
-from uavrl.losses.psae_functional import neighbour_similarity, psae_loss, reconstruction_error
 
 
 class PSAELoss(LossModule):
@@ -74,7 +74,7 @@ class PSAELoss(LossModule):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """What :meth:`forward` reads."""
+        """The keys that :meth:`forward` reads."""
         keys = self.tensor_keys
         return [keys.previous_observation, keys.observation, keys.next_observation]
 
@@ -103,6 +103,9 @@ class PSAELoss(LossModule):
 
         Returns:
             The reduced loss and the mean of both sums, detached.
+
+        Raises:
+            ValueError: when the network gives reconstructions of another shape.
         """
         weights = self._maybe_get_priority_weight(tensordict)
         states = torch.stack([tensordict.get(key) for key in self.in_keys])
@@ -110,10 +113,14 @@ class PSAELoss(LossModule):
         with self.network_params.to_module(self.network, preserve_module_state=False):
             data = self.network(data)
         features, reconstructions = (data.get(key) for key in self.network.out_keys)
-        error = reconstruction_error(states, reconstructions)
-        similarity = neighbour_similarity(features)
+        if reconstructions.shape != states.shape:
+            got = f"{list(reconstructions.shape)}: check the network"
+            raise ValueError(f"Expected reconstructions of the states' shape {list(states.shape)}, got {got}.")
+        error = (states - reconstructions).square().sum(-1).sum(0)
+        before, anchor, after = features
+        similarity = F.cosine_similarity(anchor, before, -1) + F.cosine_similarity(anchor, after, -1)
         metadata = {"reconstruction_error": error.detach().mean(), "similarity": similarity.detach().mean()}
-        each = psae_loss(error, similarity, self.tradeoff)
+        each = self.tradeoff * error - (1 - self.tradeoff) * similarity
         return self._reduce_loss(each, tensordict=tensordict, weights=weights), metadata
 
     @dispatch

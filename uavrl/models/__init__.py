@@ -1,17 +1,17 @@
 """Networks as plain ``torch.nn`` modules."""
 
 from uavrl.models.actor_critic import Actor, Critic, GaussianActor, mlp
-from uavrl.models.classifiers import LinearClassifier, MinMaxScaler, MLPClassifier
-from uavrl.models.collision_classifier import (
+from uavrl.models.collision import (
     CollisionClassifier,
     ConfusionRates,
-    confusion_counts,
+    LinearClassifier,
+    MinMaxScaler,
+    MLPClassifier,
     confusion_rates,
 )
 from uavrl.models.dynamics import RewardNet, SystemNet
 from uavrl.models.one_shot import OneShotClassifier
-from uavrl.models.psae import PSAE
-from uavrl.models.trajectory_classifier import TrajectoryClassifier
+from uavrl.models.psae import PSAE, TrajectoryClassifier
 
 __all__ = [
     "PSAE",
@@ -27,7 +27,6 @@ __all__ = [
     "RewardNet",
     "SystemNet",
     "TrajectoryClassifier",
-    "confusion_counts",
     "confusion_rates",
     "mlp",
 ]

@@ -15,11 +15,7 @@ from uavrl.ranges import Widths
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, layer_norm: bool = False) -> nn.Sequential:
     """A fully connected network with ReLU between its layers and none after the last.
 
-    Args:
-        inputs: width of the input.
-        hidden: widths of the hidden layers.
-        outputs: width of the output.
-        layer_norm: whether each hidden layer is normalised before its ReLU (Ba et al. 2016, arXiv:1607.06450).
+    With ``layer_norm`` each hidden layer is normalised before its ReLU (Ba et al. 2016, arXiv:1607.06450).
 
     Examples:
         >>> mlp(3, [8], 2)(torch.zeros(5, 3)).shape
@@ -61,11 +57,7 @@ class Actor(nn.Module):
 class GaussianActor(nn.Module):
     """The stochastic policy of SAC before it is squashed: an MLP that gives mean and deviation of a normal.
 
-    Args:
-        observations: width of the state.
-        actions: width of the action.
-        hidden: widths of the hidden layers.
-        log_scale: the logarithm of the deviation is clamped to these bounds.
+    Its sizes are those of :class:`Actor`; the logarithm of the deviation is clamped to the bounds ``log_scale``.
 
     Examples:
         >>> loc, scale = GaussianActor(105, 4)(torch.zeros(7, 105))
@@ -93,12 +85,8 @@ class GaussianActor(nn.Module):
 class Critic(nn.Module):
     """The action value Q(s, a): an MLP over state and action.
 
-    Args:
-        observations: width of the state.
-        actions: width of the action.
-        hidden: widths of the hidden layers.
-        layer_norm: whether each hidden layer is normalised (for critics in replay: Hiraoka et al. 2022,
-            arXiv:2110.02034).
+    Its sizes are those of :class:`Actor`; with ``layer_norm`` each hidden layer is normalised (Hiraoka et al. 2022,
+    arXiv:2110.02034).
 
     Examples:
         >>> Critic(105, 4)(torch.zeros(7, 105), torch.zeros(7, 4)).shape
@@ -130,7 +118,7 @@ class Critic(nn.Module):
 
 
 def _stacked(layer: nn.Module, parameters: Mapping[str, Tensor], inputs: Tensor) -> Tensor:
-    """What a layer with stacked parameters ``[K, ...]`` makes of ``[K, B, in]``."""
+    """The outputs of a layer with stacked parameters ``[K, ...]`` for inputs ``[K, B, in]``."""
     if type(layer) is nn.Sequential:
         for name, child in layer._modules.items():
             inputs = _stacked(child, _below(name, parameters), inputs)

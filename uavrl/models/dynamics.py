@@ -28,7 +28,7 @@ class SystemNet(nn.Module):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Draws the weights anew."""
+        """Draws new weights."""
         for layer in self.net:
             if isinstance(layer, nn.Linear):
                 nn.init.xavier_uniform_(layer.weight)
@@ -40,12 +40,7 @@ class SystemNet(nn.Module):
 
 
 class RewardNet(nn.Module):
-    """Predicts the reward from state, next state and action.
-
-    Args:
-        observations: width of the state.
-        actions: width of the action.
-        hidden: widths of the hidden layers.
+    """Predicts the reward from state, next state and action; its sizes are those of :class:`SystemNet`.
 
     Examples:
         >>> RewardNet(105, 4)(torch.zeros(7, 105), torch.zeros(7, 105), torch.zeros(7, 4)).shape

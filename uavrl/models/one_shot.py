@@ -8,15 +8,10 @@ from torch import Tensor, nn
 
 
 def convolve_frames(states: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """Convolves stacked observations along time, and makes the features' length 1.
+    """Convolves states along time, and makes their ReLU features' length 1; where all are 0 they become equal.
 
-    Args:
-        states: frames end to end, oldest first, ``[N, frames * width]``.
-        weight: ``[channels, width, kernel]``.
-        bias: ``[channels]``.
-
-    Returns:
-        ReLU features of length 1, ``[N, channels * (frames - kernel + 1)]``; where all are 0 they become equal.
+    States are frames end to end, oldest first, ``[N, frames * width]``. With a weight ``[channels, width, kernel]`` and
+    a bias ``[channels]`` they give ``[N, channels * (frames - kernel + 1)]``.
     """
     width, kernel = weight.shape[1:]
     if states.ndim != 2 or states.shape[1] % width or states.shape[1] < width * kernel:
@@ -32,14 +27,8 @@ def convolve_frames(states: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 def join_or_found(features: Tensor, exemplars: Tensor, threshold: float, max_classes: int) -> tuple[Tensor, Tensor]:
     """Each row in turn joins the class of the most similar exemplar, or founds a class as its exemplar.
 
-    Args:
-        features: of length 1, ``[N, F]``.
-        exemplars: one a class, of length 1, ``[C, F]``.
-        threshold: cosine similarity from which a row joins.
-        max_classes: once there are so many, every row joins.
-
-    Returns:
-        Labels ``[N]`` and the exemplars ``[C', F]``, the new ones last.
+    It joins from a cosine similarity of ``threshold`` on, and always once there are ``max_classes``. Features
+    ``[N, F]`` and exemplars ``[C, F]`` of length 1 give labels ``[N]`` and exemplars ``[C', F]``, the new ones last.
     """
     best = features.new_full((len(features),), -torch.inf)
     labels = torch.zeros(len(features), dtype=torch.int64, device=features.device)
@@ -127,7 +116,7 @@ class OneShotClassifier(nn.Module):
 
     @torch.no_grad()
     def forward(self, states: Tensor) -> Tensor:
-        """States ``[N, frames * width]``, in the order flown, to int64 labels ``[N]``; new classes may be founded."""
+        """States ``[N, frames * width]``, in order, to int64 labels ``[N]``; new classes may be founded."""
         if states.ndim != 2 or states.shape[1] != self.frames * self.weight.shape[1]:
             expected = f"[N, {self.frames} * {self.weight.shape[1]}]"
             raise ValueError(f"Expected states {expected}, got {list(states.shape)}: set width and frames to fit.")

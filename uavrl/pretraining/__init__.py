@@ -1,6 +1,5 @@
 """From the states of a run to the artifact that ABR⁺ loads."""
 
-from uavrl.pretraining.states import States, read_states
-from uavrl.pretraining.triples import triple_centres
+from uavrl.pretraining.states import States, read_states, triple_centres
 
 __all__ = ["States", "read_states", "triple_centres"]

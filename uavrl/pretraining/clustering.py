@@ -1,24 +1,28 @@
-"""k-means on features, the elbow of its error, and how evenly states fall into classes (Chansuparp (2022), §3.3, §4.2).
+"""k-means on features, the elbow of its error, and pictures of both (Chansuparp (2022), §3.3, §4.2).
 
 Features are standardised before they are clustered, each by itself to mean 0 and deviation 1: the decoder can undo any
-scale of a feature, so that the scale it comes with means nothing, and k-means would listen to the largest alone.
+scale of a feature, so that the scale it comes with means nothing, and k-means would follow the largest alone.
 """
 
+import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from uavrl.errors import UavrlError
-from uavrl.pretraining.networks import progress_bar
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Clusters:
-    """What k-means found.
+    """A result of k-means.
 
     Attributes:
         centres: ``[k, F]`` float32.
@@ -29,11 +33,6 @@ class Clusters:
     centres: Tensor
     labels: Tensor
     sse: float
-
-    @property
-    def k(self) -> int:
-        """The number of clusters."""
-        return len(self.centres)
 
 
 def standardization(features: Tensor) -> tuple[Tensor, Tensor]:
@@ -61,7 +60,7 @@ def cluster(features: Tensor, k: int, *, batch_size: int = 4096, iterations: int
 def cluster_each(features: Tensor, ks: Sequence[int], *, progress: bool = False, **options: int) -> dict[int, Clusters]:
     """:func:`cluster` for each number of clusters."""
     found = {}
-    bar = progress_bar(ks, "k-means, values of k", progress)
+    bar = tqdm(ks, desc="k-means, values of k", disable=not progress, dynamic_ncols=True)
     for k in bar:
         bar.set_postfix_str(f"k = {k}")
         found[k] = cluster(features, k, **options)
@@ -73,7 +72,7 @@ def elbow(ks: Sequence[int], sse: Sequence[float]) -> int:
     from kneed import KneeLocator
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it warns of what is told below
+        warnings.simplefilter("ignore")  # the error below says the same
         knee = KneeLocator(list(ks), list(sse), curve="convex", direction="decreasing").knee
     if knee is None:
         raise UavrlError(
@@ -83,11 +82,33 @@ def elbow(ks: Sequence[int], sse: Sequence[float]) -> int:
     return int(knee)
 
 
-def class_sizes(labels: Tensor, k: int | None = None) -> Tensor:
-    """How many of the labels ``[N]`` say each class, ``[k]``."""
-    return torch.bincount(labels.reshape(-1), minlength=k or 0)
+def draw(output: Path, ks: Sequence[int], sse: Sequence[float], elbow: int | None, sizes: Mapping[str, Tensor]) -> None:
+    """Draws the SSE curve with its elbow and the class sizes (Figure 4.2), or logs that matplotlib is missing.
 
+    The files are ``elbow.png``, where there is a curve, and ``class_sizes.png``.
+    """
+    try:
+        import matplotlib
 
-def size_deviation(sizes: Tensor) -> float:
-    """The standard deviation of class sizes (of all classes, not of a sample), as in Figure 4.2."""
-    return sizes.double().std(correction=0).item()
+        matplotlib.use("Agg")
+        import matplotlib.pyplot as plt
+    except ImportError:
+        log.info("Pictures are left out, they need matplotlib: pip install 'uavrl[viewer]'.")
+        return
+    if ks:
+        figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+        axis.plot(ks, sse, marker="o", markersize=3)
+        if elbow is not None:
+            axis.axvline(elbow, color="black", linestyle="--", linewidth=1, label=f"elbow at k = {elbow}")
+            axis.legend()
+        axis.set(xlabel="number of clusters k", ylabel="sum of squared distances (SSE)", ylim=(0, None))
+        axis.grid(alpha=0.3)
+        figure.savefig(output / "elbow.png", dpi=110)
+        plt.close(figure)
+    figure, axes = plt.subplots(1, len(sizes), figsize=(5 * len(sizes), 4), squeeze=False, layout="constrained")
+    for axis, (title, size) in zip(axes[0], sizes.items(), strict=True):
+        axis.fill_between(range(len(size)), size.sort(descending=True).values.tolist(), step="mid")
+        axis.set(xlabel="class, largest first", ylabel="states", ylim=(0, None))
+        axis.set_title(f"{title}\n{len(size)} classes, SD {size.double().std(correction=0):.2f}", fontsize=10)
+    figure.savefig(output / "class_sizes.png", dpi=110)
+    plt.close(figure)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from collections.abc import Callable
+from math import isfinite
 
 import numpy as np
 import torch
@@ -12,55 +12,34 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from uavrl.configs.pretrain import PretrainRecipe
 from uavrl.errors import UavrlError
-from uavrl.losses.psae import PSAELoss
-from uavrl.models.psae import PSAE
-
-T = TypeVar("T")
-
-
-def progress_bar(values: Iterable[T], description: str, show: bool) -> tqdm[T]:
-    """A progress bar on standard error."""
-    return tqdm(values, desc=description, disable=not show, dynamic_ncols=True)
+from uavrl.losses import PSAELoss
+from uavrl.models import PSAE
+from uavrl.pretraining.settings import PretrainRecipe
 
 
 def train_psae(
-    states: np.ndarray,
-    centres: np.ndarray,
-    recipe: PretrainRecipe,
-    *,
-    seed: int = 0,
-    progress: bool = False,
+    states: np.ndarray, centres: np.ndarray, recipe: PretrainRecipe, *, seed: int = 0, progress: bool = False
 ) -> tuple[PSAE, dict[str, float]]:
-    """Trains the autoencoder by Eq. 3.3 with Adam; the learning rate falls to 0 along a cosine."""
-    generator = torch.Generator().manual_seed(seed)
+    """Trains the autoencoder by Eq. 3.3 on the triples around ``centres`` of ``states [N, width]``.
+
+    Returns:
+        The network, and the mean loss, reconstruction error and similarity of the last epoch.
+    """
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         network = PSAE(states.shape[1], recipe.features, recipe.hidden)
-    loss_module = PSAELoss(network, tradeoff=recipe.tradeoff)
+    loss = PSAELoss(network, tradeoff=recipe.tradeoff)  # it trains the network's own parameters
     before, anchor, after = (torch.as_tensor(states[centres + i], dtype=torch.float32) for i in (-1, 0, 1))
     triples = TensorDict({"previous": {"observation": before}, "observation": anchor, "next": {"observation": after}})
     triples.auto_batch_size_(1)
-    optimizer = torch.optim.Adam(loss_module.parameters(), recipe.psae_lr)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, recipe.psae_epochs)
-    final: dict[str, float] = {}
-    bar = progress_bar(range(recipe.psae_epochs), "autoencoder, epochs", progress)
-    for _ in bar:
-        sums, batches = torch.zeros(3), 0
-        for index in _batches(len(triples), recipe.psae_batch_size, generator):
-            loss, metadata = loss_module.psae_loss(triples[index])
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            sums += torch.stack([loss.detach(), metadata["reconstruction_error"], metadata["similarity"]])
-            batches += 1
-        schedule.step()
-        final = dict(zip(("loss", "reconstruction_error", "similarity"), (sums / batches).tolist(), strict=True))
-        if not np.isfinite(final["loss"]):
-            raise UavrlError(f"The autoencoder's loss became {final['loss']}: lower pretrain.psae_lr.")
-        bar.set_postfix_str(f"loss {final['loss']:.4f}")
-    return network.requires_grad_(False), final  # the loss module trains the network's own parameters
+
+    def step(index: Tensor) -> dict[str, Tensor]:
+        value, metadata = loss.psae_loss(triples[index])
+        return {"loss": value, **metadata}
+
+    final = _train(loss, step, len(triples), recipe, "psae", "autoencoder", seed, progress)
+    return network.requires_grad_(False), final
 
 
 def train_classifier(
@@ -72,37 +51,49 @@ def train_classifier(
     seed: int = 0,
     progress: bool = False,
 ) -> None:
-    """Trains a network in place to say the label of a feature, by cross-entropy with Adam."""
+    """Trains a network in place to give features ``[N, F]`` their labels ``[N]``, by cross-entropy."""
+
+    def step(index: Tensor) -> dict[str, Tensor]:
+        return {"loss": F.cross_entropy(network(features[index]), labels[index])}
+
+    _train(network, step, len(features), recipe, "classifier", "classifier", seed, progress)
+
+
+def _train(
+    module: nn.Module,
+    step: Callable[[Tensor], dict[str, Tensor]],
+    samples: int,
+    recipe: PretrainRecipe,
+    part: str,
+    name: str,
+    seed: int,
+    progress: bool,
+) -> dict[str, float]:
+    """Minimises a loss with Adam, whose rate falls to 0 along a cosine; returns the means of the last epoch."""
+    lr, epochs, batch_size = (getattr(recipe, f"{part}_{key}") for key in ("lr", "epochs", "batch_size"))
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.Adam(network.parameters(), recipe.classifier_lr)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, recipe.classifier_epochs)
-    bar = progress_bar(range(recipe.classifier_epochs), "classifier, epochs", progress)
+    optimizer = torch.optim.Adam(module.parameters(), lr)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
+    means: dict[str, float] = {}
+    bar = tqdm(range(epochs), desc=f"{name}, epochs", disable=not progress, dynamic_ncols=True)
     for _ in bar:
-        total = torch.zeros(())
-        for index in _batches(len(features), recipe.classifier_batch_size, generator):
-            loss = F.cross_entropy(network(features[index]), labels[index])
+        batches = torch.randperm(samples, generator=generator).split(batch_size)
+        sums = torch.zeros(())
+        for index in batches:
+            values = step(index)
             optimizer.zero_grad()
-            loss.backward()
+            values["loss"].backward()
             optimizer.step()
-            total += loss.detach() * len(index)
+            sums = sums + torch.stack([value.detach() for value in values.values()])
         schedule.step()
-        mean = total.item() / len(features)
-        if not np.isfinite(mean):
-            raise UavrlError(f"The classifier's loss became {mean}: lower pretrain.classifier_lr.")
-        bar.set_postfix_str(f"loss {mean:.4f}")
+        means = dict(zip(values, (sums / len(batches)).tolist(), strict=True))
+        if not isfinite(means["loss"]):
+            raise UavrlError(f"The {name}'s loss became {means['loss']}: lower pretrain.{part}_lr.")
+        bar.set_postfix_str(f"loss {means['loss']:.4f}")
+    return means
 
 
 @torch.no_grad()
 def predict(network: nn.Module, features: Tensor, batch_size: int = 8192) -> Tensor:
     """The label ``[N]`` that the network gives to each feature ``[N, F]``."""
     return torch.cat([network(part).argmax(-1) for part in features.split(batch_size)])
-
-
-def accuracy(network: nn.Module, features: Tensor, labels: Tensor) -> float:
-    """The share of features ``[N, F]`` to which the network gives their label ``[N]``."""
-    return (predict(network, features) == labels).double().mean().item()
-
-
-def _batches(total: int, size: int, generator: torch.Generator) -> Iterator[Tensor]:
-    """Indices of all samples in random order, ``size`` at a time."""
-    yield from torch.randperm(total, generator=generator).split(size)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.buffers import FrameStorage
-from uavrl.configs.build import plain_data
 from uavrl.errors import UavrlError
-from uavrl.models.trajectory_classifier import form_of_states
+from uavrl.models.psae import form_of_states
 from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.names import CHECKPOINTS, CONFIG, PRETRAINED
@@ -32,7 +32,7 @@ class States:
         episode: ``[N]``, the index of the episode that each state belongs to, from 0.
         outcomes: of each episode: arrived, collided or timed_out.
         name: where they come from, for people to read.
-        perception: of the run, what decides what their numbers mean.
+        perception: the keys of the run's perception that decide what their numbers mean.
     """
 
     states: np.ndarray
@@ -45,16 +45,24 @@ class States:
         return len(self.states)
 
     def sha256(self) -> str:
-        """The checksum of the states as float32, little endian.
+        """The checksum of the states as float32, little endian."""
+        return hashlib.sha256(np.ascontiguousarray(self.states, "<f4").data).hexdigest()
 
-        Examples:
-            >>> States(np.zeros((2, 3)), np.zeros(2, int), ["arrived"], "run").sha256()[:12]
-            '9d908ecfb6b2'
-        """
-        digest = hashlib.sha256()
-        for start in range(0, len(self), _PART):
-            digest.update(np.ascontiguousarray(self.states[start : start + _PART], "<f4").tobytes())
-        return digest.hexdigest()
+
+def triple_centres(episode: np.ndarray) -> np.ndarray:
+    """The indices t ``[M]``, ascending, for which t-1, t and t+1 belong to one episode.
+
+    Args:
+        episode: ``[N]``, the episode that each state belongs to, else ValueError; states of an episode lie together.
+
+    Examples:
+        >>> triple_centres(np.array([0, 0, 0, 0, 1, 1, 2, 2, 2]))
+        array([1, 2, 7])
+    """
+    if episode.ndim != 1:
+        raise ValueError(f"Expected the episodes [N] of N states, got {list(episode.shape)}.")
+    inside = (episode[1:-1] == episode[:-2]) & (episode[1:-1] == episode[2:])
+    return np.flatnonzero(inside) + 1
 
 
 class _StoredTransitions(BufferState):
@@ -65,19 +73,16 @@ class _StoredTransitions(BufferState):
         self.next_place = 0  # where the next transition would have gone
 
     def load(self, path: Path) -> None:
-        """Reads what a :class:`~uavrl.runs.checkpoint.BufferState` wrote."""
+        """Reads the files of a :class:`~uavrl.runs.checkpoint.BufferState`."""
         if json.loads((path / "length.json").read_text(encoding="utf-8")):
             self.storage = FrameStorage.saved_at(path / "storage")
             self.next_place = int(json.loads((path / "writer/metadata.json").read_text(encoding="utf-8"))["cursor"])
 
 
 def read_states(run_dir: Path) -> States:
-    """The states of a run's whole episodes, in the order in which they were flown.
+    """The states of the whole episodes in a run's folder, in the order in which they were collected.
 
-    A full buffer has begun to overwrite its oldest transitions; what is left of the episode cut into is left out.
-
-    Args:
-        run_dir: the run's folder.
+    A full buffer has begun to overwrite its oldest transitions; the rest of the episode that was cut is left out.
 
     Raises:
         UavrlError: when there is no run, its checkpoint is damaged, or it holds no whole episode of finite states.
@@ -94,24 +99,24 @@ def read_states(run_dir: Path) -> States:
     first = int(last[0]) + 1 if full and len(last) else 0
     last = last[last >= first]
     if not len(last):
-        raise UavrlError(f"Expected whole episodes in the replay buffer of {path} and found none: let it fly longer.")
+        raise UavrlError(f"Expected whole episodes in the replay buffer of {path} and found none: train it longer.")
     states = steps["observation"][first : int(last[-1]) + 1].float()
     if not states.isfinite().all():
-        raise UavrlError(f"Expected finite states in {run_dir}, found NaN or infinity: train a run anew.")
+        raise UavrlError(f"Expected finite states in {run_dir}, found NaN or infinity: train another run.")
     episode = torch.arange(len(last)).repeat_interleave(last.diff(prepend=torch.tensor([first - 1])))
     ends = steps[last]
     outcomes = [
         "arrived" if arrived else "collided" if terminated else "timed_out"
         for arrived, terminated in zip(ends["arrived"].tolist(), ends["terminated"].tolist(), strict=True)
     ]
-    seen = plain_data(config.get("perception")) or {}
+    seen = OmegaConf.to_container(config).get("perception") or {}  # type: ignore[union-attr]
     if not isinstance(seen, dict):
         raise UavrlError(f"Expected perception in the configuration of {run_dir} to be a mapping, got {seen!r:.80}.")
     return States(states.numpy(), episode.numpy(), outcomes, f"{run_dir.name}/{path.name}", form_of_states(seen))
 
 
 def _in_order(storage: FrameStorage, oldest: int) -> TensorDict:
-    """What is read of each stored step ``[N]``, from the place of the oldest on."""
+    """States and flags of each stored step ``[N]``, from the place of the oldest on."""
     if not len(storage):
         return TensorDict({"last": torch.zeros(0, dtype=torch.bool)}, [0])
     parts = []

@@ -1,23 +1,28 @@
-"""Which runs are seeds of one another, what their groups are called and which settings tell them apart."""
+"""Groups of runs that differ in their seed alone, their labels and the settings that distinguish them."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from uavrl.configs.registry import NONE
+from uavrl.config.yaml_files import NONE
 from uavrl.reporting.runs import LeftOut, Run
 from uavrl.runs.config import HOW_IT_RUNS
 
-# What makes two success rates comparable at all; how many vehicles fly at a time does not.
+# Two success rates compare only where these parts are equal; the number of vehicles at a time does not matter.
 TASK, NOT_TASK = ("env", "perception"), ("env.num_uavs",)
 _SHOWN = 3  # differences that a sentence or a label names
-# What a choice is called in a label; of one that is not here, somebody's own perhaps, the name of its yaml.
+# Names of choices in a label; another choice, somebody's own perhaps, goes by the name of its yaml.
 _NAMES = {
     "fork": {"on": "FORK"},
     "lifeguard": {"linear": "LG", "mlp": "LG (MLP)"},
     "backward_reward": {"abr": "ABR", "abr_plus": "ABR⁺"},
-    "reward": {"traditional": "TR", "navigation": "Eq. 3.6", "navigation_prize": "prize"},
+    "reward": {
+        "traditional": "TR",
+        "navigation": "Eq. 3.6",
+        "navigation_printed": "Eq. 3.6 as printed",
+        "navigation_prize": "prize",
+    },
 }
 
 
@@ -35,18 +40,18 @@ class Group:
 
 
 def label(choices: Mapping[str, str]) -> str:
-    """What a group is called: what learns, its backward reward, and what pays."""
+    """The name of a group: its learner, its backward reward and its reward."""
 
     def named(group: str) -> list[str]:
         choice = choices.get(group, NONE)
         return [] if choice == NONE else [_NAMES.get(group, {}).get(choice, choice)]
 
-    learns = "-".join([choices["algo"].upper(), *named("fork"), *named("lifeguard"), *named("enhancer")])
-    return ", ".join([" + ".join([learns, *named("backward_reward")]), *named("reward")])
+    learner = "-".join([choices["algo"].upper(), *named("fork"), *named("lifeguard"), *named("enhancer")])
+    return ", ".join([" + ".join([learner, *named("backward_reward")]), *named("reward")])
 
 
 def below(key: str, names: Iterable[str]) -> bool:
-    """Whether a dotted key is one of ``names`` or stands below one."""
+    """Whether a dotted key is one of ``names`` or below one."""
     return any(key == name or key.startswith(f"{name}.") for name in names)
 
 
@@ -65,9 +70,9 @@ def differences(settings: Sequence[dict[str, Any]], without: Iterable[str] = ())
 
 
 def same_task(runs: Sequence[Run]) -> tuple[list[Run], list[LeftOut]]:
-    """The runs of the task that most of them fly, the first where two tasks tie; the others are left out.
+    """The runs of the most frequent task, the first where two tie; the others are left out.
 
-    Success in one environment, or through one kind of perception, says nothing against success in another.
+    Success rates of different environments or kinds of perception do not compare.
     """
 
     def task(run: Run) -> str:
@@ -80,8 +85,8 @@ def same_task(runs: Sequence[Run]) -> tuple[list[Run], list[LeftOut]]:
     for run in runs:
         if task(run) != common:
             pairs = differences([run.settings, kept[0].settings], NOT_TASK).items()
-            told = [f"{key} is {shown(a)}, not {shown(b)}" for key, (a, b) in pairs if below(key, TASK)][:_SHOWN]
-            reason = f"It flies another task than most ({'; '.join(told)}): give it a report of its own."
+            named = [f"{key} is {shown(a)}, not {shown(b)}" for key, (a, b) in pairs if below(key, TASK)][:_SHOWN]
+            reason = f"Its task is another than that of most runs ({'; '.join(named)}): give it a report of its own."
             left_out.append(LeftOut(run.name, reason))
     return kept, left_out
 
@@ -98,15 +103,14 @@ def group_runs(runs: Sequence[Run]) -> tuple[list[Group], list[LeftOut]]:
         for run in group:
             first = kept.setdefault(run.seed, run)
             if first is not run:
-                left_out.append(
-                    LeftOut(run.name, f"It has configuration and seed of {first.name}: a seed counts once.")
-                )
+                reason = f"It has the configuration and the seed of {first.name}: a seed counts once."
+                left_out.append(LeftOut(run.name, reason))
         groups.append([kept[seed] for seed in sorted(kept)])
     return [Group(name, group) for name, group in zip(_labels(groups), groups, strict=True)], left_out
 
 
 def _labels(groups: Sequence[list[Run]]) -> list[str]:
-    """The label of each group, with the settings that tell it from the others where they have the same."""
+    """The label of each group; where several have the same, the settings that differ are added."""
     plain = [label(runs[0].choices) for runs in groups]
     result = list(plain)
     for name in {name for name in plain if plain.count(name) > 1}:

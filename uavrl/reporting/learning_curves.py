@@ -46,7 +46,7 @@ def _curve(xs: list[np.ndarray], ys: list[np.ndarray]) -> dict[str, Any]:
     if len(xs) < 2 or start > end:
         return {"seeds": seeds, "x": [], "mean": [], "low": [], "high": []}
     grid = np.unique(np.linspace(start, end, POINTS).round())
-    # What a seed has reached at a point is what it had after its last episode before it.
+    # The value of a seed at a point is that of its last episode before it.
     values = np.stack([y[np.searchsorted(x, grid, side="right") - 1] for x, y in zip(xs, ys, strict=True)])
     band = {"mean": values.mean(0), "low": values.min(0), "high": values.max(0)}
     return {"seeds": seeds, "x": grid.tolist(), **{name: y.round(5).tolist() for name, y in band.items()}}

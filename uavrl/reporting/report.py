@@ -1,7 +1,7 @@
-"""Everything a report says, from run folders to one dictionary of facts; page and JSON show the same ones."""
+"""The content of a report, from run folders to one dictionary of facts; page and JSON show the same ones."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from math import isfinite
@@ -15,7 +15,7 @@ from uavrl.errors import UavrlError
 from uavrl.reporting.groups import HOW_IT_RUNS, Group, below, differences, group_runs, same_task, shown
 from uavrl.reporting.learning_curves import curves, steps_to
 from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
-from uavrl.reporting.thesis import beside_the_thesis
+from uavrl.reporting.thesis import compare_with_thesis
 from uavrl.runs.episodes import RATES, Episode, mean_terms, wilson
 
 FORMAT = 2  # of the JSON file
@@ -24,7 +24,7 @@ _PLACES = ("run_dir", "resume")  # of the machine that made a run
 
 @dataclass(frozen=True)
 class Report:
-    """What :func:`make_report` found; rates in [0, 1], steps are environment steps of whole episodes.
+    """The result of :func:`make_report`; rates in [0, 1], steps are environment steps of whole episodes.
 
     Attributes:
         title: of the page.
@@ -32,13 +32,13 @@ class Report:
         version: of uavrl.
         window: number of episodes that a rolling rate covers.
         threshold: the success rate that ``steps_to_threshold`` is about.
-        env: name of the environment that all runs fly.
+        env: name of the environment of all runs.
         groups: one for each configuration, over its seeds; the best first.
         runs: one for each run folder, in the order of the groups.
         curves: by group, quantity and axis (:func:`uavrl.reporting.learning_curves.curves`).
-        evaluations: what was flown without noise: the groups that flew it, the best first, and each file.
-        thesis: its numbers beside those of the groups.
-        settings: what differs between the groups, by key, in the order of the groups.
+        evaluations: for each set of tasks, the groups that were evaluated in it, the best first, and each file.
+        thesis: its numbers and those of the groups.
+        settings: those that differ between the groups, by key, in the order of the groups.
         left_out: folders that are not reported, and why.
     """
 
@@ -58,7 +58,7 @@ class Report:
 
     def facts(self) -> dict[str, Any]:
         """As plain dictionaries and lists, which JSON gives back as they are; numbers that are none are ``None``."""
-        return {"format": FORMAT, **_plain(asdict(self))}
+        return {"format": FORMAT, **_each(asdict(self), _plain)}
 
     def to_json(self) -> str:
         """The content of ``report.json``."""
@@ -70,25 +70,35 @@ class Report:
         return [f"{left.folder} is left out. {left.reason}" for left in self.left_out] + notes
 
 
-def _plain(value: Any) -> Any:
+def _each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """A nested value as dictionaries and lists, with every leaf changed."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _each(item, change) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_each(item, change) for item in value]
+    return change(value)
+
+
+def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if isfinite(value) else None
     return value if value is None or isinstance(value, str | int | bool) else str(value)
 
 
+def _without_place(value: Any) -> Any:
+    """An absolute path shortened to its name: its folder means nothing on another machine."""
+    return PurePath(value).name if isinstance(value, str) and PurePath(value).is_absolute() else value
+
+
 def make_report(
     folders: Sequence[Path], *, window: int = 500, threshold: float = 0.78, title: str | None = None
 ) -> Report:
-    """Reads run folders and works out what there is to say about them.
+    """Reads run folders, and folders that hold some, and works out the facts about them.
 
     Args:
-        folders: run folders, and folders that hold some.
+        folders: they are only read.
         window: number of episodes that a rolling rate covers.
-        threshold: success rate in (0, 1] whose first reaching is told.
+        threshold: success rate in (0, 1]; the report gives the steps until it is first reached.
         title: of the page.
 
     Raises:
@@ -120,7 +130,7 @@ def make_report(
         runs=[_run_facts(run, group.label, window, threshold) for group in groups for run in group.runs],
         curves={group.label: curves([run.episodes for run in group.runs], window) for group in groups},
         evaluations=_evaluations(groups),
-        thesis=beside_the_thesis(groups, rows, window),
+        thesis=compare_with_thesis(groups, rows, window),
         settings=_settings(groups),
         left_out=[LeftOut(PurePath(left.folder).name, left.reason) for left in left_out],
     )
@@ -137,9 +147,9 @@ def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any
 def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str, Any]:
     notes = list(run.notes)
     if not run.finished:
-        notes.append(f"Unfinished: {len(run.episodes):,} of {run.planned:,} episodes.")
+        notes.append(f"Unfinished: {len(run.episodes):,} of {run.config['trainer']['episodes']:,} episodes.")
     if len(run.episodes) < window:
-        notes.append(f"It has flown fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")
+        notes.append(f"It has fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")
     return {
         "name": run.name,
         "group": group,
@@ -150,17 +160,8 @@ def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str,
         "steps_to_threshold": steps_to(run.episodes, threshold, window),
         "versions": run.versions,
         "notes": notes,
-        "config": _without_places({key: value for key, value in run.config.items() if key not in _PLACES}),
+        "config": _each({key: value for key, value in run.config.items() if key not in _PLACES}, _without_place),
     }
-
-
-def _without_places(value: Any) -> Any:
-    """Values with the name in the place of each absolute path: where it lay says nothing elsewhere."""
-    if isinstance(value, dict):
-        return {key: _without_places(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_places(item) for item in value]
-    return PurePath(value).name if isinstance(value, str) and PurePath(value).is_absolute() else value
 
 
 def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
@@ -168,9 +169,9 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
     success = [last_rates([episodes], window)["success"]["rate"] for episodes in seeds]
     notes = []
     if len(seeds) == 1:
-        notes.append("One seed: it shows what happened once, not what to expect.")
+        notes.append("One seed: the spread between seeds is unknown.")
     if len({len(episodes) for episodes in seeds}) > 1:
-        notes.append(f"Its seeds have flown {min(map(len, seeds)):,} to {max(map(len, seeds)):,} episodes.")
+        notes.append(f"Its seeds have {min(map(len, seeds)):,} to {max(map(len, seeds)):,} episodes.")
     if len({str(run.versions["commit"]) for run in group.runs if "commit" in run.versions}) > 1:
         notes.append("Its runs were made by different states of the code.")
     return {
@@ -185,7 +186,7 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
 
 
 def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """What was flown, what most seeds flew first; of two files of one run the longer trained counts for its group."""
+    """By sets of tasks, that of most seeds first; of two files of one run the longer trained counts for its group."""
     files = [
         {**evaluation, "run": run.name, "group": group.label, "run_seed": run.seed}
         for group in groups
@@ -193,16 +194,13 @@ def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:
         for evaluation in run.evaluations
     ]
     result = []
-    for flown in dict.fromkeys(each["flown"] for each in files):
-        alike = [each for each in files if each["flown"] == flown]
+    for tasks in dict.fromkeys(each["flown"] for each in files):
+        alike = [each for each in files if each["flown"] == tasks]
         newest = {each["run"]: each for each in sorted(alike, key=_trained) if each["policy"] is None}
-        rows = [
-            _pooled(group.label, members)
-            for group in groups
-            if (members := [each for each in newest.values() if each["group"] == group.label])
-        ]
+        by_group = [[each for each in newest.values() if each["group"] == group.label] for group in groups]
+        rows = [_pooled(members) for members in by_group if members]
         rows.sort(key=lambda row: -row["success"]["rate"])
-        result.append({"flown": flown, "groups": rows, "files": alike})
+        result.append({"flown": tasks, "groups": rows, "files": alike})
     return sorted(result, key=lambda part: -sum(len(row["seeds"]) for row in part["groups"]))
 
 
@@ -211,18 +209,21 @@ def _trained(evaluation: dict[str, Any]) -> float:
     return float(steps) if isinstance(steps, int | float) else 0.0
 
 
-def _pooled(group: str, evaluations: list[dict[str, Any]]) -> dict[str, Any]:
+def _pooled(evaluations: list[dict[str, Any]]) -> dict[str, Any]:
     """Rates of a group over the tasks of all its seeds together."""
     tasks = sum(each["episodes"] for each in evaluations)
     counts = {name: sum(round(each[name]["rate"] * each["episodes"]) for each in evaluations) for name in RATES}
-    by_seed = [each["success"]["rate"] for each in evaluations]
-    seeds = [each["run_seed"] for each in evaluations]
-    rates = {name: wilson(count, tasks) for name, count in counts.items()}
-    return {"group": group, "seeds": seeds, "tasks": tasks, "success_by_seed": by_seed, **rates}
+    return {
+        "group": evaluations[0]["group"],
+        "seeds": [each["run_seed"] for each in evaluations],
+        "tasks": tasks,
+        "success_by_seed": [each["success"]["rate"] for each in evaluations],
+        **{name: wilson(count, tasks) for name, count in counts.items()},
+    }
 
 
 def _settings(groups: list[Group]) -> dict[str, list[str]]:
-    """What differs between groups, and how their runs ran where that was recorded and differs."""
+    """The settings that differ between groups, and those of how their runs ran where these were recorded and differ."""
     learned = differences([group.runs[0].settings for group in groups], ("seed", *HOW_IT_RUNS))
     result = {key: [shown(value) for value in values] for key, values in learned.items()}
     ran = [[flatten(run.config) for run in group.runs] for group in groups]

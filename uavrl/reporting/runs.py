@@ -1,7 +1,6 @@
-"""Run folders, read: what is whole becomes a :class:`Run`; a broken file is named."""
+"""Reads run folders: each gives a :class:`Run`, or the name of its broken file."""
 
 import json
-import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,9 +10,9 @@ from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 
-from uavrl.configs import learner_name
-from uavrl.configs.parts import PARTS
-from uavrl.configs.registry import NONE
+from uavrl.config import learner_name
+from uavrl.config.parts import PARTS
+from uavrl.config.yaml_files import NONE
 from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs import names
 from uavrl.runs.config import load_config
@@ -22,8 +21,8 @@ from uavrl.runs.names import CONFIG, EPISODES
 from uavrl.runs.weights import ARTIFACT, POLICY
 
 _DEPTH = 4  # of folders that are searched for runs
-_MOST_STEPS = 2**53  # from there on a double, which a page counts in, skips numbers
-_TOLD = ("policy", "training_steps", "path_efficiency", "median_clearance", "steps_per_arrival")
+_MOST_STEPS = 2**53  # above, the doubles of JavaScript skip integers
+_COPIED = ("policy", "training_steps", "path_efficiency", "median_clearance", "steps_per_arrival")
 T = TypeVar("T")
 
 
@@ -32,17 +31,16 @@ class Run:
     """One run folder.
 
     Attributes:
-        name: what it is called in a report.
+        name: in a report.
         config: its configuration as its file has it.
         settings: its values by their dotted names (see :func:`flatten`).
         choices: the yaml file of each part, by the part's name.
         seed: of the run.
         episodes: at least one.
-        planned: number of episodes that the run is to fly.
         versions: of uavrl and torch, and the commit, where the run has ended and recorded them.
-        evaluations: what ``uavrl-evaluate`` left in the folder, each with its ``file``, without single flights.
+        evaluations: the files of ``uavrl-evaluate`` in the folder, each with its ``file``, without single episodes.
         class_sizes: of the trajectory classes, where the folder holds their artifact.
-        notes: what is wrong with it, though it can be reported.
+        notes: faults that do not keep it from being reported.
     """
 
     name: str
@@ -51,7 +49,6 @@ class Run:
     choices: dict[str, str]
     seed: int
     episodes: list[Episode]
-    planned: int
     versions: dict[str, Any] = field(default_factory=dict)
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     class_sizes: dict[str, Any] | None = None
@@ -59,18 +56,13 @@ class Run:
 
     @property
     def finished(self) -> bool:
-        """Whether it has flown what it is to fly, by episodes or by steps, or arrives as often as it is to."""
+        """Whether it has reached its number of episodes or of steps, or its success rate."""
         trainer = self.config["trainer"]
         last = self.episodes[-trainer.get("window", 0) :] or self.episodes
-        arrived = sum(episode.outcome == "arrived" for episode in last) / len(last)
-        limits = ((len(self.episodes), self.planned), (self.steps, trainer.get("steps")))
-        flown = any(limit is not None and reached >= limit for reached, limit in limits)
-        return flown or arrived >= (trainer.get("until_success") or math.inf)
-
-    @property
-    def learner(self) -> str:
-        """What learns, as :func:`uavrl.configs.learner_name` names it."""
-        return learner_name(self.choices)
+        success = sum(episode.outcome == "arrived" for episode in last) / len(last)
+        limits = (trainer["episodes"], trainer.get("steps"), trainer.get("until_success") or None)
+        reached = (len(self.episodes), self.steps, success)
+        return any(limit is not None and value >= limit for value, limit in zip(reached, limits, strict=True))
 
     @property
     def steps(self) -> int:
@@ -99,13 +91,10 @@ def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
     """Reads all runs in and below ``folders``, each once."""
-    found: dict[Path, None] = {}
-    left_out = []
-    for folder in folders:
-        inside = list(_run_folders(folder.resolve()))
-        found |= dict.fromkeys(inside)
-        if not inside:
-            left_out.append(LeftOut(str(folder), "It holds no run: give the folder that uavrl-train printed."))
+    inside = {folder: list(_run_folders(folder.resolve())) for folder in folders}
+    none = "It holds no run: give the folder that uavrl-train printed."
+    left_out = [LeftOut(str(folder), none) for folder, runs in inside.items() if not runs]
+    found = dict.fromkeys(run for runs in inside.values() for run in runs)
     names = [folder.name for folder in found]
     runs = []
     for folder in found:
@@ -141,7 +130,6 @@ def read_run(folder: Path, name: str) -> Run:
         choices=choices,
         seed=config["seed"],
         episodes=_read(folder / EPISODES, _episodes),
-        planned=config["trainer"]["episodes"],
         versions=_optional(folder / "summary.json", _versions, notes) or {},
         evaluations=[
             row for path in sorted(folder.glob("evaluation*.json")) if (row := _optional(path, _evaluation, notes))
@@ -164,7 +152,7 @@ def _read(path: Path, read: Callable[[Path], T]) -> T:
 
 
 def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | None:
-    """What a file holds that a run may lack; a broken one is noted."""
+    """The content of a file that a run may lack; a broken one is noted."""
     try:
         return _read(path, read) if path.is_file() else None
     except UavrlError:
@@ -184,7 +172,7 @@ def _config(path: Path) -> dict[str, Any]:
 
 
 def _settings(config: dict[str, Any], choices: dict[str, str]) -> dict[str, Any]:
-    """Its values, and in the place of each part's class and name which yaml file it came from."""
+    """Its values, with the name of its yaml file in the place of each part's class and name."""
     values = flatten({key: value for key, value in config.items() if key != "choices"})
     named = {key: value for key, value in values.items() if key.rpartition(".")[2] not in ("_target_", "name")}
     return {group: choice for group, choice in choices.items() if group in PARTS and choice != NONE} | named
@@ -212,29 +200,27 @@ def _evaluation(path: Path) -> dict[str, Any]:
     content = json.loads(path.read_bytes())
     tasks = int(content["episodes"])
     rates = {name: wilson(round(float(content[name]["rate"]) * tasks), tasks) for name in RATES}
-    told = {key: content.get(key) for key in _TOLD}
-    whereabouts = _whereabouts(content)
-    return {"file": path.name, "flown": _flown(content), "episodes": tasks, **told, **rates, "whereabouts": whereabouts}
+    copied = {key: content.get(key) for key in _COPIED}
+    places = _whereabouts(content.get("whereabouts"))
+    return {"file": path.name, "flown": _tasks(content), "episodes": tasks, **copied, **rates, "whereabouts": places}
 
 
-def _flown(content: dict[str, Any]) -> str:
-    """What was flown. With planes, which move with the steps of all, the number of UAVs belongs to it."""
+def _tasks(content: dict[str, Any]) -> str:
+    """The tasks in words. With planes, which move at every step, the number of UAVs is part of them."""
     valleys = ", ".join(map(str, content.get("valleys") or []))
     changes = [str(each) for each in content.get("overrides") or [] if str(each).startswith(("env.", "perception."))]
-    return ", ".join(
-        [
-            str(content.get("env")),
-            *([f"valleys {valleys}"] if valleys else []),
-            f"{content['episodes']} tasks of seed {content.get('seed')}",
-            *([f"{content.get('num_uavs')} UAVs at a time"] if content.get("planes") else []),
-            *sorted(changes),
-        ]
-    )
+    parts = [
+        str(content.get("env")),
+        f"valleys {valleys}" if valleys else "",
+        f"{content['episodes']} tasks of seed {content.get('seed')}",
+        f"{content.get('num_uavs')} UAVs at a time" if content.get("planes") else "",
+        *sorted(changes),
+    ]
+    return ", ".join(part for part in parts if part)
 
 
-def _whereabouts(content: dict[str, Any]) -> dict[str, Any] | None:
-    """Where the flights went, or None where an evaluation does not tell it."""
-    places = content.get("whereabouts")
+def _whereabouts(places: Any) -> dict[str, Any] | None:
+    """The statistics of positions, or None where an evaluation has none."""
     if places is None:
         return None
     spreads = {key: {p: float(places[key][p]) for p in ("p5", "p50", "p95")} for key in ("altitude", "wall_distance")}

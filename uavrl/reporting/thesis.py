@@ -1,15 +1,15 @@
-"""The thesis's numbers, and which of them a group of runs can be held against."""
+"""The thesis's numbers, and which of them a group of runs can be compared with."""
 
 import json
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from uavrl.config import learner_name
 from uavrl.reporting.groups import Group
 from uavrl.reporting.learning_curves import steps_to
 
-TRADITIONAL, ABR, ABR_PLUS = "TR", "ABR", "ABR⁺"
-_BACKWARD = {"abr": ABR, "abr_plus": ABR_PLUS}
+_BACKWARD = {"abr": "ABR", "abr_plus": "ABR⁺"}
 
 
 @cache
@@ -19,28 +19,28 @@ def thesis() -> dict[str, Any]:
 
 
 def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
-    """Which row of the thesis a group stands beside."""
+    """Learner and reward of the thesis's row for a group and the group's deviations, or why there is no row."""
     run = group.runs[0]
     reward, backward = (run.choices.get(name, "none") for name in ("reward", "backward_reward"))
-    learner = run.learner.removesuffix(f"_{backward}")
+    learner = learner_name(run.choices).removesuffix(f"_{backward}")
     unlike = []
     if learner.endswith("_lg_mlp"):
         learner = learner.removesuffix("_mlp")
         unlike.append("LifeGuard is an MLP, not linear")
-    column = _BACKWARD.get(backward, TRADITIONAL if reward == "traditional" else None)
+    column = _BACKWARD.get(backward, "TR" if reward == "traditional" else None)
     env = run.choices.get("env")
     if not any((r["env"], r["learner"], r["reward"]) == (env, learner, column) for r in thesis()["rates"]):
         return f"The thesis has no row with reward={reward}, backward_reward={backward} and {learner} in {env}."
     if backward in _BACKWARD and reward != "navigation":
         unlike.append(f"reward={reward}, not navigation (Eq. 3.6)")
-    flown = sorted({len(run.episodes) for run in group.runs})
-    if flown != [thesis()["episodes"]]:
-        unlike.append(f"{' and '.join(f'{n:,}' for n in flown)} episodes, not {thesis()['episodes']:,}")
+    lengths = sorted({len(run.episodes) for run in group.runs})
+    if lengths != [thesis()["episodes"]]:
+        unlike.append(f"{' and '.join(f'{n:,}' for n in lengths)} episodes, not {thesis()['episodes']:,}")
     return learner, str(column), unlike
 
 
-def beside_the_thesis(groups: list[Group], rows: list[dict[str, Any]], window: int) -> dict[str, Any]:
-    """The thesis's numbers of the groups' environment, each with ``ours``: what the groups of the same row reached."""
+def compare_with_thesis(groups: list[Group], rows: list[dict[str, Any]], window: int) -> dict[str, Any]:
+    """The thesis's numbers of the groups' environment, each with ``ours``: the results of the groups of its row."""
     reference, env = thesis(), groups[0].runs[0].choices.get("env")
     places = [counterpart(group) for group in groups]
 

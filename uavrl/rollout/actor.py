@@ -6,8 +6,8 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from uavrl.configs.build import build, resolve
-from uavrl.configs.train import TrainConfig
+from uavrl.config.build import build, find_class
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.rollout.environment import NetworkSizes
@@ -22,7 +22,7 @@ def make_actor(settings: TrainConfig, sizes: NetworkSizes, device: torch.device 
 def loss_class(settings: TrainConfig) -> type[ActorCriticLoss]:
     """The class of the algorithm's loss."""
     name = str(settings.algo._target_)
-    return resolve(name, ActorCriticLoss, settings.packages)
+    return find_class(name, ActorCriticLoss, settings.packages)
 
 
 def make_network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: NetworkSizes) -> nn.Module:

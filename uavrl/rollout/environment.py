@@ -1,16 +1,15 @@
 """The environment of a configuration, and what a network reads and writes there."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from omegaconf import DictConfig
 from torchrl.data import Bounded
 from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
 
-from uavrl.configs.build import build
-from uavrl.configs.offered import OFFERED
+from uavrl.config.build import build
+from uavrl.config.context import CONTEXT
 from uavrl.errors import UavrlError
 from uavrl.transforms import PointCloudReduction
 
@@ -55,21 +54,21 @@ def inner_transforms(transform: Transform | None) -> list[Transform]:
 
 
 def make_env(
-    env: DictConfig,
-    perception: DictConfig,
-    reward: DictConfig | None = None,
+    env: Mapping[str, Any],
+    perception: Mapping[str, Any],
+    reward: Mapping[str, Any] | None = None,
     *,
     packages: Iterable[str] = (),
     num_uavs: int | None = None,
     keep_cloud: bool = False,
     kind: type[TransformedEnv] = TransformedEnv,
-    **offered: Any,
+    **context: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read."""
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of those that a run flies
-    own = {str(key): value for part in (perception, env) for key, value in part.items()}
-    own = {key: value for key, value in own.items() if key in env or key not in OFFERED["env"]} | several
-    base = build(own, EnvBase, packages=packages, key="env", **offered)
+    seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
+    own = {**seen, **env, **several}
+    base = build(own, EnvBase, packages=packages, key="env", **context)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())

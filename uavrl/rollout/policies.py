@@ -5,18 +5,19 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
 import uavrl
-from uavrl.configs import TrainConfig, settings_of_run
-from uavrl.configs.checks import did_you_mean
-from uavrl.configs.evaluate import FlyingConfig
-from uavrl.configs.offered import OFFERED, TARGET
-from uavrl.configs.signature import signature
+from uavrl.config import TrainConfig, validate_run
+from uavrl.config.build import TARGET, arguments, build, find_class
+from uavrl.config.context import CONTEXT
+from uavrl.config.parts import Part
+from uavrl.config.sentences import did_you_mean
+from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.runs.weights import POLICY
 
@@ -46,9 +47,9 @@ class Chosen:
     """
 
     policy: Callable[[TensorDictBase], TensorDictBase]
-    env: DictConfig
-    perception: DictConfig
-    reward: DictConfig
+    env: Part
+    perception: Part
+    reward: Part
     choices: Mapping[str, str]
     source: dict[str, Any]
     run: TrainConfig | None = None
@@ -69,18 +70,17 @@ def choose(
         raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
     if folder is None:
         require_valley(settings.env, settings.choices, "policy")
-        told = {str(key): value for key, value in settings.perception.items()}
-        told["flight_level"] = settings.env.world.flight_level
+        told = {**settings.perception, "flight_level": settings.env.world.flight_level}
         policy = named_policy(str(settings.policy), told, settings.packages)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
         chosen = Chosen(policy, *parts, {"policy": settings.policy})
     else:
         run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
-        run = settings_of_run(with_overrides(run_config, config, overrides))
+        run = validate_run(with_overrides(run_config, config, overrides))
         chosen = Chosen(policy, run.env, run.perception, run.reward, run.choices, source, run)
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
-        chosen.env.world.seeds = list(settings.valleys)
+        chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
     return chosen
 
 
@@ -104,7 +104,7 @@ def require_fit(chosen: Chosen, env: EnvBase) -> None:
         )
 
 
-def require_valley(env: DictConfig, choices: Mapping[str, str], key: str) -> None:
+def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str) -> None:
     """Refuses a key that another environment has no use for."""
     if "world" not in env:
         raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
@@ -137,7 +137,10 @@ def _keys(overrides: Iterable[str]) -> list[str]:
 
 def _require_env_of_policy(run: DictConfig) -> None:
     """Refuses an environment that takes less than the policy's perception says."""
-    taken = {TARGET, *(name for part in (run.perception, run.env) for name in signature(str(part[TARGET])) or {})}
+    classes = [
+        find_class(str(part[TARGET]), object, run.packages) for part in (run.perception, run.env) if part[TARGET]
+    ]
+    taken = {TARGET, *(name for each in classes for name in arguments(each))}
     if not taken.issuperset(map(str, run.perception)):
         raise UavrlError(
             f"The policy and env={run.choices.env} do not go together: the policy reads what perception="
@@ -192,11 +195,9 @@ def named_policy(
             raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
         return StableBaselinesPolicy(name)
     if "." in target:
-        from uavrl.configs.build import build
-
-        offered = {key: told[key] for key in OFFERED["policy"]}
-        seen = {key: value for key, value in told.items() if key not in offered} if name in BASELINES else {}
-        made = build({**seen, TARGET: target}, object, packages=packages, **offered)
+        context = {key: told[key] for key in CONTEXT["policy"]}
+        seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else {}
+        made = build({**seen, TARGET: target}, object, packages=packages, **context)
         if not callable(made):
             raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
         return made
@@ -211,7 +212,5 @@ def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:
     if path.suffix != ".zip":
         if "." not in name:
             return None
-        from uavrl.configs.build import resolve
-
-        path = Path(inspect.getsourcefile(resolve(name, object, packages)) or "")
+        path = Path(inspect.getsourcefile(find_class(name, object, packages)) or "")
     return path if path.is_file() else None

@@ -10,8 +10,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.checkpoint import Checkpoint
 
-from uavrl.configs import settings_of_run
-from uavrl.configs.train import TrainConfig
+from uavrl.config import validate_run
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.rollout.actor import make_actor
 from uavrl.rollout.environment import NetworkSizes, make_env, network_sizes
@@ -30,7 +30,7 @@ def load_actor(
     """Configuration, policy and origin: of the checkpoint named, else of a policy on its own, else the newest."""
     config = read_config(folder)
     config.packages = list(packages)
-    settings = settings_of_run(config)
+    settings = validate_run(config)
     actor = make_actor(settings, saved_sizes(settings), device)
     if checkpoint is None and POLICY.is_in(folder):
         about, weights = POLICY.load(folder)

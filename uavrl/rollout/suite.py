@@ -5,8 +5,8 @@ from typing import Any
 
 import yaml
 
-from uavrl.configs.checks import did_you_mean
-from uavrl.configs.registry import conf_dir
+from uavrl.config.sentences import did_you_mean
+from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
 from uavrl.rollout.summary import number
 from uavrl.runs.episodes import RATES

@@ -17,11 +17,11 @@ from torchrl.modules import AdditiveGaussianModule
 import uavrl
 from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
 from uavrl.collectors.base import OURS, FlightCollector
-from uavrl.configs.build import build, options, resolve
-from uavrl.configs.checks import require
-from uavrl.configs.offered import OFFERED, refuse_offered
-from uavrl.configs.parts import STEPPER, TARGET
-from uavrl.configs.train import TrainConfig
+from uavrl.config.build import TARGET, build, find_class, options
+from uavrl.config.context import CONTEXT, refuse_context
+from uavrl.config.parts import STEPPER
+from uavrl.config.sentences import require
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss, Enhancer, LifeGuard
 from uavrl.rollout.actor import loss_class, make_actor, make_network, network_context
@@ -57,7 +57,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
     if collector_class(settings).flies_elsewhere:
         env.close()  # another process makes its own
         flown = carried(new_env)
-    taken = options({**{str(key): value for key, value in settings.algo.items()}, TARGET: STEPPER})
+    taken = options({**settings.algo, TARGET: STEPPER})
     logger = make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages)
     return EpisodeTrainer(
         loss=loss,
@@ -95,7 +95,7 @@ def make_loss(
         for _ in range(loss_type.num_critics)
     ]
     written = options(settings.algo, packages, **network_context(sizes))
-    refuse_offered("algo", written, OFFERED["algo"])
+    refuse_context("algo", written, CONTEXT["algo"])
     loss = loss_type.of_networks(actor, critics, sizes.action_spec(device), **written)
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.enhancer):
@@ -212,7 +212,7 @@ def make_noise(settings: TrainConfig, sizes: NetworkSizes, device: torch.device)
 
 def collector_class(settings: TrainConfig) -> type[FlightCollector]:
     """The class of the run's collector."""
-    found = resolve(str(settings.collector._target_), BaseCollector, settings.packages)
+    found = find_class(str(settings.collector._target_), BaseCollector, settings.packages)
     if missing := [name for name in OURS if not hasattr(found, name)]:
         raise UavrlError(
             f"collector must have what uavrl's collectors have, and {found.__name__} lacks {', '.join(missing)}: "
@@ -247,6 +247,6 @@ def make_collector(
     }
     if found.flies_elsewhere:
         kwargs["num_threads"] = settings.trainer.threads
-    own = options(settings.collector)
-    refuse_offered("collector", own, OFFERED["collector"])
+    own = options(settings.collector, settings.packages)
+    refuse_context("collector", own, CONTEXT["collector"])
     return found(env, **kwargs, **own)

@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
 from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
 
-from uavrl.configs.build import build, resolve
+from uavrl.config.build import build, find_class
+from uavrl.config.parts import Part
 from uavrl.errors import UavrlError
 from uavrl.runs.files import replacing
 from uavrl.runs.names import LOGS
@@ -21,17 +21,17 @@ WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
-def make_logger(part: DictConfig, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
+def make_logger(part: Part, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
     """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``."""
     with _told(choice):
         return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / LOGS))
 
 
-def require_login(part: DictConfig, packages: Iterable[str] = ()) -> None:
+def require_login(part: Part, packages: Iterable[str] = ()) -> None:
     """Asks for the login that wandb's online runs need, before anything is made for the run."""
     if part.get("offline", True) or part._target_ is None:
         return
-    if issubclass(resolve(str(part._target_), Logger, packages), OneRunWandbLogger):
+    if issubclass(find_class(str(part._target_), Logger, packages), OneRunWandbLogger):
         os.environ.setdefault(*WANDB_SILENT)
         with _told("wandb"):
             importlib.import_module("wandb").login(verify=False)

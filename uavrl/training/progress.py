@@ -9,8 +9,7 @@ from collections.abc import Mapping
 
 from tqdm import tqdm
 
-from uavrl.configs.registry import expected_steps
-from uavrl.configs.train import TrainConfig
+from uavrl.config.settings import TrainConfig
 
 log = logging.getLogger(__name__)
 SPAN = 60.0  # s that the speed is measured over
@@ -116,6 +115,11 @@ class Progress:
     def close(self) -> None:
         """Leaves the line as it is."""
         self._bar.close()
+
+
+def expected_steps(episodes: int, max_steps: int) -> int:
+    """About how many steps random flights make: they end after 50, or after a sixth of many that they may take."""
+    return max(episodes * min(max_steps, 50), episodes * max_steps // 6)
 
 
 def warn_of_random_steps(settings: TrainConfig) -> None:

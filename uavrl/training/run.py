@@ -17,8 +17,8 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 from uavrl.collectors.stall_notice import Silence
 from uavrl.command_line import command_line
-from uavrl.configs import learner_name, settings_of_run, to_dataclass
-from uavrl.configs.train import TrainConfig
+from uavrl.config import learner_name, validate, validate_run
+from uavrl.config.settings import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
@@ -110,7 +110,7 @@ def train(
 
 
 def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], None], *, resume: bool) -> dict[str, Any]:
-    settings: TrainConfig = settings_of_run(config) if resume else to_dataclass(config)
+    settings: TrainConfig = validate_run(config) if resume else validate(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     if resume and never_began(run_dir):

@@ -1,6 +1,5 @@
 """The combinations of a sweep: each has a folder of its own, and is found there when the sweep is started again."""
 
-import copy
 import json
 from pathlib import Path
 
@@ -13,21 +12,15 @@ from uavrl.runs.names import ANY_CHECKPOINT, EPISODES, SUMMARY
 from uavrl.training.run import free
 
 NAME_DIGITS = 6
-FOLLOWING = -1  # stands in a name for the random steps that follow from the run's length
 
 
 def run_folder(config: DictConfig) -> Path:
     """Ends ``config.run_dir`` in the configuration's fingerprint, and returns it.
 
     What does not change what is learned (as ``trainer.episodes``, or what the machine at hand has) is not part of the
-    fingerprint, so that all machines that share a sweep find its runs; nor are random steps
-    that follow from a run's length: a sweep that is started again for longer runs goes on with its runs, whose random
-    steps stay what they were.
+    fingerprint: all machines that share a sweep find its runs, and one that is started again for longer runs goes on.
     """
-    named = copy.deepcopy(config)
-    if OmegaConf.is_interpolation(named.algo, "random_steps"):
-        named.algo.random_steps = FOLLOWING
-    run_dir = Path(f"{Path(config.run_dir).expanduser()}_{fingerprint(named)[:NAME_DIGITS]}")
+    run_dir = Path(f"{Path(config.run_dir).expanduser()}_{fingerprint(config)[:NAME_DIGITS]}")
     OmegaConf.update(config, "run_dir", str(run_dir))
     return run_dir
 

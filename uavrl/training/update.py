@@ -1,15 +1,16 @@
 """One optimisation step of an actor–critic."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.enhancer import Sample
-from uavrl.ranges import Count, Positive, Share
+from uavrl.ranges import Positive, Share
 from uavrl.training.compiled import Execution, FusedSoftUpdate, Minimizer
 
 
@@ -37,7 +38,7 @@ class ActorCriticStepper(OptimizationStepper):
         actor_lr: Positive = 1e-4,
         critic_lr: Positive = 1e-3,
         temperature_lr: Positive = 3e-4,
-        policy_delay: Count = 2,
+        policy_delay: Annotated[int, Field(ge=1, le=10**6)] = 2,
         tau: Share = 0.005,
         execution: Execution = "captured",
     ) -> None:

@@ -1,11 +1,10 @@
 """TorchRL transforms: the LiDAR reduction, the policy's observation and the thesis's rewards."""
 
-from uavrl.transforms.last_action import LastAction
+from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
-from uavrl.transforms.observation import NavigationObservation, navigation_observation
-from uavrl.transforms.point_cloud_reduction import PointCloudReduction
+from uavrl.transforms.observation import LastAction, NavigationObservation, navigation_observation
 from uavrl.transforms.range_image import RangeImage
-from uavrl.transforms.reductions import REDUCTIONS
+from uavrl.transforms.reduction import PointCloudReduction
 from uavrl.transforms.rewards import (
     NavigationReward,
     SumOfTerms,
@@ -15,8 +14,7 @@ from uavrl.transforms.rewards import (
     traditional_reward,
     traditional_terms,
 )
-from uavrl.transforms.state import NavigationState
-from uavrl.transforms.truncated_icosahedron import TruncatedIcosahedron
+from uavrl.transforms.state import REDUCTIONS, NavigationState
 
 __all__ = [
     "REDUCTIONS",

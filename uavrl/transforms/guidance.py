@@ -1,4 +1,4 @@
-"""A guide beside the policy: it flies the first steps, and says of every state what it would do there."""
+"""A scripted controller beside the policy: it acts in the first steps, and in every state says what it would do."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,7 @@ Acts = Callable[[TensorDictBase], TensorDictBase]
 
 
 class Guidance(Transform):
-    """Writes what a guide would do beside each observation.
+    """Writes what a scripted controller would do beside each observation.
 
     Args:
         guide: writes ``action`` into a TensorDict with the environment's observations.
@@ -42,13 +42,10 @@ class Guidance(Transform):
 
 
 class GuidedEnv(TransformedEnv):
-    """An environment whose "random" actions, which TorchRL's collectors begin with, are a guide's with noise.
+    """An environment whose "random" actions, which TorchRL's collectors begin with, are a guide's with ``noise``.
 
-    Flights that arrive are in the buffer from the first update on (after Uchendu et al. (2023), Jump-Start
-    Reinforcement Learning, arXiv:2204.02372, whose guide begins every flight). It holds a :class:`Guidance`.
-
-    Attributes:
-        noise: adds exploration noise to the guide's action.
+    So successful episodes are in the buffer from the first update on (after Uchendu et al. (2023), Jump-Start
+    Reinforcement Learning, arXiv:2204.02372, whose guide begins every episode). It holds a :class:`Guidance`.
     """
 
     noise: Acts

@@ -1,14 +1,14 @@
 """Transitions as they would look in a mirror at the vehicle's side."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from uavrl.transforms.reductions import REDUCTIONS, Reduction
+from uavrl.transforms.state import REDUCTIONS, Reduction
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
@@ -40,7 +40,7 @@ def mirror_observation(
         observation: ``[*B, F * 35]`` (4 more each with ``last_action``), F stacked ones of
             :func:`uavrl.transforms.navigation_observation` with folded angles.
         last_action: whether each observation ends with an action, as :class:`uavrl.transforms.LastAction` makes it.
-        reduction: what its first numbers come from, as in :class:`uavrl.transforms.NavigationState`.
+        reduction: as in :class:`uavrl.transforms.NavigationState`.
 
     Raises:
         ValueError: for another width.
@@ -75,9 +75,9 @@ def mirror_action(action: Tensor) -> Tensor:
 class Mirror(Transform):
     """Shows each transition that a replay buffer samples as its mirror image, half of the time.
 
-    The sensor and the rewards know no difference between left and right, so the image is a transition that could have
-    been flown. The rotors do know one, as they turn the same way in both: flights and their images agree to
-    millimetres, but where commands take the rotors to their limits. Random numbers come from PyTorch's generator.
+    The sensor and the rewards treat left and right alike, so the image is a transition that could have been seen. The
+    rotors turn the same way in both: an episode and its image agree to millimetres, except where commands take the
+    rotors to their limits. Random numbers come from PyTorch's generator.
 
     Args:
         in_keys: the observations, ``[B, F * 35]``, with folded angles.
@@ -110,10 +110,8 @@ class Mirror(Transform):
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(in_keys=[*in_keys, *actions], out_keys=[*in_keys, *actions])
-        self.num_actions = len(actions)
-        self.probability = probability
-        self.last_action = last_action
-        self.reduction = reduction
+        self.num_actions, self.probability = len(actions), probability
+        self.last_action, self.reduction = last_action, reduction
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
@@ -121,11 +119,9 @@ class Mirror(Transform):
         observations, actions = self.in_keys[: -self.num_actions], self.in_keys[-self.num_actions :]
         device = tensordict.get(actions[0]).device
         mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
-        for key in observations:
-            value = tensordict.get(key)
-            image = mirror_observation(value, last_action=self.last_action, reduction=self.reduction)
-            tensordict.set(key, torch.where(mirrored, image, value))
-        for key in actions:
-            value = tensordict.get(key)
-            tensordict.set(key, torch.where(mirrored, mirror_action(value), value))
+        observed = partial(mirror_observation, last_action=self.last_action, reduction=self.reduction)
+        for keys, image in ((observations, observed), (actions, mirror_action)):
+            for key in keys:
+                value = tensordict.get(key)
+                tensordict.set(key, torch.where(mirrored, image(value), value))
         return tensordict

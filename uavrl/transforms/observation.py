@@ -1,4 +1,4 @@
-"""From the reduction's cells, the altitude and the two goal angles to the policy's observation."""
+"""The policy's observation: the reduction's cells, the altitude, the two goal angles, and the action that led to it."""
 
 from collections.abc import Sequence
 from typing import Literal, get_args
@@ -7,7 +7,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
-from torchrl.envs.transforms import ObservationTransform
+from torchrl.envs.transforms import ObservationTransform, Transform
 
 Angles = Literal["folded", "turns", "raw"]
 
@@ -24,16 +24,15 @@ def navigation_observation(
 ) -> Tensor:
     """Chansuparp (2022), §3.2: o = (f_1 … f_32, z, h, g), scaled for a network.
 
-    The faces are divided by the ball's radius and the altitude becomes z / p_approAlt - 1. The angles
-    are folded to [-1, 1] with 0 = facing the goal, because the thesis's 0 to 360 degrees jump exactly
-    there. For comparison ``angles="raw"`` keeps 0 to 360 degrees, and ``"turns"`` divides them by 360:
-    they still jump, but are as small as the other numbers.
+    The faces are divided by the ball's radius and the altitude becomes z / p_approAlt - 1. The angles are folded to
+    [-1, 1] with 0 = facing the goal, because the thesis's 0 to 360 degrees jump exactly there. For comparison
+    ``angles="raw"`` keeps the degrees, and ``"turns"`` divides them by 360: they still jump, but are small.
 
     Args:
         faces: ``[*B, 32]``, m; or another reduction's ``[*B, cells]``.
         altitude: ``[*B, 1]``, m.
         heading_deg: ``[*B, 1]``, degrees in [0, 360).
-        elevation_deg: ``[*B, 1]``, degrees in [0, 360).
+        elevation_deg: as well.
         radius: the ball's radius, m.
         flight_level: p_approAlt, m.
         angles: ``"folded"``, ``"turns"`` or ``"raw"``.
@@ -55,12 +54,10 @@ def navigation_observation(
 
 
 class NavigationObservation(ObservationTransform):
-    """Writes the policy's observation of one frame, see :func:`navigation_observation`.
+    """Writes the policy's observation of one frame.
 
     Args:
-        radius: the ball's radius, m.
-        flight_level: p_approAlt, m.
-        angles: ``"folded"`` to [-1, 1], the thesis's ``"raw"`` degrees, or these as ``"turns"`` of 360.
+        radius, flight_level, angles: as in :func:`navigation_observation`.
         in_keys: keys of the faces, the altitude, the heading and the elevation.
         out_keys: where the observation goes.
 
@@ -112,8 +109,54 @@ class NavigationObservation(ObservationTransform):
         """Adds the observation's spec: one float per face, altitude and angle."""
         assert isinstance(observation_spec, Composite)
         specs = [observation_spec[key] for key in self.in_keys]
-        width = sum(spec.shape[-1] for spec in specs)
-        observation_spec[self.out_keys[0]] = Unbounded(
-            shape=(*specs[0].shape[:-1], width), dtype=specs[0].dtype, device=specs[0].device
-        )
+        shape = (*specs[0].shape[:-1], sum(spec.shape[-1] for spec in specs))
+        observation_spec[self.out_keys[0]] = Unbounded(shape, specs[0].device, specs[0].dtype)
         return observation_spec
+
+
+class LastAction(Transform):
+    """Writes beside an observation which action led to it, zeros after a reset.
+
+    A vehicle's last command says how it moves now. Join it to the observation by TorchRL's ``CatTensors``.
+
+    Args:
+        in_keys: key of the action.
+        out_keys: where the last one goes.
+
+    Raises:
+        ValueError: for another number of keys than one and one.
+
+    Examples:
+        >>> from torchrl.envs import GymEnv, TransformedEnv
+        >>> env = TransformedEnv(GymEnv("Pendulum-v1"), LastAction())
+        >>> env.rollout(3, lambda tensordict: tensordict.set("action", torch.ones(1)))["last_action"].flatten().tolist()
+        [0.0, 1.0, 1.0]
+    """
+
+    def __init__(
+        self, *, in_keys: Sequence[NestedKey] = ("action",), out_keys: Sequence[NestedKey] = ("last_action",)
+    ) -> None:
+        if len(in_keys) != 1 or len(out_keys) != 1:
+            raise ValueError(f"LastAction takes one in_key and one out_key, got {list(in_keys)} and {list(out_keys)}.")
+        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Stored transitions with the action beside the next observation."""
+        self._step(tensordict, tensordict.get("next"))
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set(self.out_keys[0], tensordict.get(self.in_keys[0]))
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.set(self.out_keys[0], self._action_spec().zero())
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds the last action, of the action's spec."""
+        assert isinstance(observation_spec, Composite)
+        observation_spec[self.out_keys[0]] = self._action_spec().clone()
+        return observation_spec
+
+    def _action_spec(self) -> TensorSpec:
+        assert self.parent is not None, "only an environment's transform is reset"
+        return self.parent.full_action_spec[self.in_keys[0]]

@@ -6,16 +6,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from uavrl.transforms.functional import (
+from uavrl.transforms.reduction import (
     TOUCHING,
+    PointCloudReduction,
     Statistic,
     check_points,
-    check_radius,
-    check_statistic,
-    is_return,
+    least_of,
     reported,
+    returns_of,
 )
-from uavrl.transforms.point_cloud_reduction import PointCloudReduction
 
 __all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "grid_directions", "range_image", "range_image_directions"]
 
@@ -55,15 +54,12 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
     """Reduces point clouds to 72 distances, one for each cell of 15 degrees of azimuth and 10 of elevation.
 
     A VLP-16 sees 15 degrees up and down. Of the 32 faces of a truncated icosahedron a dozen lie there, each some 40
-    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells. Only returns
-    count, see `uavrl.transforms.functional.is_return`: misses are NaN, infinite or zeros.
+    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells.
 
     Args:
-        points: ``[*B, P, 3]`` in metres, float32 or float64, in the sensor frame (x forward, y left, z up), in any
-            order; ``P`` may be 0.
+        points: ``[*B, P, 3]``, as in `uavrl.transforms.icosahedron.truncated_icosahedron`.
         radius: of the ball in metres.
-        statistic: as in `uavrl.transforms.functional.truncated_icosahedron`; ``"face"`` is the distance to the point
-            where the cell's middle meets the ball.
+        statistic: as there; ``"face"`` is the distance to the point where the cell's middle meets the ball.
 
     Returns:
         ``[*B, 72]`` in metres within [0, ``radius``] (``"face"``: cut there), in the order of
@@ -79,13 +75,9 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
         >>> image.shape, image.nonzero().tolist(), image[1].item()
         (torch.Size([72]), [[1]], 1.0)
     """
-    check_points(points)
-    check_radius(radius)
-    check_statistic(statistic)
-    batch, cells = points.shape[:-2], AZIMUTHS * ELEVATIONS
-    radius = float(radius)
-    kept = is_return(points, radius).reshape(-1).nonzero()[:, 0]  # most of a scan's points are misses
-    x, y, z = (coordinate.reshape(-1).index_select(0, kept) for coordinate in points.unbind(-1))
+    check_points(points, radius, statistic)
+    shape, radius = (*points.shape[:-2], AZIMUTHS * ELEVATIONS), float(radius)
+    x, y, z, cloud = returns_of(points, radius)
     across = (x * x + y * y).sqrt()
     column = (torch.atan2(y, x) * (AZIMUTHS / math.tau)).round().long().remainder(AZIMUTHS)
     row = (torch.atan2(z, across) / HEIGHT).add_((ELEVATIONS - 1) / 2).round().long().clamp(0, ELEVATIONS - 1)
@@ -94,28 +86,17 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
         middles = radius * range_image_directions(dtype=points.dtype, device=points.device)
         x, y, z = (at - middle.index_select(0, cell) for at, middle in zip((x, y, z), middles.T, strict=True))
     lengths = (x * x + y * y).addcmul_(z, z).sqrt().clamp(TOUCHING * radius, radius)
-    cloud = kept.div(max(points.shape[-2], 1), rounding_mode="floor")
-    least = points.new_full((batch.numel() * cells,), torch.inf)
-    least = least.scatter_reduce(0, cloud * cells + cell, lengths, "amin").reshape(*batch, cells)
-    return reported(least, radius, statistic)
+    return reported(least_of(lengths, cloud, cell, shape), radius, statistic)
 
 
 class RangeImage(PointCloudReduction):
-    """Reduces point clouds to the 72 distances of a coarse range image.
+    """Reduces point clouds to the 72 distances of a coarse range image, and drops them.
 
-    The maths is `uavrl.transforms.range_image.range_image`. The cloud itself is dropped.
-
-    Args:
-        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame; NaN, inf or zeros where a ray hit nothing.
-        out_keys: one key per cloud for ``[*B, 72]`` in metres, within [0, ``radius``].
-        radius: of the ball in metres.
-        statistic: as in `uavrl.transforms.TruncatedIcosahedron`, but ``"proximity"`` if nothing is said.
-        del_keys: whether the point clouds are removed. ``False`` keeps them beside the cells.
+    The arguments are those of :class:`uavrl.transforms.PointCloudReduction`; ``statistic`` is ``"proximity"`` by
+    default.
 
     Examples:
-        >>> import torch
         >>> from tensordict import TensorDict
-        >>> from uavrl.transforms import RangeImage
         >>> reduce = RangeImage()
         >>> reduce(TensorDict(point_cloud=torch.full((2, 28928, 3), torch.nan), batch_size=[2]))["faces"].shape
         torch.Size([2, 72])

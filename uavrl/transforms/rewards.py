@@ -56,7 +56,7 @@ def traditional_terms(
 
     Args:
         distance_tm1: distance to the goal before the step, ``[*B]``, m.
-        distance_t: distance to the goal after the step, ``[*B]``, m.
+        distance_t: the same after the step.
         arrived_t: bool ``[*B]``.
         collided_t: bool ``[*B]``; wins where both are true.
         arrived_reward: r_g.
@@ -75,19 +75,15 @@ def traditional_terms(
     return _with_ends(terms, arrived_t, collided_t, arrived_reward, collided_reward)
 
 
-def traditional_reward(
-    distance_tm1: Tensor, distance_t: Tensor, arrived_t: Tensor, collided_t: Tensor, **options: float
-) -> Tensor:
+def traditional_reward(*quantities: Tensor, **options: Any) -> Tensor:
     """The sum ``[*B]`` of :func:`traditional_terms`, which takes the same arguments.
 
     Examples:
         >>> t = torch.tensor
-        >>> traditional_reward(
-        ...     t([5.0, 5.0, 5.0]), t([4.5, 1.0, 4.9]), t([False, True, False]), t([False, False, True])
-        ... ).tolist()
-        [0.5, 50.0, -50.0]
+        >>> traditional_reward(t(5.0), t(4.5), t(False), t(False)).item()
+        0.5
     """
-    return total(traditional_terms(distance_tm1, distance_t, arrived_t, collided_t, **options))
+    return total(traditional_terms(*quantities, **options))
 
 
 def navigation_terms(
@@ -116,7 +112,7 @@ def navigation_terms(
 
     Args:
         distance_tm1: distance to the goal before the step, ``[*B]``, m.
-        distance_t: distance to the goal after the step, ``[*B]``, m.
+        distance_t: the same after the step.
         altitude_t: height z, ``[*B]``, m.
         heading_deg_t: h, angle between the UAV's head and the goal, ``[*B]``, degrees in [0, 360).
         elevation_deg_t: g, angle between the UAV's position and the goal, ``[*B]``, degrees in [0, 360).
@@ -177,6 +173,10 @@ class SumOfTerms(Transform):
             )
         return value
 
+    def _quantities(self, before: TensorDictBase, after: TensorDictBase) -> list[Tensor]:
+        """The first in-key's value before the step, and all values after it."""
+        return [self._get(before, self.in_keys[0]), *(self._get(after, key) for key in self.in_keys)]
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set(self.out_keys[0], total(self.terms(tensordict, next_tensordict)))
 
@@ -185,8 +185,11 @@ class SumOfTerms(Transform):
         return tensordict.set("next", self._step(tensordict, tensordict.get("next")))
 
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
-        """The reward is one unbounded float per environment."""
-        return with_reward(reward_spec, self.out_keys[0])
+        """An unbounded float under the out-key, in the place of an environment's own reward or beside it."""
+        key, known = self.out_keys[0], reward_spec.keys(True, True)
+        like = reward_spec[key if key in known else next(iter(known))]
+        reward_spec[key] = Unbounded(shape=like.shape, dtype=like.dtype, device=like.device)
+        return reward_spec
 
 
 def terms_of(env: TransformedEnv) -> RewardTerms | None:
@@ -200,17 +203,8 @@ def terms_of(env: TransformedEnv) -> RewardTerms | None:
         ['progress', 'arrival', 'collision']
     """
     kept = {key for spec in (env.observation_spec, env.full_done_spec) for key in spec.keys(True, True)}
-    having = (part for part in env.transform.modules() if hasattr(part, "terms"))
-    part = next(having, None)
+    part = next((part for part in env.transform.modules() if hasattr(part, "terms")), None)
     return part.terms if part is not None and kept.issuperset(part.in_keys) else None
-
-
-def with_reward(reward_spec: TensorSpec, key: NestedKey) -> TensorSpec:
-    """The rewards' spec with an unbounded float under ``key``, in the place of an environment's own or beside it."""
-    known = reward_spec.keys(True, True)
-    like = reward_spec[key if key in known else next(iter(known))]
-    reward_spec[key] = Unbounded(shape=like.shape, dtype=like.dtype, device=like.device)
-    return reward_spec
 
 
 class TraditionalReward(SumOfTerms):
@@ -220,8 +214,7 @@ class TraditionalReward(SumOfTerms):
         arrived_reward: r_g.
         collided_reward: r_c.
         distance: key of the distance to the goal, m.
-        arrived: key of the bool that tells an arrival.
-        collided: key of the bool that tells a collision.
+        arrived, collided: keys of the bools that say how an episode has ended.
         out_key: where the reward goes.
 
     Raises:
@@ -245,16 +238,12 @@ class TraditionalReward(SumOfTerms):
         out_key: NestedKey = "reward",
     ) -> None:
         super().__init__(in_keys=[distance, arrived, collided], out_keys=[out_key])
-        self.arrived_reward = arrived_reward
-        self.collided_reward = collided_reward
+        self.arrived_reward, self.collided_reward = arrived_reward, collided_reward
 
     def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
         """As :func:`traditional_terms` gives them."""
         return traditional_terms(
-            self._get(before, self.in_keys[0]),
-            *(self._get(after, key) for key in self.in_keys),
-            arrived_reward=self.arrived_reward,
-            collided_reward=self.collided_reward,
+            *self._quantities(before, after), arrived_reward=self.arrived_reward, collided_reward=self.collided_reward
         )
 
 
@@ -262,17 +251,9 @@ class NavigationReward(SumOfTerms):
     """The thesis's reward for navigation (Chansuparp (2022), Eq. 3.6), see :func:`navigation_terms`.
 
     Args:
-        weights: w_1 to w_4.
-        flight_level: p_approAlt, m.
-        collided_reward: r_collided (-50, or -10 with LifeGuard).
-        arrived_reward: added on arrival; 0 is the thesis's.
-        altitude_term: ``"absolute"`` or the thesis's ``"literal"`` form.
-        distance: key of the distance to the goal, m.
-        altitude: key of the altitude, m.
-        heading: key of h, degrees.
-        elevation: key of g, degrees.
-        arrived: key of the bool that tells an arrival.
-        collided: key of the bool that tells a collision.
+        weights, flight_level, collided_reward, arrived_reward, altitude_term: as in :func:`navigation_terms`.
+        distance, altitude, heading, elevation: keys of what it reads, in m and degrees.
+        arrived, collided: keys of the bools that say how an episode has ended.
         out_key: where the reward goes.
 
     Raises:
@@ -280,7 +261,6 @@ class NavigationReward(SumOfTerms):
         KeyError: when a key is missing from the data.
 
     Examples:
-        >>> from torchrl.envs import TransformedEnv
         >>> from uavrl.envs import NavigationEnv
         >>> env = TransformedEnv(NavigationEnv(num_uavs=2), NavigationReward())
         >>> bool((env.rollout(3)["next", "reward"] != 0).all())
@@ -310,15 +290,13 @@ class NavigationReward(SumOfTerms):
         super().__init__([distance, altitude, heading, elevation, arrived, collided], [out_key])
         self.weights = tuple(weights)
         self.flight_level = flight_level
-        self.collided_reward = collided_reward
-        self.arrived_reward = arrived_reward
+        self.arrived_reward, self.collided_reward = arrived_reward, collided_reward
         self.altitude_term: AltitudeTerm = altitude_term
 
     def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
         """As :func:`navigation_terms` gives them."""
         return navigation_terms(
-            self._get(before, self.in_keys[0]),
-            *(self._get(after, key) for key in self.in_keys),
+            *self._quantities(before, after),
             weights=self.weights,
             flight_level=self.flight_level,
             collided_reward=self.collided_reward,

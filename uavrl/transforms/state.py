@@ -1,15 +1,22 @@
 """From the raw scan to the policy's state, in one piece."""
 
 from collections.abc import Iterator
+from typing import Annotated, Literal
 
+from pydantic import Field
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
-from uavrl.ranges import Count, Positive
-from uavrl.transforms.functional import Statistic
-from uavrl.transforms.last_action import LastAction
-from uavrl.transforms.observation import Angles, NavigationObservation
-from uavrl.transforms.reductions import REDUCTIONS, Reduction
+from uavrl.ranges import Positive
+from uavrl.transforms.icosahedron import TruncatedIcosahedron
+from uavrl.transforms.observation import Angles, LastAction, NavigationObservation
+from uavrl.transforms.range_image import RangeImage
+from uavrl.transforms.reduction import PointCloudReduction, Statistic
 
+Reduction = Literal["truncated_icosahedron", "range_image"]
+REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
+    "truncated_icosahedron": TruncatedIcosahedron,
+    "range_image": RangeImage,
+}
 ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1); a network reads it as 1
 
 
@@ -46,11 +53,11 @@ class NavigationState(Compose):
 
     def __init__(
         self,
-        radius: Positive = 4.0,
+        radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         statistic: Statistic | None = None,
         flight_level: Positive = 3.5,
         angles: Angles = "folded",
-        frames: Count = 3,
+        frames: Annotated[int, Field(ge=1, le=1000)] = 3,
         *,
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,

@@ -39,18 +39,17 @@ def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:
 
 
 def page_data(recording: Recording) -> dict[str, Any]:
-    """All that the page shows, as JSON."""
+    """The content of the page, as JSON."""
     scans = sum(len(flight.times) for flight in recording.flights)
     most = max(POINT_BYTES // (6 * max(scans, 1)), 20)
     place = next(iter(recording.sceneries.values()), None)
     shape = football(4.0) if place is None else shell(place.directions, place.ball)
-    parts = vehicle()
     return {
         "source": recording.source,
         "colours": {**OUTCOMES, "body": BODY, "plane": PLANE, "goal": GOAL},
         "vehicle": [
-            {"vertices": pack(part.mesh.vertices), "triangles": pack(part.mesh.faces), "colour": part.colour}
-            for part in parts
+            {"vertices": pack(mesh.vertices), "triangles": pack(mesh.faces), "colour": colour}
+            for mesh, colour in vehicle()
         ],
         "ball": {name: pack(value) for name, value in shape._asdict().items()},
         "sceneries": {str(seed): _scenery(scenery) for seed, scenery in recording.sceneries.items()},
@@ -59,7 +58,7 @@ def page_data(recording: Recording) -> dict[str, Any]:
 
 
 def above_ground(scenery: Scenery) -> dict[str, np.ndarray]:
-    """Returns ``vertices``, ``triangles`` and ``kinds`` of what can be seen of the obstacles from inside the valley.
+    """Returns ``vertices``, ``triangles`` and ``kinds`` of the parts of obstacles that are visible inside the valley.
 
     Triangles under the ground or beyond the valley's edge are left out; corners that stick through it are put on it.
     """
@@ -84,19 +83,14 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
     clouds = [thinned(flight.cloud(moment), most) for moment in range(len(flight.times))]
     points = np.concatenate(clouds)
     farthest = float(np.abs(points).max(initial=1e-3))
-    summary = flight.summary
+    shown = ("task", "world_seed", "outcome", "steps", "path_efficiency", "clearance")
     return {
         **data,
-        "observations": None,  # the page shows what they are made of
+        "observations": None,  # the page shows the scans instead
         "points": pack(points, scale=farthest / 32767),
         "point_ends": pack(np.cumsum([len(cloud) for cloud in clouds])),
         "reward_names": list(flight.reward_names),
-        "task": summary.task,
-        "world_seed": summary.world_seed,
-        "outcome": summary.outcome,
-        "steps": summary.steps,
-        "path_efficiency": summary.path_efficiency,
-        "clearance": summary.clearance,
+        **{name: getattr(flight.summary, name) for name in shown},
         "whereabouts": flight.whereabouts,
     }
 
@@ -104,13 +98,11 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
 def make_page(recording: Recording) -> str:
     """The page, with its data, its programs and plotly's inside."""
     data = json.dumps(page_data(recording), separators=(",", ":")).replace("<", "\\u003c")
-    assets = resources.files("uavrl.reporting") / "assets"
-    texts = {
-        name: (assets / name).read_text(encoding="utf-8") for name in ("flight.css", "flight_charts.js", "flight.js")
-    }
+    assets = resources.files("uavrl.viewer") / "assets"
+    page, *texts = ((assets / f"flight{end}").read_text("utf-8") for end in (".html", ".css", "_charts.js", ".js"))
+    marks = ("flight.css", "flight_charts.js", "flight.js", "plotly.js", "data.json")
     # No fragment holds another one's mark, so the order of the replacements does not matter.
-    page = (assets / "flight.html").read_text(encoding="utf-8")
-    for mark, text in {**texts, "plotly.js": needs_plotly(), "data.json": data}.items():
+    for mark, text in zip(marks, [*texts, needs_plotly(), data], strict=True):
         before, found, after = page.partition(f"/*{mark}*/")
         assert found, f"flight.html has no place for {mark}"
         page = before + text + after

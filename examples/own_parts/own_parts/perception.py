@@ -8,7 +8,7 @@ from torchrl.envs import CatFrames, Compose
 
 from uavrl.ranges import Count, Positive
 from uavrl.transforms import NavigationObservation, PointCloudReduction
-from uavrl.transforms.functional import is_return
+from uavrl.transforms.reduction import is_return
 
 SECTORS = 8
 

@@ -1,0 +1,88 @@
+"""What a run of an older uavrl has recorded is read as it was meant, or refused."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from omegaconf import DictConfig, OmegaConf
+
+from tests.helpers.configs import changed
+from uavrl.config import validate, validate_run
+from uavrl.config.build import TARGET, find_class
+from uavrl.config.recorded import GONE, MOVED, renewed
+from uavrl.errors import UavrlError
+from uavrl.rollout.policies import PACKAGED, packaged_policies
+from uavrl.runs.config import load_config
+
+
+@pytest.mark.parametrize(("before", "now"), MOVED.items())
+def test_a_class_that_has_moved_is_found_where_it_lies(before: str, now: str) -> None:
+    assert find_class(now, object).__name__ == before.rpartition(".")[2]
+    config = changed(["guide=vfh"])
+    expected = validate(config)
+    for part in config.values():
+        if isinstance(part, DictConfig) and part.get(TARGET) == now:
+            part[TARGET] = before
+    assert validate_run(config) == expected
+
+
+def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogCaptureFixture) -> None:
+    config = changed(["fork=on"])
+    before = validate(config)
+    OmegaConf.set_struct(config, False)
+    config.fork.gamma, config.fork.system_network.actions, config.buffer.frames = 0.5, 9, 1
+    assert validate_run(config) == before
+    assert config.fork.gamma == 0.5, "what it was trained with is recognised by all that was recorded"
+    assert "fork.gamma in the run's configuration was never used: it is left out." in caplog.text
+
+
+def test_the_policy_of_a_run_with_products_of_before_still_loads() -> None:
+    config = changed(["fork=on"])
+    config.trainer.products = "bf16"
+    assert validate_run(config).trainer.products == "mkl"
+
+
+@pytest.mark.parametrize("name", packaged_policies())
+def test_packaged_policies_are_read_without_a_word(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    config = load_config(PACKAGED / name / "config.yaml")
+    before = config.copy()
+    assert validate_run(config).algo._target_ == config.algo._target_
+    assert config == before and not caplog.records
+
+
+TODAY = ["backward_reward=abr", "reward=traditional", "fork=on"]
+
+
+def recorded_before() -> DictConfig:
+    """With every key that there is no longer."""
+    config = changed(TODAY)
+    OmegaConf.set_struct(config, False)
+    for key, value in GONE.items():
+        OmegaConf.update(config, key, 1000 if value is None else value, force_add=True)
+    return config
+
+
+def test_a_run_with_keys_of_before_still_loads_where_they_say_what_is_done_today() -> None:
+    assert validate_run(recorded_before()) == validate(changed(TODAY))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("env.goal_angle", "course"),
+        ("reward.time_cost", 0.25),
+        ("backward_reward.scale", "centred"),
+        ("fork.variant", "bipedal"),
+    ],
+)
+def test_and_is_refused_where_they_say_something_else(key: str, value: object) -> None:
+    config = recorded_before()
+    OmegaConf.update(config, key, value)
+    with pytest.raises(UavrlError, match=f"^The run was flown with {re.escape(key)}={value}, which there no longer is"):
+        validate_run(config)
+
+
+def test_a_key_of_somebody_elses_part_stays() -> None:
+    config = OmegaConf.create({"env": {TARGET: "own_parts.env.Corridor", "goal_angle": "course"}})
+    assert renewed(config) == config

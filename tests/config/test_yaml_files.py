@@ -1,0 +1,183 @@
+"""What the yaml files compose to, and what a preset or a choice changes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from tests.helpers.configs import composed
+from uavrl.config import EvaluateConfig, TrainConfig, compose, conf_dir, learner_name, resolve, validate
+from uavrl.config.parts import PARTS
+from uavrl.config.values import to_plain
+from uavrl.errors import UavrlError
+
+FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
+CHOICES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experiment", "learner", "preset")]
+YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
+
+
+def settings(*overrides: str) -> TrainConfig:
+    return validate(composed("config", *overrides))
+
+
+def part(group: str, *overrides: str) -> dict[str, Any]:
+    return to_plain(getattr(settings(*overrides), group))  # type: ignore[no-any-return]
+
+
+# ---------------------------------------------------------------------- composing
+
+
+@pytest.mark.parametrize(("group", "name"), CHOICES)
+def test_every_choice_composes_for_training_and_says_so(group: str, name: str) -> None:
+    config = settings(f"{group}={name}")
+    assert config.choices[group] == name
+    assert group not in PARTS or (getattr(config, group)._target_ is None) == (name == "none")
+
+
+@pytest.mark.parametrize("name", ["static", "dynamic"])
+def test_every_environment_composes_for_evaluation(name: str) -> None:
+    config = validate(composed("evaluate", f"env={name}"), EvaluateConfig)
+    assert config.choices["env"] == name
+
+
+@pytest.mark.parametrize("algo", ["td3", "ddpg", "sac"])
+@pytest.mark.parametrize("enhancers", [[], ["fork=on", "lifeguard=mlp"]], ids=["bare", "enhanced"])
+def test_what_a_run_writes_is_read_as_it_was(algo: str, enhancers: list[str], tmp_path: Path) -> None:
+    config = resolve(composed("config", f"algo={algo}", "run_dir=here", "env=dynamic", *enhancers))
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
+    again = OmegaConf.load(tmp_path / "config.yaml")
+    assert resolve(again) == config
+    assert validate(again) == validate(config)
+
+
+def test_a_configuration_that_names_no_classes_is_of_an_older_uavrl() -> None:
+    old = OmegaConf.create({"algo": {"name": "td3", "gamma": 0.99}, "env": {"name": "static"}, "seed": 0})
+    with pytest.raises(UavrlError, match=r"older uavrl, which named no classes: start a new run"):
+        validate(old)
+
+
+@pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_every_key_has_a_comment(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    hydra = next((i for i, line in enumerate(lines) if line.startswith("hydra:")), len(lines))
+    bare = [
+        line
+        for line in lines[:hydra]
+        if re.match(r"\s*\w+:", line)
+        and "#" not in line
+        and not re.match(r"\s*(defaults|_target_|name|world|trainer|algo|env|buffer):", line)
+    ]
+    assert not bare
+
+
+# ---------------------------------------------------------------------- what is told of another choice
+
+
+@pytest.mark.parametrize(
+    ("overrides", "name"),
+    [
+        ([], "td3"),
+        (["learner=td3_lg"], "td3_lg"),
+        (["fork=on", "lifeguard=mlp"], "td3_fork_lg_mlp"),
+        (["algo=ddpg", "fork=on", "backward_reward=abr"], "ddpg_fork_abr"),
+    ],
+)
+def test_run_folders_are_named_for_what_learns(overrides: list[str], name: str) -> None:
+    config = composed("config", *overrides)
+    assert learner_name(config.choices) == name
+    assert f"_static_{name}_navigation_prize_seed0" in config.run_dir
+
+
+def test_the_thesis_pays_less_for_a_collision_with_lifeguard() -> None:
+    def cost(*overrides: str) -> float:
+        return settings(*overrides).reward.collided_reward
+
+    assert (cost(), cost("lifeguard=linear"), cost("learner=td3_fork", "scheme=abr")) == (-50.0, -50.0, -50.0)
+    assert (cost("learner=td3_lg"), cost("learner=td3_lg", "scheme=abr_plus")) == (-10.0, -10.0)
+    assert (cost("learner=td3_lg", "scheme=tr"), cost("learner=td3_lg", "reward.collided_reward=-50")) == (-50.0, -50.0)
+
+
+def test_forks_weight_fades_at_a_return_that_the_reward_can_reach() -> None:
+    def fades_at(*overrides: str) -> float:
+        return settings("fork=on", *overrides).fork.max_reward
+
+    assert (fades_at(), fades_at("reward=navigation"), fades_at("scheme=abr_plus")) == (460.0, 460.0, 460.0)
+    assert (fades_at("reward=traditional"), fades_at("scheme=tr")) == (66.0, 66.0)
+    assert fades_at("scheme=tr", "fork.max_reward=80") == 80.0
+
+
+def test_the_prize_is_what_loitering_for_ever_would_earn() -> None:
+    prize, thesis = part("reward", "reward=navigation_prize"), part("reward", "reward=navigation")
+    assert thesis.pop("arrived_reward") == 0.0
+    gamma = part("algo")["gamma"]
+    assert prize.pop("arrived_reward") == pytest.approx(sum(thesis["weights"][1:]) / (1 - gamma))
+    assert prize == thesis
+
+
+def test_the_dynamic_environment_differs_in_its_planes_only() -> None:
+    dynamic, static = part("env", "env=dynamic"), part("env")
+    assert dynamic["world"].pop("planes") == 3 and static["world"].pop("planes") == 0
+    assert dynamic == static
+
+
+def test_the_lidars_range_and_the_observations_altitude_follow() -> None:
+    assert settings("perception.radius=5.5").perception.lidar.max_range == 5.5
+    assert settings("env.world.flight_level=3").perception.flight_level == 3.0
+
+
+def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn() -> None:
+    plain_run, fast = settings(), settings("preset=fast", "algo.n_steps=5", "collector=sync")
+    assert (plain_run.algo.n_steps, plain_run.algo.layer_norm, plain_run.algo.exploration_spread) == (1, False, 1.0)
+    assert (plain_run.buffer.mirror, plain_run.trainer.until_success) == (False, None)
+    assert (fast.algo.n_steps, fast.algo.critic.layer_norm, fast.buffer.mirror) == (5, True, True)
+    assert fast.algo.actor.hidden == [256, 256]
+    assert [fast.choices[group] for group in ("collector", "backward_reward", "reward")] == [
+        "sync",
+        "abr",
+        "navigation_prize",
+    ]
+    assert settings("preset=fast", "env=dynamic").env.world.planes == 3
+
+
+# ---------------------------------------------------------------------- presets
+
+
+@pytest.mark.parametrize(
+    ("overrides", "angles", "term", "reward"),
+    [
+        (["preset=thesis"], "raw", None, "traditional"),
+        (["preset=thesis", "scheme=abr_printed"], "raw", "literal", "navigation_printed"),
+        (["preset=thesis", "scheme=abr_plus_printed"], "raw", "literal", "navigation_printed"),
+        (["preset=thesis", "scheme=abr"], "raw", "absolute", "navigation"),
+        (["preset=thesis", "scheme=abr_printed", "perception.angles=turns"], "turns", "literal", "navigation_printed"),
+        (["scheme=abr"], "folded", "absolute", "navigation"),
+    ],
+)
+def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, term: str | None, reward: str) -> None:
+    config = compose(*overrides)
+    found = (config.perception.angles, config.reward.get("altitude_term"), config.choices.reward)
+    assert found == (angles, term, reward)
+
+
+def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
+    config, fast = compose("preset=best"), compose("preset=fast")
+    assert (config.algo.random_steps, fast.algo.random_steps) == (15_000, 2000)
+    assert {**config.algo, "random_steps": 2000} == dict(fast.algo)
+    assert (config.guide.reduction, compose("guide=vfh").guide.reduction) == ("range_image", "truncated_icosahedron")
+    assert (config.choices.reward, config.choices.backward_reward) == ("traditional", "none")
+    assert config.enhancer.weight == 1.0
+    assert (config.perception.statistic, config.perception.last_action) == ("proximity", True)
+    perceptions = [
+        to_plain(dict(compose(f"perception={name}").perception)) for name in ("truncated_icosahedron", "range_image")
+    ]
+    assert perceptions[1] == perceptions[0] | {"reduction": "range_image", "statistic": "proximity"}
+
+
+def test_only_the_runs_name_is_worked_out_by_code_of_ours() -> None:
+    ours = r"\$\{(?!now:)(?!\w+:\w+\})\w+:"  # a call: ${run_name:}, ${where:a,b}
+    called = {call for path in YAML_FILES for call in re.findall(ours, path.read_text())}
+    assert called == {"${run_name:"}

@@ -1,0 +1,75 @@
+"""Which choices and keys there are on the command line, and which of them contradict each other."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from uavrl.config.yaml_files import conf_dir
+from uavrl.errors import UavrlError
+
+ROWS = ("scheme", "learner")  # groups whose choices stand for choices of other groups
+
+
+def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:
+    """All keys and groups of ``conf/NAME.yaml`` with every choice of its groups, dotted.
+
+    Args:
+        name: of the yaml file.
+        own: the user's folders of yaml files, beside ours.
+    """
+    config = _content(conf_dir() / f"{name}.yaml")
+    groups = {str(group) for entry in config["defaults"] if isinstance(entry, dict) for group in entry}
+    keys = _dotted(config)
+    for folder in (conf_dir(), *own):
+        for path in folder.glob("*/*.yaml"):
+            if (group := path.parent.name) in groups:
+                keys |= {group, *(f"{group}.{key}" for key in _dotted(_of_group(path)))}
+    return sorted(keys)
+
+
+def choices_with(key: str, own: Sequence[Path] = ()) -> list[str]:
+    """The choices of a group whose yaml has a dotted key of it, or whose base has it."""
+    group, _, below = key.partition(".")
+    files = {path.stem: path for folder in (conf_dir(), *own) for path in folder.glob(f"{group}/*.yaml")}
+
+    def has(stem: str) -> bool:
+        bases = _content(files[stem]).get("defaults", []) if stem in files else []
+        return stem in files and (below in _dotted(_of_group(files[stem])) or any(has(str(base)) for base in bases))
+
+    return sorted(filter(has, files))
+
+
+def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -> None:
+    """Refuses choices that a scheme or a learner contradicts, one of the user's folders too."""
+    for row in ROWS:
+        contents = (_content(folder / row / f"{choices.get(row)}.yaml") for folder in (conf_dir(), *own))
+        for entry in next(filter(None, contents), {}).get("defaults", []):
+            for override, chosen in entry.items() if isinstance(entry, dict) else []:
+                group = str(override).removeprefix("override /")
+                if choices.get(group) != chosen:
+                    raise UavrlError(
+                        f"{row}={choices[row]} stands for {group}={chosen}, and {group}={choices.get(group)} was "
+                        f"chosen: leave one of the two out."
+                    )
+
+
+def _of_group(path: Path) -> Any:
+    """What a file holds of its group; one that is at home at the root names it."""
+    content = _content(path)
+    return content.get(path.parent.name, content)
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """What a yaml file holds; nothing where it cannot be read, as one of the user's that was not chosen may be."""
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _dotted(node: object, above: str = "") -> set[str]:
+    keys = [key for key in node if key not in ("defaults", "hydra", "_target_")] if isinstance(node, dict) else []
+    return {f"{above}{key}" for key in keys} | {each for key in keys for each in _dotted(node[key], f"{above}{key}.")}  # type: ignore[index]

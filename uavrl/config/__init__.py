@@ -1,0 +1,16 @@
+"""From yaml to objects: what a command line composes, validated, and the classes that it names."""
+
+from uavrl.config.settings import EvaluateConfig, TrainConfig
+from uavrl.config.validation import resolve, validate, validate_run
+from uavrl.config.yaml_files import compose, conf_dir, learner_name
+
+__all__ = [
+    "EvaluateConfig",
+    "TrainConfig",
+    "compose",
+    "conf_dir",
+    "learner_name",
+    "resolve",
+    "validate",
+    "validate_run",
+]

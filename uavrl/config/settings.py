@@ -1,0 +1,111 @@
+"""Settings of a training, and of what flies without learning. Meanings and units stand in the yaml."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from uavrl.config.parts import Part
+from uavrl.config.sentences import require
+from uavrl.ranges import Count, Folder, Rule, Seed, Share, Text
+
+NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
+Execution = Literal["eager", "captured", "compiled", "auto"]
+Products = Literal["mkl", "onednn", "auto"]
+Threads = Annotated[int, Field(ge=1, le=256)]
+Valleys = Annotated[
+    tuple[int, ...], Rule("null or a list of seeds from 0", lambda seeds: len(seeds) > 0 and min(seeds) >= 0)
+]
+
+
+@dataclass
+class TrainerConfig:
+    """conf/trainer."""
+
+    episodes: Count = 5000
+    steps: Count | None = None
+    until_success: Share | None = None
+    updates_per_step: Annotated[float, Field(gt=0, le=100)] = 1.0
+    window: Count = 500
+    checkpoint_interval: Count = 20_000
+    keep_checkpoints: Count = 2
+    threads: Threads = 1
+    execution: Execution = "auto"
+    products: Products = "auto"
+    progress: bool = True
+
+
+@dataclass
+class TrainConfig:
+    """conf/config.yaml: one training run. A part holds its class and what that takes.
+
+    Attributes:
+        choices: the yaml file of each part, by the part's name.
+        packages: packages whose classes may be named, beside uavrl.
+    """
+
+    env: Part
+    perception: Part
+    reward: Part
+    algo: Part
+    fork: Part
+    lifeguard: Part
+    enhancer: Part
+    buffer: Part
+    backward_reward: Part
+    collector: Part
+    logger: Part
+    trainer: TrainerConfig
+    guide: Part = field(default_factory=lambda: Part(_target_=None))
+    choices: dict[str, str] = field(default_factory=dict)
+    packages: tuple[Text, ...] = ()
+    seed: Seed = 0
+    device: str = "cpu"
+    run_dir: Folder = "runs"
+    resume: Folder | None = None
+
+    @property
+    def guided(self) -> bool:
+        """Whether the first steps are a guide's."""
+        return self.guide.get("_target_") is not None
+
+    def __post_init__(self) -> None:
+        """Checks what a range cannot say."""
+        require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
+        require(self.resume is None or bool(self.resume.strip()), "resume", "the folder of a run", self.resume)
+        single = all(part.get("_target_") is None for part in (self.fork, self.lifeguard))
+        steps = self.algo.get("n_steps", 1)
+        require(steps == 1 or single, "algo.n_steps", "1 with FORK or LifeGuard: they learn from single steps", steps)
+        known = self.perception.get("angles") == "folded" and self.perception.get("_target_") == NAVIGATION_STATE
+        mirrors = known or not self.buffer.get("mirror")
+        require(mirrors, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
+
+
+@dataclass
+class FlyingConfig:
+    """What flies where, without learning."""
+
+    env: Part
+    perception: Part
+    reward: Part
+    choices: dict[str, str] = field(default_factory=dict)
+    packages: tuple[Text, ...] = ()
+    run: Folder | None = None
+    policy: str | None = None
+    checkpoint: Folder | None = None
+    seed: Seed = 20_000
+    valleys: Valleys | None = None
+    output: Folder | None = None
+    device: str = "cpu"
+    threads: Threads = 1
+    products: Products = "mkl"
+    progress: bool = True
+
+
+@dataclass
+class EvaluateConfig(FlyingConfig):
+    """conf/evaluate.yaml: one evaluation."""
+
+    episodes: Count = 500
+    suite: str | tuple[Text, ...] | None = None
+    num_uavs: Annotated[int, Field(ge=1, le=512)] = 8

@@ -1,0 +1,66 @@
+"""From what Hydra composed, or a run has written, to validated settings."""
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any, TypeVar, cast, get_type_hints, overload
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from uavrl.config.build import TARGET
+from uavrl.config.parts import PARTS, validated_parts
+from uavrl.config.recorded import renewed
+from uavrl.config.sentences import require_known
+from uavrl.config.settings import TrainConfig
+from uavrl.config.values import to_plain, validated
+from uavrl.errors import UavrlError
+
+T = TypeVar("T")
+
+
+@overload
+def validate(config: DictConfig) -> TrainConfig: ...
+@overload
+def validate(config: DictConfig, kind: type[T]) -> T: ...
+def validate(config: DictConfig, kind: type[Any] = TrainConfig) -> Any:
+    """Resolves a configuration and validates all its values, without making anything of them.
+
+    Args:
+        config: composed by Hydra, or the ``config.yaml`` of a run.
+        kind: the dataclass of its settings.
+
+    Raises:
+        UavrlError: naming the key that is unknown, missing, of another type or out of range.
+    """
+    values = _plain_values(config)
+    if isinstance(values.get("algo"), Mapping) and TARGET not in values["algo"]:
+        raise UavrlError("The configuration is of an older uavrl, which named no classes: start a new run.")
+    hints = get_type_hints(kind, include_extras=True)
+    require_known(values, hints, "")
+    for each in fields(kind):
+        if each.default is each.default_factory is MISSING and each.name not in values:
+            raise UavrlError(f"{each.name} is not in the configuration: choose one with {each.name}=NAME.")
+    parts = {name: value for name, value in values.items() if name in PARTS}
+    others = validated({name: value for name, value in values.items() if name not in parts}, hints)
+    return kind(**others, **validated_parts(parts, others.get("packages", ())))
+
+
+def resolve(config: DictConfig) -> DictConfig:
+    """The same configuration with every value worked out, and as its class has it: what ``config.yaml`` holds."""
+    return OmegaConf.create(to_plain(validate(config)))
+
+
+def validate_run(config: DictConfig) -> TrainConfig:
+    """The settings that a run has recorded, perhaps by an older uavrl."""
+    return validate(renewed(config))
+
+
+def _plain_values(config: DictConfig) -> dict[str, Any]:
+    try:
+        return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True, throw_on_missing=True))
+    except UavrlError:
+        raise
+    except (OmegaConfBaseException, ValueError, TypeError) as error:
+        place = getattr(error, "full_key", None)
+        where, reason = f" at {place}" if place else "", str(error).splitlines()[0]
+        raise UavrlError(f"The configuration does not hold together{where}: {reason}") from error

@@ -1,0 +1,86 @@
+"""Where the yaml files lie, how Hydra composes them, and what a run is called."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from uavrl.errors import UavrlError
+
+NONE = "none"  # the choice that leaves a part out
+
+
+def conf_dir() -> Path:
+    """The folder of yaml files: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    for candidate in (package / "conf", package.parent / "conf"):
+        if (candidate / "config.yaml").is_file():
+            return candidate
+    raise UavrlError(f"Expected the yaml files in {package / 'conf'} and found none: install uavrl again.")
+
+
+def register_run_name() -> None:
+    """Teaches OmegaConf what ``${run_name:}`` is in our yaml files: environment, what learns, reward."""
+    OmegaConf.register_new_resolver("run_name", _run_name, replace=True)
+
+
+def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> DictConfig:
+    """What ``uavrl-train OVERRIDES`` composes, for use in Python.
+
+    Args:
+        *overrides: as on the command line.
+        name: the yaml file to begin with.
+        own: folders of further yaml files: what ``--config-dir`` names.
+
+    Examples:
+        >>> compose("algo=sac", "reward=traditional").choices.algo
+        'sac'
+    """
+    register_run_name()
+    if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
+        overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return compose_again(*overrides, name=name)
+
+
+def compose_again(*overrides: str, name: str) -> DictConfig:
+    """The same where Hydra is at work: it finds what it found before, in the user's ``--config-dir`` too."""
+    config = hydra_compose(name, list(overrides), return_hydra_config=True)
+    choices = config.hydra.runtime.choices
+    with open_dict(config):
+        del config.hydra
+    return with_choices(config, choices) if "env" in config else config
+
+
+def with_choices(config: DictConfig, choices: Mapping[str, Any]) -> DictConfig:
+    """Writes into a composed configuration which yaml file each part came from: names are made of that."""
+    own = {str(group): str(choice) for group, choice in choices.items() if choice and "/" not in str(group)}
+    with open_dict(config):
+        config.choices = own
+    return config
+
+
+def learner_name(choices: Mapping[str, str]) -> str:
+    """What learns in a run, as part of a name.
+
+    Examples:
+        >>> learner_name({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
+        'ddpg_lg_abr_plus'
+    """
+    usual = {"fork": ("fork", "on"), "lifeguard": ("lg", "linear"), "enhancer": ("", ""), "backward_reward": ("", "")}
+    parts = [choices["algo"]]
+    for group, (short, plain) in usual.items():
+        choice = choices.get(group, NONE)
+        if choice != NONE:
+            parts += [text for text in (short, choice if choice != plain else "") if text]
+    return "_".join(parts)
+
+
+def _run_name(*, _root_: DictConfig) -> str:
+    chosen = OmegaConf.select(_root_, "choices")
+    choices = HydraConfig.get().runtime.choices if chosen is None else chosen
+    return f"{choices['env']}_{learner_name(choices)}_{choices['reward']}"

@@ -1,0 +1,187 @@
+"""What point-cloud reductions share: which points count, what cells report, and the shell that TorchRL asks for."""
+
+import math
+from collections.abc import Sequence
+from numbers import Real
+from typing import ClassVar, Literal, get_args
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import dispatch
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Bounded, Composite, TensorSpec
+from torchrl.envs.transforms import Transform
+
+from uavrl.errors import UavrlError
+from uavrl.upstream import missing_tolerance
+
+__all__ = ["PointCloudReduction", "Statistic", "is_return"]
+
+Statistic = Literal["face", "range", "proximity"]
+
+LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
+TOUCHING = 1e-6  # of the radius: what a cell reads that a point touches, as 0 means "no point"
+NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes from; drivers write misses as zeros
+# The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
+# a sensor whose range ends at the radius does not report; and it begins this much after the housing.
+_ROUNDING = 2e-6
+
+
+def check_points(points: Tensor, radius: float, statistic: Statistic) -> None:
+    """Refuses what is no cloud, no length above the sensor's housing, where nothing is ever seen, or no statistic."""
+    if not isinstance(points, Tensor):
+        raise UavrlError(
+            f"points must be a tensor [*B, P, 3], got a {type(points).__name__}: pass torch.tensor(points)."
+        )
+    if points.ndim < 2 or points.shape[-1] != 3:
+        raise ValueError(f"points must have shape [*B, P, 3], got {tuple(points.shape)}.")
+    if points.dtype not in (torch.float32, torch.float64):
+        raise ValueError(f"points must be float32 or float64, got {points.dtype}.")
+    check_radius(radius)
+    if statistic not in get_args(Statistic):
+        raise ValueError(f'statistic must be "face", "range" or "proximity", got {statistic!r}.')
+
+
+def check_radius(radius: float) -> None:
+    """Refuses what is no length, and balls that lie within the sensor's housing."""
+    if not (isinstance(radius, Real) and NEAREST_RETURN < radius <= LARGEST_RADIUS):
+        raise ValueError(
+            f"radius must be a positive length in metres, above {NEAREST_RETURN:g} (the sensor's housing) and at most "
+            f"{LARGEST_RADIUS:g}, got {radius!r}."
+        )
+
+
+def is_return(points: Tensor, radius: float) -> Tensor:
+    """Returns which points are returns of the sensor from within the ball: ``bool [*B, P]``.
+
+    What drivers write for a ray that hit nothing is a miss, whatever the driver: a NaN or an infinite coordinate, and
+    zeros. A point within 0.05 m of the sensor's centre lies inside its housing and is a miss, too. So is a point at or
+    beyond ``radius``, or less than ``1e-6 * radius`` before it: a scan whose range is cut to ``radius`` therefore
+    reduces to exactly what the uncut scan does.
+
+    Args:
+        points: ``[*B, P, 3]`` in metres in the sensor frame.
+        radius: of the ball in metres.
+
+    Examples:
+        >>> points = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [torch.nan, 0.0, 0.0]])
+        >>> is_return(points, 4.0).tolist()
+        [True, False, False, False]
+    """
+    x, y, z = points.unbind(-1)
+    squared = (x * x + y * y).addcmul_(z, z)
+    return (squared > NEAREST_RETURN**2 * (1.0 + _ROUNDING)) & (squared < radius**2 * (1.0 - _ROUNDING))
+
+
+def returns_of(points: Tensor, radius: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The coordinates ``[M]`` of all returns in clouds ``[*B, P, 3]``, and the number of the cloud that each is in."""
+    kept = is_return(points, radius).reshape(-1).nonzero()[:, 0]  # most of a scan's points are misses
+    x, y, z = (coordinate.reshape(-1).index_select(0, kept) for coordinate in points.unbind(-1))
+    return x, y, z, kept.div(max(points.shape[-2], 1), rounding_mode="floor")
+
+
+def least_of(lengths: Tensor, clouds: Tensor, cells: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """The least of ``lengths [M]`` in each cell of each cloud, ``shape [*B, cells]``, infinite where there is none."""
+    least = lengths.new_full((math.prod(shape),), torch.inf)
+    return least.scatter_reduce(0, clouds * shape[-1] + cells, lengths, "amin").reshape(shape)
+
+
+def reported(least: Tensor, radius: float, statistic: Statistic) -> Tensor:
+    """What cells report: their least lengths, infinite where there is no point, or what ``"proximity"`` makes of it."""
+    if statistic == "proximity":
+        return (radius - least).clamp_min(0.0)
+    return torch.where(least.isinf(), 0.0, least)
+
+
+class PointCloudReduction(Transform):
+    """A cloud of points to a length for each of some cells around the sensor; the base of ours.
+
+    A class says where its cells are (``directions``), its ``default_statistic`` and the function ``reduced``. The cloud
+    is dropped from the data and the specs, so that it never leaves the worker that cast it.
+
+    Args:
+        in_keys: point clouds ``[*B, P, 3]`` in metres in the sensor frame; NaN, inf or zeros where a ray hit nothing.
+        out_keys: one key per cloud for ``[*B, cells]`` in metres, within [0, ``radius``].
+        radius: of the ball outside of which nothing is seen, in metres.
+        statistic: what a cell reports; None for the class's own.
+        del_keys: whether the point clouds are removed. ``False`` keeps them beside the cells.
+    """
+
+    invertible = False
+    default_statistic: ClassVar[Statistic] = "face"
+
+    @staticmethod
+    def reduced(points: Tensor, radius: float, statistic: Statistic) -> Tensor:
+        """Clouds ``[*B, P, 3]`` to ``[*B, cells]``."""
+        raise NotImplementedError
+
+    @staticmethod
+    def directions() -> Tensor:
+        """Unit vectors ``[cells, 3]`` through the cells, in the order in which they are reported."""
+        raise NotImplementedError
+
+    def __init__(
+        self,
+        in_keys: Sequence[NestedKey] | None = None,
+        out_keys: Sequence[NestedKey] | None = None,
+        *,
+        radius: float = 4.0,
+        statistic: Statistic | None = None,
+        del_keys: bool = True,
+    ) -> None:
+        super().__init__(
+            in_keys=["point_cloud"] if in_keys is None else in_keys,
+            out_keys=["faces"] if out_keys is None else out_keys,
+        )
+        if len(self.in_keys) != len(self.out_keys):
+            raise ValueError(f"in_keys and out_keys must pair up, got {self.in_keys} and {self.out_keys}.")
+        self.statistic: Statistic = self.default_statistic if statistic is None else statistic
+        self.reduced(torch.empty(0, 3), radius, self.statistic)  # raises on bad options now, not in a worker
+        self.radius = float(radius)
+        self.del_keys = del_keys
+
+    def _apply_transform(self, obs: Tensor) -> Tensor:
+        return self.reduced(obs, self.radius, self.statistic)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._dropped(super()._call(next_tensordict))
+
+    @dispatch(source="in_keys", dest="out_keys", auto_batch_size=False)
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Reduces the clouds of ``tensordict`` in place, as a module or in a replay buffer."""
+        return self._dropped(super().forward(tensordict))
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        with missing_tolerance(self, True):
+            return self._call(tensordict_reset)
+
+    def _dropped(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.exclude(*self._deleted(), inplace=True)
+
+    def _deleted(self) -> list[NestedKey]:
+        return [key for key in self.in_keys if key not in self.out_keys] if self.del_keys else []
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Replaces the clouds' specs by bounded ``[*B, cells]`` specs."""
+        if not isinstance(observation_spec, Composite):
+            raise ValueError(f"{type(self).__name__} needs a Composite observation spec, got {observation_spec}.")
+        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
+            if in_key not in observation_spec.keys(True, True):
+                raise KeyError(
+                    f"{type(self).__name__} reads {in_key!r}, but the environment has only "
+                    f"{sorted(map(str, observation_spec.keys(True, True)))}: set in_keys."
+                )
+            cloud = observation_spec[in_key]
+            shape = (*cloud.shape[:-2], len(self.directions()))
+            observation_spec[out_key] = Bounded(0.0, self.radius, shape, cloud.device, cloud.dtype)
+        for key in self._deleted():
+            del observation_spec[key]
+        return observation_spec
+
+    def __repr__(self) -> str:
+        """Returns the constructor call."""
+        return (
+            f"{type(self).__name__}(in_keys={self.in_keys}, out_keys={self.out_keys}, radius={self.radius}, "
+            f"statistic={self.statistic!r}, del_keys={self.del_keys})"
+        )
