@@ -38,12 +38,7 @@ class ActorCriticLoss(_LossModule):
 
     @classmethod
     def policy_of(cls, network: nn.Module, action_spec: Bounded) -> TensorDictModuleBase:
-        """The policy that this loss trains.
-
-        Args:
-            network: takes ``observation [*B, S]`` to the parameters of the policy; here, to the action.
-            action_spec: the bounds of one action.
-        """
+        """The policy of a network that takes ``observation [*B, S]`` to its parameters; here, to the action."""
         return TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
 
     @classmethod
@@ -125,33 +120,19 @@ class ActorCriticLoss(_LossModule):
         return getattr(self, f"target_{self.critic_name}_params") if target else self.critic_network_params.detach()
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The state, with the action that the current actor takes there, differentiable in the actor.
-
-        Args:
-            tensordict: ``[*B]`` with the actor's in-keys; it is not modified.
-        """
+        """States ``[*B]`` with the current actor's actions, differentiable in the actor; the input is not modified."""
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
             return self.actor_network(self._actor_inputs(tensordict))
 
     def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
-        """The value ``[*B]`` of states and actions; the critics are constant, the action is not.
-
-        Args:
-            acted: ``[*B]`` with the state and an action.
-            target: use the target critics.
-        """
+        """The value ``[*B]`` of states and actions by constant critics, or by the target critics."""
         critic, params = getattr(self, self.critic_name), self._constant_critics(target)
         with (params[0] if params.batch_dims else params).to_module(critic, preserve_module_state=False):
             value = critic(acted.select(*critic.in_keys))
         return value.get(self.tensor_keys.state_action_value).squeeze(-1)
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """What the actor minimises for each sample, ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``).
-
-        Args:
-            acted: ``[*B]`` with the state and the actor's action.
-            target: use the target critics.
-        """
+        """What the actor minimises for each sample ``[*B]``: ``-Q(s, μ(s))`` (Eq. 2.13), and metadata."""
         value = self.action_value(acted, target=target)
         return -value, {"state_action_value_actor": value.detach()}
 
@@ -163,6 +144,9 @@ class ActorCriticLoss(_LossModule):
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The actor's reduced loss on states ``[*B]``, and detached metadata; critics and models are constant."""
-        weights = self._maybe_get_priority_weight(tensordict)
         objective, metadata = self.actor_objective(self.act(tensordict))
-        return self._reduce_loss(objective, tensordict=tensordict, weights=weights), metadata
+        return self._reduced(objective, tensordict), metadata
+
+    def _reduced(self, errors: Tensor, tensordict: TensorDictBase) -> Tensor:
+        """Reduces errors ``[*B]``, weighted by the batch's priority weights if it has them."""
+        return self._reduce_loss(errors, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))

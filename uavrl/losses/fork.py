@@ -161,13 +161,7 @@ class Fork(Enhancer):
         return term, {"fork_term": term.detach()}
 
     def look_ahead(self, acted: TensorDictBase, first: TensorDictBase, second: TensorDictBase) -> Tensor:
-        """The term of each sample ``[*B]`` (Eq. 2.14).
-
-        Args:
-            acted: ``[*B]`` with the state and the actor's action.
-            first: the same at the first predicted state.
-            second: the same at the second.
-        """
+        """The term ``[*B]`` (Eq. 2.14), of states and actions now and at the first and second predicted states."""
         g_t, g_tp1 = self._predict_reward(acted, first), self._predict_reward(first, second)
         return fork_objective(g_t, g_tp1, self.action_value(second), self.weight, self.gamma)
 
@@ -192,11 +186,8 @@ class Fork(Enhancer):
 
     @property
     def models(self) -> list[Model]:
-        """The networks, trained at each update; their loss moves the gate."""
-
-        def learned(metadata: dict[str, Tensor]) -> None:
-            self.update_gate(**metadata)
-
+        """The networks, trained at each update; their losses move the gate."""
+        learned = lambda metadata: self.update_gate(**metadata)  # noqa: E731
         return [Model(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
 
     def system_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
@@ -238,10 +229,7 @@ class Fork(Enhancer):
         return losses, means
 
     def _next(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
-        return tensordict.get(unravel_key(("next", key)))
-
-    def _reduced(self, errors: Tensor, tensordict: TensorDictBase) -> Tensor:
-        return self._reduce_loss(errors, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
+        return tensordict.get(("next", key))
 
     def update_gate(self, system_loss: Tensor | float, reward_loss: Tensor | float = math.nan) -> None:
         """Opens or closes the gate by the models' mean losses; call it after each update of the models."""
@@ -263,7 +251,7 @@ class Fork(Enhancer):
             low, high = (bound.to(self.observed_low) for bound in (states.amin(0), states.amax(0)))
             self.observed_low.copy_(torch.minimum(self.observed_low, low) if self.returns else low)
             self.observed_high.copy_(torch.maximum(self.observed_high, high) if self.returns else high)
-        counted = episodes.get(unravel_key(("next", keys.episode_reward)), None)
+        counted = episodes.get(("next", keys.episode_reward), None)
         self.returns.extend((episode_returns(rewards, done) if counted is None else counted[done]).flatten().tolist())
         returns = torch.tensor(self.returns, dtype=self.weight.dtype)
         self.weight.copy_(fork_weight(returns, self.max_reward, self.base_weight))

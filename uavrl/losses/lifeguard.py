@@ -115,7 +115,7 @@ class LifeGuard(Enhancer):
         self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # checkpoints save empty rows, too
         self.collisions.empty()
         self.evaluations: deque[list[int]] = deque(maxlen=evaluation_window)  # confusion counts of the last ones
-        self.evaluated = 0  # how many there ever were
+        self.evaluated = 0  # number of evaluations so far
         self.successes = None if success_window is None else deque[float](maxlen=success_window)
         self.register_buffer("weight", torch.tensor(float(penalty_weight)))
         self.out_keys = [*self.out_keys, "loss_lifeguard"]
@@ -137,7 +137,7 @@ class LifeGuard(Enhancer):
         self._active = self.evaluated > self.min_evaluations and rate > self.min_true_negative_rate
 
     def _counts(self) -> Tensor:
-        """``[E, 4]`` of the last evaluations."""
+        """The confusion counts ``[E, 4]`` of the last evaluations."""
         return torch.tensor([*self.evaluations], dtype=torch.int64).reshape(len(self.evaluations), 4)
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
@@ -158,9 +158,7 @@ class LifeGuard(Enhancer):
         state, action = (tensordict.get(key, None) for key in (keys.observation, keys.action))
         if state is None or action is None:
             missing = keys.observation if state is None else keys.action
-            raise KeyError(
-                f"Expected the entry {missing!r}, found none: name yours by set_keys(observation=, action=)."
-            )
+            raise KeyError(f"Expected the entry {missing!r}, found none: set it by set_keys(observation=, action=).")
         if state.shape[-1] < self.observations or action.shape[-1] != self.actions:
             raise ValueError(
                 f"Expected a state of at least {self.observations} and an action of {self.actions} numbers, got "
@@ -174,9 +172,7 @@ class LifeGuard(Enhancer):
         flag = tensordict.get(("next", key), None)
         if flag is None:
             hint = " (or pass success_window=None)" if name == "arrived" else ""
-            raise KeyError(
-                f'Expected the entry ("next", {key!r}), found none: name yours by set_keys({name}=...){hint}.'
-            )
+            raise KeyError(f'Expected the entry ("next", {key!r}), found none: set it by set_keys({name}=){hint}.')
         return flag.reshape(tensordict.batch_size).bool()
 
     def reset_parameters_recursive(self) -> None:
@@ -239,9 +235,7 @@ class LifeGuard(Enhancer):
             missing -= len(drawn[-1])
             if not missing:
                 return torch.cat(drawn)
-        raise ValueError(
-            f"Expected {count} transitions that did not collide, found {count - missing} after many draws."
-        )
+        raise ValueError(f"Expected {count} transitions that did not collide, found {count - missing} in many draws.")
 
     @property
     def model_params(self) -> list[Tensor]:
@@ -306,9 +300,7 @@ class LifeGuard(Enhancer):
         """
         collided = self._next(tensordict, "collided")
         error = self.classifier.error(self._features(tensordict).detach(), collided)
-        weights = self._maybe_get_priority_weight(tensordict)
-        loss = self._reduce_loss(error, tensordict=tensordict, weights=weights)
-        return loss, {"lifeguard_collided": collided.float().mean()}
+        return self._reduced(error, tensordict), {"lifeguard_collided": collided.float().mean()}
 
     @property
     def in_keys(self) -> list[NestedKey]:

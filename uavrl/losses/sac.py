@@ -67,15 +67,8 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         if len(qvalue_networks) != 2:
             raise ValueError(f"SAC takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
         kwargs.setdefault("scalar_output_mode", "exclude" if reduction == "none" else None)
-        super().__init__(
-            actor_network,
-            list(qvalue_networks),
-            action_spec=action_spec,
-            target_entropy=target_entropy,
-            loss_function=loss_function,
-            reduction=reduction,
-            **kwargs,
-        )
+        kwargs |= {"target_entropy": target_entropy, "loss_function": loss_function, "reduction": reduction}
+        super().__init__(actor_network, list(qvalue_networks), action_spec=action_spec, **kwargs)
         self.out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy"]
         _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an enhancer
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
@@ -112,13 +105,11 @@ class SACLoss(ActorCriticLoss, _SACLoss):
 
         The metadata of transitions ``[*B]`` are detached, ``td_error`` (squared, ``[2, *B]``) among them.
         """
-        weights = self._maybe_get_priority_weight(tensordict)
         target = self._compute_target_v2(tensordict)
         value = self._values(tensordict, self.qvalue_network_params)
         errors = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
         metadata = {"td_error": (value - target).square(), "pred_value": value, "target_value": target}
-        loss = self._reduce_loss(errors, tensordict=tensordict, weights=weights)
-        return loss, {name: number.detach() for name, number in metadata.items()}
+        return self._reduced(errors, tensordict), {name: number.detach() for name, number in metadata.items()}
 
     def qvalue_v2_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """TorchRL's name of :meth:`value_loss`; its ``td_error`` is the larger of the absolute errors."""
@@ -137,7 +128,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         return self._values(acted, self._constant_critics(target)).amin(0)
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """What the actor minimises for each sample, ``[*B]``: ``α log π(a|s) - min_j Q_j(s, a)``."""
+        """What the actor minimises for each sample ``[*B]``: ``α log π(a|s) - min_j Q_j(s, a)``, and metadata."""
         objective, metadata = super().actor_objective(acted, target=target)
         log_prob = acted.get(self.tensor_keys.log_prob)
         return self._alpha * log_prob + objective, metadata | {"log_prob": log_prob.detach()}

@@ -63,14 +63,8 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
     ) -> None:
         if len(qvalue_networks) != 2:
             raise ValueError(f"TD3 takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
-        super().__init__(
-            actor_network,
-            list(qvalue_networks),
-            action_spec=action_spec,
-            loss_function=loss_function,
-            reduction=reduction,
-            **kwargs,
-        )
+        kwargs |= {"loss_function": loss_function, "reduction": reduction}
+        super().__init__(actor_network, list(qvalue_networks), action_spec=action_spec, **kwargs)
         values = ["pred_value", "state_action_value_actor", "next_state_value", "target_value"]
         self.out_keys = ["loss_actor", "loss_qvalue", *values]
         half_range = (self.max_action - self.min_action) / 2
