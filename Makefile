@@ -40,7 +40,7 @@ train: $(READY)
 	@$(BIN)/uavrl-train preset=fast run_dir=$(RUN) $(ARGS)
 	@$(BIN)/uavrl-evaluate run=$(RUN) episodes=100
 	@$(BIN)/uavrl-replay run=$(RUN) episodes=4 output=$(RUN)/replay.html
-	@$(BIN)/python -m uavrl.cli.reached $(RUN)
+	@$(BIN)/python -m uavrl.cli.run_summary $(RUN)
 
 # Four flights of the packaged policy in a valley that it never saw.
 demo: $(READY)

@@ -27,7 +27,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def sb3_td3(env: Any, *, random_steps: int, seed: int) -> Any:
+def sb3_td3(env: Any, *, learning_starts: int, seed: int) -> Any:
     """Stable-Baselines3's TD3 with our sizes; what is not said here is its default, as is ours.
 
     It knows one learning rate: ours are 1e-3 and, for the actor, 1e-4.
@@ -42,7 +42,7 @@ def sb3_td3(env: Any, *, random_steps: int, seed: int) -> Any:
             env,
             learning_rate=1e-3,
             buffer_size=1_000_000,
-            learning_starts=random_steps,
+            learning_starts=learning_starts,
             batch_size=100,
             gamma=0.99,
             tau=0.005,

@@ -25,7 +25,7 @@ Row = Callable[[], float]  # returns milliseconds per UAV step
 def settings(uavs: int, **world: Any) -> TrainConfig:
     """The default experiment with so many UAVs, other values of its world, and random actions for ever."""
     world_values = [f"env.world.{key}={value}" for key, value in world.items()]
-    return experiment(f"env.num_uavs={uavs}", f"algo.random_steps={ALWAYS_RANDOM}", *world_values)
+    return experiment(f"env.num_uavs={uavs}", f"algo.learning_starts={ALWAYS_RANDOM}", *world_values)
 
 
 def flights(config: TrainConfig) -> BaseCollector:

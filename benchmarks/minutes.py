@@ -31,7 +31,7 @@ from common import machine, sb3_td3
 from uavrl.cli.errors import one_sentence
 
 DEFAULT, FAST, SB3 = "default", "preset=fast", "Stable-Baselines3's TD3"
-OURS = {DEFAULT: ["collector=sync", "trainer.products=mkl", "algo.random_steps=5000"], FAST: ["preset=fast"]}
+OURS = {DEFAULT: ["collector=sync", "trainer.matmul=mkl", "algo.learning_starts=5000"], FAST: ["preset=fast"]}
 ROWS = (*OURS, SB3)
 PRIZE = 200.0  # what reward=navigation_prize, the default, adds to an arrival
 
@@ -126,7 +126,7 @@ def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
                 return state, float(reward) + PRIZE * info["is_success"], terminated, truncated, info
 
         env = Prize(gymnasium.make("uavrl:uavrl/Valley-v0"))
-        model = sb3_td3(env, random_steps=10_000, seed=seed)
+        model = sb3_td3(env, learning_starts=10_000, seed=seed)
         began = time.monotonic()
         model.learn(10**9, callback=Watch())
     (run / "summary.json").write_text(json.dumps({"episodes": len(arrived)}) + "\n", encoding="utf-8")

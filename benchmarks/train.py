@@ -96,7 +96,7 @@ def uavrl_train(overrides: list[str], steps: int, warm_up: int, threads: int) ->
             f"run_dir={folder}/run",
             *overrides,
             f"trainer.threads={threads}",
-            f"algo.random_steps={RANDOM_STEPS}",
+            f"algo.learning_starts={RANDOM_STEPS}",
             "trainer.progress=false",
         )
         _until_enough(lambda: run.train(config, run.create_run(config)))
@@ -117,7 +117,7 @@ def stable_baselines(make_env: Callable[[int], Any], steps: int, warm_up: int, t
             clock.tick(self.num_timesteps)
             return True
 
-    model = sb3_td3(make_env(threads), random_steps=FEW_RANDOM_STEPS, seed=0)
+    model = sb3_td3(make_env(threads), learning_starts=FEW_RANDOM_STEPS, seed=0)
     _until_enough(lambda: model.learn(10**9, callback=Watch()))
     return clock
 

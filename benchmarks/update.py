@@ -35,7 +35,7 @@ from uavrl.cli.errors import one_sentence
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.training.compiled import Execution
-from uavrl.training.matmul import Products, multiplied_by, multiply_by
+from uavrl.training.matmul import MatmulBackend, matmul_backend, multiply_by
 from uavrl.training.update import ActorCriticStepper
 
 STATE, ACTION, BATCH, HIDDEN = 105, 4, 100, (400, 300)
@@ -214,7 +214,7 @@ def matrix_products() -> Row:
     return torch.no_grad()(step)
 
 
-def multiplied(products: Products, row: Row) -> Row:
+def multiplied(products: MatmulBackend, row: Row) -> Row:
     """The row, multiplied by this library."""
 
     def run() -> None:
@@ -257,7 +257,7 @@ def main() -> None:
         "TorchRL's TD3Loss": with_stock_tools(stock_loss(), compiled=False),
         "Stable-Baselines3": stable_baselines(),
     }
-    with multiplied_by(args.products) as products:
+    with matmul_backend(args.products) as products:
         rows = {f"uavrl, {name}": multiplied(products, ours(name)) for name in names}
         if not args.skip_compiled:
             rows["uavrl's TD3Loss, torch.compile"] = multiplied(products, with_stock_tools(our_loss(), compiled=True))
@@ -281,7 +281,7 @@ def main() -> None:
     print("\n" + ", ".join(f"{name} {value:.2f}" for name, value in ratios.items()))
     if args.json:
         args.json.write_text(
-            json.dumps({**ratios, "row": chosen, "products": products, "ms": milliseconds, "machine": about}, indent=2)
+            json.dumps({**ratios, "row": chosen, "matmul": products, "ms": milliseconds, "machine": about}, indent=2)
             + "\n",
             encoding="utf-8",
         )

@@ -78,7 +78,7 @@ class ToldOfPlanes(VectorFieldHistogram):
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action``."""
-        cost, speed = self.rated(tensordict)
+        cost, speed = self.score_directions(tensordict)
         yaw = torch.from_numpy(self.env.simulation.yaw).float()[:, None]
         x, y, z = self.directions.T
         ahead = [yaw.cos() * x - yaw.sin() * y, yaw.sin() * x + yaw.cos() * y, z.expand(len(yaw), -1)]
@@ -97,7 +97,7 @@ class ToldOfPlanes(VectorFieldHistogram):
         rated = cost[..., None] + SLOWNESS * (1 - SPEEDS) + THREAT * worst
         chosen = rated.flatten(1).argmin(-1, keepdim=True)
         best, share = chosen // len(SPEEDS), SPEEDS[chosen % len(SPEEDS)]
-        return tensordict.set("action", self.flown(best, share * speed.gather(-1, best)))
+        return tensordict.set("action", self.to_action(best, share * speed.gather(-1, best)))
 
 
 def main() -> None:

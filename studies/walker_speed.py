@@ -64,7 +64,7 @@ def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
             "env=bipedal_hardcore",
             "learner=td3_lg_walker",
             f"run_dir={folder}/run",
-            f"algo.random_steps={RANDOM_STEPS}",
+            f"algo.learning_starts={RANDOM_STEPS}",
             "trainer.progress=false",
             *overrides,
             own=[EXAMPLE / "conf"],

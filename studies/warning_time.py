@@ -41,7 +41,7 @@ FLAGS = ("done", "arrived", "collided")
 
 def fly(count: int, seed: int) -> tuple[list[TensorDictBase], TensorDictModule, Any]:
     """The first flights that begin, in the order in which they end, and who flew."""
-    config = validate(compose("env.world.obstacles=68", "algo.random_steps=0"))
+    config = validate(compose("env.world.obstacles=68", "algo.learning_starts=0"))
     env = make_env(config.env, config.perception, config.reward, seed=seed)
     folder = policy_folder(None, "static")
     assert folder is not None
@@ -49,7 +49,7 @@ def fly(count: int, seed: int) -> tuple[list[TensorDictBase], TensorDictModule, 
     sizes = network_sizes(env)
     spec = env.action_spec_unbatched
     collector: Any = make_collector(config, env, actor, sizes, torch.device("cpu"))
-    collector.start_anew(seed, count)
+    collector.restart(seed, count)
     flights = []
     for flight in collector:
         kept = flight.select(*KEEP).set("next", flight["next"].select(*FLAGS))

@@ -57,7 +57,7 @@ def rate(row: Row, updates: float, warm_up: int, steps: int) -> float:
         command = [sys.executable, "-m", "uavrl.cli.train", f"run_dir={run}", *row.overrides, "trainer.progress=false"]
         command += [
             f"trainer.updates_per_step={updates}",
-            "algo.random_steps=1000",
+            "algo.learning_starts=1000",
             "logger=csv",
             "logger.interval=500",
         ]

@@ -15,7 +15,7 @@ from tests.helpers.configs import composed, with_hydra
 from uavrl.config import TrainConfig, conf_dir, learner_name, validate
 
 EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("*.yaml"))
-SCHEMES = sorted(path.stem for path in (conf_dir() / "scheme").glob("*.yaml"))
+REWARD_PRESETS = sorted(path.stem for path in (conf_dir() / "reward_preset").glob("*.yaml"))
 THESIS = json.loads((files("uavrl.reporting") / "thesis.json").read_text())
 REWARDS = {("traditional", "none"): "TR", ("navigation", "abr"): "ABR", ("navigation", "abr_plus"): "ABR⁺"}
 
@@ -77,14 +77,15 @@ def test_figure_4_2_is_a_plain_run_in_the_static_valley() -> None:
     assert cell(config, settings) == ("static", "td3", "TR")
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_scheme_changes_what_is_paid_alone(scheme: str) -> None:
+@pytest.mark.parametrize("reward_preset", REWARD_PRESETS)
+def test_a_reward_preset_changes_what_is_paid_alone(reward_preset: str) -> None:
     before, after = (
-        OmegaConf.to_container(composed("config", *chosen), resolve=True) for chosen in ([], [f"scheme={scheme}"])
+        OmegaConf.to_container(composed("config", *chosen), resolve=True)
+        for chosen in ([], [f"reward_preset={reward_preset}"])
     )
     assert isinstance(before, dict)
     assert isinstance(after, dict)
     changed = {key for key in before | after if before.get(key) != after.get(key)} - {"run_dir", "choices"}
     assert changed <= {"reward", "backward_reward"}
-    assert bool(changed) == (scheme != "prize")  # the default pays the prize
-    assert (after["choices"]["reward"] == "navigation_prize") == scheme.endswith("prize")
+    assert bool(changed) == (reward_preset != "prize")  # the default pays the prize
+    assert (after["choices"]["reward"] == "navigation_prize") == reward_preset.endswith("prize")

@@ -72,7 +72,7 @@ def test_a_run_that_names_them_does_not_make_them_trusted(run_dir: Path, refused
     ("override", "said"),
     [
         ("reward.prize=0", "reward.prize must be above 0, got 0"),
-        ("enhancer.weight=much", "enhancer.weight must be a number, got 'much'"),
+        ("actor_penalty.weight=much", "actor_penalty.weight must be a number, got 'much'"),
         ("+env.lenght=3", "There is no key 'env.lenght': did you mean env.length?"),
         ("reward=traditional", "The reward reads 'distance', which Corridor does not emit"),
         ("env._target_=own_parts.env.Corridors", "there is no class own_parts.env.Corridors: did you mean Corridor?"),

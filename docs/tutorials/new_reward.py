@@ -76,7 +76,7 @@ _ = (folder / "conf" / "env" / "corridor.yaml").write_text(
 )
 sh(
     f"uavrl-train -m --config-dir {folder / 'conf'} packages=[my_parts,own_parts] env=corridor reward=mine "
-    f"reward.step_cost=0,0.5 seed=0,1,2 trainer.episodes={FLIGHTS} algo.random_steps=300 algo.hidden=[32,32] "
+    f"reward.step_cost=0,0.5 seed=0,1,2 trainer.episodes={FLIGHTS} algo.learning_starts=300 algo.hidden=[32,32] "
     "algo.actor_lr=1e-3 algo.critic_lr=1e-3 "
     f"trainer.execution=captured trainer.progress=false run_dir={folder / 'runs' / 'run'}"
 )

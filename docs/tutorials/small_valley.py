@@ -31,7 +31,7 @@ run = folder / "run"
 sh(
     f"uavrl-train preset=fast collector=sync run_dir={run} trainer.episodes={FLIGHTS} trainer.progress=false "
     "env.world.size=[20,16] env.world.obstacles=8 env.world.min_goal_distance=5 env.max_steps=100 "
-    "algo.hidden=[128,128] algo.random_steps=800 trainer.execution=captured trainer.window=50"
+    "algo.hidden=[128,128] algo.learning_starts=800 trainer.execution=captured trainer.window=50"
 )
 
 # %% [markdown]

@@ -26,7 +26,7 @@ folder = Path(tempfile.mkdtemp())
 
 # %%
 sh(
-    f"uavrl-train run_dir={folder / 'run'} trainer.episodes=2 env.num_uavs=2 env.max_steps=20 algo.random_steps=20 "
+    f"uavrl-train run_dir={folder / 'run'} trainer.episodes=2 env.num_uavs=2 env.max_steps=20 algo.learning_starts=20 "
     "algo.hidden=[32,32] buffer.capacity=1000 trainer.execution=captured trainer.progress=false"
 )
 sh(f"uavrl-export run={folder / 'run'} output={folder / 'my_policy'}")

@@ -118,7 +118,7 @@ def test_two_processes_fly_tasks_of_their_own() -> None:
         device="cpu",
     )
     try:
-        flown.start_anew(11, 100)
+        flown.restart(11, 100)
         seen = set()
         for turn, batch in enumerate(flown):
             assert batch["next", "done"].flatten().tolist() == [False] * 4 + [True]

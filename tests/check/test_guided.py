@@ -26,7 +26,7 @@ EASY = [
 
 def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_path: Path) -> None:
     rule = ["trainer.window=3", "trainer.until_success=0.6", "trainer.episodes=30", "logger.interval=1"]
-    config = small_config(tmp_path / "run", "guide=vfh", "algo.random_steps=300", *EASY, *rule)
+    config = small_config(tmp_path / "run", "guide=vfh", "algo.learning_starts=300", *EASY, *rule)
     summary = train(config, create_run(config))
     flights = read_episodes(tmp_path / "run" / "episodes.csv")
     guided = [flight for flight in flights if flight.total_steps <= 300]
@@ -39,10 +39,10 @@ def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_p
 
 def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> None:
     seen = ["perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true", "algo.n_steps=3"]
-    learn = ["algo.random_steps=64", "trainer.episodes=40", "trainer.updates_per_step=2", "algo.actor_lr=1e-3"]
+    learn = ["algo.learning_starts=64", "trainer.episodes=40", "trainer.updates_per_step=2", "algo.actor_lr=1e-3"]
     far = {}
     for weight in (0.0, 100.0):
-        flown = ["guide=vfh", "enhancer=imitation", f"enhancer.weight={weight}", "algo.exploration_noise=0.1"]
+        flown = ["guide=vfh", "actor_penalty=imitation", f"actor_penalty.weight={weight}", "algo.exploration_noise=0.1"]
         config = small_config(tmp_path / f"run{weight}", *flown, *seen, *learn, *EASY)
         train(config, create_run(config))
         policy = load_policy(tmp_path / f"run{weight}", None, torch.device("cpu"), ())[1]

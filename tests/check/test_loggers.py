@@ -17,7 +17,7 @@ from tests.helpers.runs import small_config
 from uavrl.runs.checkpoint import rotation
 from uavrl.training.run import create_run, train
 
-SETTINGS = ["logger.interval=1", "trainer.episodes=6", "algo.random_steps=20"]
+SETTINGS = ["logger.interval=1", "trainer.episodes=6", "algo.learning_starts=20"]
 
 
 def train_and_write(config: DictConfig, *, resume: bool = False) -> None:

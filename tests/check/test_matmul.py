@@ -16,19 +16,19 @@ from omegaconf import OmegaConf
 
 from tests.helpers.runs import assert_same_run
 from uavrl.training import matmul as arithmetic
-from uavrl.training.matmul import carried, multiplied_by
+from uavrl.training.matmul import matmul_backend, with_matmul_backend
 
 ROOT = Path(__file__).resolve().parents[2]
 ERROR = """
 import json, sys, torch
 from uavrl.errors import UavrlError
-from uavrl.training.matmul import multiplied_by
+from uavrl.training.matmul import matmul_backend
 torch.manual_seed(1)
 one, other = torch.randn(100, 400), torch.randn(400, 300)
 said = {}
 for name in sys.argv[1:]:
     try:
-        with multiplied_by(name) as chosen:
+        with matmul_backend(name) as chosen:
             result = one @ other
         said[name] = [chosen, (result - one.double() @ other.double()).abs().max().item()]
     except UavrlError as error:
@@ -43,7 +43,7 @@ from uavrl.training.run import create_run, train
 folder, products = sys.argv[1:]
 for name in ("one", "other"):
     wide = ["algo.hidden=[64,48]", "algo.batch_size=32", "trainer.episodes=8"]
-    config = small_config(Path(folder) / name, *wide, f"trainer.products={products}")
+    config = small_config(Path(folder) / name, *wide, f"trainer.matmul={products}")
     train(config, create_run(config))
 """
 
@@ -86,13 +86,13 @@ def test_what_multiplies_in_less_than_float32_is_refused() -> None:
 def test_what_the_machine_cannot_do_is_one_sentence() -> None:
     without = errors("onednn", "auto", isa="AVX2")
     assert without["onednn"][0] is None
-    assert without["onednn"][1].startswith("products=onednn is not possible here: PyTorch does not hand")
+    assert without["onednn"][1].startswith("matmul=onednn is not possible here: PyTorch does not hand")
     assert without["auto"][0] == "mkl"
 
 
 def test_the_process_that_flies_multiplies_as_the_learner() -> None:
-    with multiplied_by("mkl"):
-        function = pickle.dumps(carried(torch.get_num_threads))
+    with matmul_backend("mkl"):
+        function = pickle.dumps(with_matmul_backend(torch.get_num_threads))
     script = (
         "import pickle, sys, torch; setting = torch.backends.mkldnn.matmul; before = setting.fp32_precision; "
         "pickle.loads(bytes.fromhex(sys.argv[1]))(); print(before, setting.fp32_precision)"
@@ -100,11 +100,11 @@ def test_the_process_that_flies_multiplies_as_the_learner() -> None:
     assert python(script, function.hex()).stdout.split() == ["none", "ieee"]
 
 
-@pytest.mark.parametrize("products", ["onednn", pytest.param("mkl", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("matmul", ["onednn", pytest.param("mkl", marks=pytest.mark.slow)])
 def test_the_same_run_twice_is_the_same_bit_by_bit(products: str, tmp_path: Path) -> None:
     result = python(TWICE, str(tmp_path), products)
     if "is not possible here" in result.stderr:
         pytest.skip(result.stderr.splitlines()[-1])
     assert result.returncode == 0, result.stderr
-    assert OmegaConf.load(tmp_path / "one" / "config.yaml").trainer.products == products
+    assert OmegaConf.load(tmp_path / "one" / "config.yaml").trainer.matmul == products
     assert_same_run(tmp_path / "one", tmp_path / "other")

@@ -73,7 +73,7 @@ def test_a_sweep_goes_on_with_runs_that_are_shorter_and_frees_folders_without_a_
 def test_a_sweep_that_is_asked_for_more_episodes_keeps_the_random_steps_that_it_began_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    tiny = [override for override in TINY if not override.startswith(("algo.random_steps", "trainer.episodes"))]
+    tiny = [override for override in TINY if not override.startswith(("algo.learning_starts", "trainer.episodes"))]
     places = [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     written = []
     for episodes in (4, 12):
@@ -81,10 +81,10 @@ def test_a_sweep_that_is_asked_for_more_episodes_keeps_the_random_steps_that_it_
         (run,) = runs_in(tmp_path).values()
         written.append((run / "episodes.csv").read_text())
         config = OmegaConf.load(run / "config.yaml")
-        assert (config.trainer.episodes, config.algo.random_steps) == (episodes, 8)
+        assert (config.trainer.episodes, config.algo.learning_starts) == (episodes, 8)
     assert f"Resuming {run}" in capsys.readouterr().out
     assert written[1].startswith(written[0]) and len(written[1].splitlines()) == 1 + 12
-    assert in_process(train_command.main, "-m", *tiny, *places, "trainer.episodes=12", "algo.random_steps=4") == 0
+    assert in_process(train_command.main, "-m", *tiny, *places, "trainer.episodes=12", "algo.learning_starts=4") == 0
     assert len(list(tmp_path.glob("run_*"))) == 2, "other random steps that are asked for are another run"
 
 
@@ -144,8 +144,8 @@ def test_the_other_runs_fly_when_one_fails(
 HOLD = """
 import sys, time
 from pathlib import Path
-from uavrl.runs.lock import locked
-with locked(Path(sys.argv[1])):
+from uavrl.runs.lock import run_lock
+with run_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
 """

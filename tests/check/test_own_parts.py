@@ -66,7 +66,13 @@ class Optimisers:
 def test_a_model_that_uavrl_knows_nothing_of_is_trained_and_goes_on_with_its_run(
     execution: str, tmp_path: Path
 ) -> None:
-    chosen = [*CHOSEN[:2], "enhancer=wary", *SMALL, f"trainer.execution={execution}", f"run_dir={tmp_path / 'run'}"]
+    chosen = [
+        *CHOSEN[:2],
+        "actor_penalty=wary",
+        *SMALL,
+        f"trainer.execution={execution}",
+        f"run_dir={tmp_path / 'run'}",
+    ]
     assert in_process(train_command.main, *CONFIG_DIR, TRUSTED, *chosen) == 0
     assert in_process(train_command.main, f"resume={tmp_path / 'run'}", TRUSTED, "trainer.episodes=9") == 0
     optimisers = Optimisers()

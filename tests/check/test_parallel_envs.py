@@ -44,4 +44,4 @@ def test_specs_hold_in_two_processes(make: Callable[[], EnvBase]) -> None:
 
 
 def test_all_transforms_are_tried() -> None:
-    assert len(CONTRACTS) >= 7
+    assert len(CONTRACTS) >= 6

@@ -87,7 +87,7 @@ def test_whole_flights_come_from_every_worker_and_follow_the_learners_weights() 
     policy = Policy()
     flown = collector(policy)
     try:
-        flown.start_anew(11, 100)
+        flown.restart(11, 100)
         seeds: dict[float, set[float]] = {}
         actions: dict[float, list[float]] = {}
         for turn, flight in enumerate(flown):
@@ -104,7 +104,7 @@ def test_whole_flights_come_from_every_worker_and_follow_the_learners_weights() 
         for own in actions.values():
             assert own == sorted(own) and own[-1] > own[0]  # flown with what was learned meanwhile
         assert flown.state_dict() == {"frames": 5 * (turn + 1), "iter": turn + 1}
-        flown.start_anew(12, 100)  # a checkpoint: those that fly go on
+        flown.restart(12, 100)  # a checkpoint: those that fly go on
     finally:
         flown.shutdown()
 
@@ -113,7 +113,7 @@ def test_random_actions_are_flown_once_and_not_again_after_a_resume() -> None:
     flown = collector(Policy(), init_random_frames=40)
     try:
         flown.load_state_dict(OrderedDict(frames=30, iter=6))  # 15 of 20 each
-        flown.start_anew(11, 100)
+        flown.restart(11, 100)
         actions: dict[float, list[list[float]]] = {}
         for turn, flight in enumerate(flown):
             actions.setdefault(flight["observation"][0, 1].item(), []).append(flight["action"].flatten().tolist())

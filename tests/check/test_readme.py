@@ -13,7 +13,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
-TINY_RUN = ["trainer.episodes=1", "env.num_uavs=1", "env.max_steps=3", "trainer.progress=false", "trainer.products=mkl"]
+TINY_RUN = ["trainer.episodes=1", "env.num_uavs=1", "env.max_steps=3", "trainer.progress=false", "trainer.matmul=mkl"]
 TINY_RUN += ["trainer.execution=captured"]  # compiling takes longer than the run
 
 

@@ -29,9 +29,9 @@ DDPG = ["algo=ddpg"]
 DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
 GUIDED = [
     "guide=vfh",
-    "enhancer=imitation",
+    "actor_penalty=imitation",
     "perception.reduction=range_image",
-    "algo.random_steps=60",
+    "algo.learning_starts=60",
     "perception.last_action=true",
     "buffer.mirror=true",
 ]

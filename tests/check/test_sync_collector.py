@@ -67,7 +67,7 @@ def make_collector() -> SyncCollector:
 def flown(interval: int, flights: int) -> tuple[list[int], list[list[int]], int]:
     """The lengths of the flights of a training, their numbers between checkpoints, and the steps flown."""
     collector = make_collector()
-    collector.start_anew(1, flights)
+    collector.restart(1, flights)
     lengths: list[int] = []
     tasks: list[list[int]] = [[]]
     steps = 0
@@ -78,10 +78,10 @@ def flown(interval: int, flights: int) -> tuple[list[int], list[list[int]], int]
         steps += len(flight)
         if len(lengths) == flights:
             break
-        if steps >= interval and collector.wind_down():
+        if steps >= interval and collector.drain():
             steps = 0
             tasks.append([])
-            collector.start_anew(len(tasks), flights - len(lengths))
+            collector.restart(len(tasks), flights - len(lengths))
     frames = collector.state_dict()["frames"]
     collector.shutdown()
     return lengths, tasks, frames

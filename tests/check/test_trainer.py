@@ -18,7 +18,7 @@ EASY = [
     "env.world.goal_radius=18",
     "env.world.obstacles=0",
     "env.max_steps=40",
-    "algo.random_steps=10000",
+    "algo.learning_starts=10000",
 ]
 
 

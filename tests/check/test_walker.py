@@ -209,7 +209,7 @@ def test_its_mistakes_are_one_sentence(overrides: list[str], said: str, refused:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    few = ["trainer.episodes=8", "algo.random_steps=1000", "algo.hidden=[8]"]  # no network decides how a walk ends
+    few = ["trainer.episodes=8", "algo.learning_starts=1000", "algo.hidden=[8]"]  # no network decides how a walk ends
     return finished_run(tmp_path_factory.mktemp("runs") / "run", *CONFIG_DIR, TRUSTED, *SMALL, *few)
 
 
@@ -253,7 +253,7 @@ ENHANCED = [
     "lifeguard=linear",
     "buffer=failure_biased",
     "buffer.success_return=-20",  # which walkers that do not fall reach
-    "algo.random_steps=100",
+    "algo.learning_starts=100",
     "algo.hidden=[16,16]",
     "algo.actor_lr=1e-3",
     "lifeguard.min_collisions=1",
@@ -288,7 +288,7 @@ def test_a_resumed_run_with_both_enhancers_is_bit_identical(tmp_path: Path) -> N
 
 def test_the_actor_waits_after_a_walk_that_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The walks from the fifth on are left out: three updates come after each, of the critics alone."""
-    few = ["trainer.episodes=8", "buffer=failure_biased", "buffer.updates_when_left_out=3", "algo.random_steps=100"]
+    few = ["trainer.episodes=8", "buffer=failure_biased", "buffer.updates_when_left_out=3", "algo.learning_starts=100"]
     config = walker_config(*SMALL, *few, "algo.hidden=[16,16]", f"run_dir={tmp_path / 'run'}")
     walks, actor_learns = itertools.count(1), []
     step = ActorCriticStepper.step

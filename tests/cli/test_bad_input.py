@@ -228,7 +228,7 @@ def test_nan_actions_end_a_training_in_one_sentence(
     tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Actor, "forward", not_a_number)
-    sentence = refused(train_command.main, *TINY, f"run_dir={tmp_path / 'run'}", "algo.random_steps=0")
+    sentence = refused(train_command.main, *TINY, f"run_dir={tmp_path / 'run'}", "algo.learning_starts=0")
     assert "got NaN" in sentence
     assert newest(tmp_path / "run").is_file()
 

@@ -22,7 +22,7 @@ def test_help_fits_a_screen(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_key_is_explained_in_full_help(name: str) -> None:
     told = {line.split()[0] for line in help_text(name, every_key=True).splitlines() if line.startswith("  ")}
     parts = {key.rpartition(".")[0] for key in known_keys(name)}  # what holds other keys needs no comment of its own
-    rows = ("scheme", "learner", "experiment", "preset", "enhancer", "defaults", "hydra")
+    rows = ("reward_preset", "learner", "experiment", "preset", "actor_penalty", "defaults", "hydra")
     expected = {key for key in known_keys(name) if key not in parts and key.partition(".")[0] not in rows}
     groups = {key.partition(".")[0] for key in known_keys(name) if "." in key}
     assert sorted(expected - groups - told) == []

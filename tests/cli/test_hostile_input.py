@@ -19,7 +19,7 @@ from tests.helpers.configs import composed
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.cli.memory import require_memory
-from uavrl.collectors.stall_notice import Silence
+from uavrl.collectors.stall_notice import StallNotice
 from uavrl.config import validate
 from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
@@ -41,10 +41,10 @@ MISTAKES = {
     "episodes=60": "did you mean trainer.episodes?",
     "backward_reward.max_classes=5": "backward_reward.max_classes belongs to another choice of backward_reward",
     "algo=tdd3": "got 'tdd3': did you mean td3?",
-    "scheme=t": "scheme must be one of abr, abr_plus",
+    "reward_preset=t": "reward_preset must be one of abr, abr_plus",
     "learner=td3_lg fork=on": "learner=td3_lg stands for fork=none, and fork=on was chosen",
-    "scheme=tr reward=navigation": "scheme=tr stands for reward=traditional, and reward=navigation was chosen",
-    "backward_reward=none scheme=abr": "scheme=abr stands for backward_reward=abr, and backward_reward=none was chosen",
+    "reward_preset=tr reward=navigation": "stands for reward=traditional, and reward=navigation was chosen",
+    "backward_reward=none reward_preset=abr": "stands for backward_reward=abr, and backward_reward=none was",
     "algo=null": "Config group override must be a string",
     "lifeguard.capacity=3": "choose lifeguard=linear or mlp, or leave it out",
     "algo.target_entropy=-3": "choose algo=sac, or leave it out",
@@ -116,14 +116,14 @@ def test_a_folder_with_something_worth_keeping_stays(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- short runs
 
 
-@pytest.mark.parametrize(("random_steps", "warned"), [(500, True), (0, False)])
+@pytest.mark.parametrize(("learning_starts", "warned"), [(500, True), (0, False)])
 def test_a_run_that_learns_nothing_says_so_first_and_last(
-    random_steps: int, warned: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    learning_starts: int, warned: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    overrides = [*TINY, f"run_dir={tmp_path / 'run'}", f"algo.random_steps={random_steps}"]
+    overrides = [*TINY, f"run_dir={tmp_path / 'run'}", f"algo.learning_starts={learning_starts}"]
     assert in_process(train_command.main, *overrides) == 0
     told = capfd.readouterr().err
-    assert ("algo.random_steps=500: nothing is learned before" in told) == warned
+    assert ("algo.learning_starts=500: nothing is learned before" in told) == warned
     assert ("Nothing was learned: the run ended after" in told) == warned
 
 
@@ -139,20 +139,20 @@ def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does
 
 def test_a_long_silence_is_explained_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    with Silence("Waiting for a flight.", seconds=0.1) as silence:
+    with StallNotice("Waiting for a flight.", seconds=0.1) as stall_notice:
         time.sleep(0.5)
         assert caplog.messages == ["Waiting for a flight."]
-        silence.heard()
+        stall_notice.reset()
         time.sleep(0.5)
     assert caplog.messages == ["Waiting for a flight."] * 2
 
 
 def test_a_quick_step_needs_no_explanation(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    with Silence("Waiting for a flight.", seconds=0.3) as silence:
+    with StallNotice("Waiting for a flight.", seconds=0.3) as stall_notice:
         for _ in range(10):
             time.sleep(0.05)
-            silence.heard()
+            stall_notice.reset()
     time.sleep(0.4)
     assert not caplog.messages
 

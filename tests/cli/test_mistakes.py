@@ -47,7 +47,7 @@ def test_yaml_files_of_ones_own_are_known(
     assert told in refused(train_command.main, *own, *arguments)
 
 
-@pytest.mark.parametrize("choice", ["reward=bold", "env=corridor", "preset=mine", "learner=mine", "enhancer=calm"])
+@pytest.mark.parametrize("choice", ["reward=bold", "env=corridor", "preset=mine", "learner=mine", "actor_penalty=calm"])
 def test_without_their_folder_the_option_is_named(choice: str, refused: Callable[..., str]) -> None:
     group, _, name = choice.partition("=")
     sentence = refused(train_command.main, choice)

@@ -28,7 +28,7 @@ class Plain(Collector):
 class Mine(Collector):
     """One of TorchRL's with what a run asks for, an option of its own, and a fault: it dies after some flights."""
 
-    flies_elsewhere = False
+    is_remote = False
 
     def __init__(self, *args: Any, dies_after: int | None = None, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -42,11 +42,11 @@ class Mine(Collector):
             self.flown += 1
             yield flight
 
-    def start_anew(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, flights: int) -> None:
         self.set_seed(seed, static_seed=True)
         self.reset()
 
-    def wind_down(self) -> bool:
+    def drain(self) -> bool:
         return True
 
 
@@ -59,7 +59,7 @@ def chosen(name: str) -> type:
 
 def test_one_that_has_what_a_run_asks_for_is_taken_and_another_is_told_what_it_lacks() -> None:
     assert chosen("Mine") is Mine
-    with pytest.raises(UavrlError, match="Plain lacks flies_elsewhere, start_anew, wind_down: subclass one of them"):
+    with pytest.raises(UavrlError, match="Plain lacks is_remote, restart, drain: subclass one of them"):
         chosen("Plain")
 
 

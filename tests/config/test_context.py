@@ -122,7 +122,7 @@ def handed_over(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
 def test_the_list_is_what_a_run_hands_over(
     handed_over: dict[str, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "guide=vfh", "enhancer=imitation"]
+    chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "guide=vfh", "actor_penalty=imitation"]
     settings = validate(small_config(tmp_path / "run", *chosen))
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
     for module in (environment, build_module):
@@ -158,7 +158,7 @@ def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.M
     sizes = NetworkSizes(state=105, frames=3, actions=4, limit=2.0)
 
     class Collector:
-        flies_elsewhere = True
+        is_remote = True
 
         def __init__(self, create_env_fn: object, **kwargs: object) -> None:
             self.got = {"create_env_fn", *kwargs}

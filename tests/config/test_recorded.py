@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
 from tests.helpers.configs import changed
-from uavrl.config import validate, validate_run
+from tests.helpers.folders import ROOT
+from uavrl.config import resolve, validate, validate_run
 from uavrl.config.build import TARGET, find_class
 from uavrl.config.recorded import GONE, MOVED, renewed
 from uavrl.errors import UavrlError
 from uavrl.rollout.policies import PACKAGED, packaged_policies
-from uavrl.runs.config import load_config
+from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, fingerprints, load_config
 
 
 @pytest.mark.parametrize(("before", "now"), MOVED.items())
@@ -39,8 +41,8 @@ def test_a_run_that_has_recorded_an_unused_value_still_loads(caplog: pytest.LogC
 
 def test_the_policy_of_a_run_with_products_of_before_still_loads() -> None:
     config = changed(["fork=on"])
-    config.trainer.products = "bf16"
-    assert validate_run(config).trainer.products == "mkl"
+    config.trainer.matmul = "bf16"
+    assert validate_run(config).trainer.matmul == "mkl"
 
 
 @pytest.mark.parametrize("name", packaged_policies())
@@ -86,3 +88,22 @@ def test_and_is_refused_where_they_say_something_else(key: str, value: object) -
 def test_a_key_of_somebody_elses_part_stays() -> None:
     config = OmegaConf.create({"env": {TARGET: "own_parts.env.Corridor", "goal_angle": "course"}})
     assert renewed(config) == config
+
+
+def test_keys_that_had_other_names_are_read_and_their_checkpoints_known(tmp_path: Path) -> None:
+    now = resolve(changed(["guide=vfh", "actor_penalty=imitation", f"run_dir={tmp_path}"]))
+    before = now.copy()
+    before.trainer.products, before.algo.random_steps = before.trainer.pop("matmul"), before.algo.pop("learning_starts")
+    before.enhancer = before.pop("actor_penalty")
+    before.choices.enhancer = before.choices.pop("actor_penalty")
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(before))
+    found = load_config(tmp_path / "config.yaml")
+    assert found == now
+    assert fingerprint(before, (*FREE_KEYS, *MACHINE_KEYS, "trainer.products")) in fingerprints(found)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "docs/data/fast").rglob("config.yaml")), ids=lambda path: path.parent.name
+)
+def test_the_runs_that_the_docs_show_are_read(path: Path) -> None:
+    validate_run(load_config(path))

@@ -48,12 +48,12 @@ OUT_OF_RANGE = """
     perception.lidar.dropout=1
     reward.weights=[1.0,2.0] reward.flight_level=0 reward.altitude_term=square
     algo.gamma=1 algo.tau=0 algo.batch_size=0 algo.actor_lr=0 algo.critic_lr=-1 algo.policy_delay=0
-    algo.policy_noise=-1 algo.noise_clip=-1 algo.exploration_noise=-0.1 algo.random_steps=-1 algo.hidden=[]
+    algo.policy_noise=-1 algo.noise_clip=-1 algo.exploration_noise=-0.1 algo.learning_starts=-1 algo.hidden=[]
     algo.hidden=[400,0]
     buffer.capacity=0
     collector.steps_per_batch=0
     trainer.episodes=0 trainer.steps=0 trainer.updates_per_step=0 trainer.window=0 trainer.checkpoint_interval=0
-    trainer.keep_checkpoints=0 trainer.threads=0 trainer.execution=fast trainer.products=blas
+    trainer.keep_checkpoints=0 trainer.threads=0 trainer.execution=fast trainer.matmul=blas
     logger.interval=0
 """
 OUT_OF_RANGE_OF_CHOICES = {
@@ -100,7 +100,7 @@ def test_what_is_no_finite_number_is_refused_by_name(key: str, value: str) -> No
 
 
 OUT_OF_RANGE_OF_EVALUATION = """
-    episodes=0 num_uavs=0 threads=0 products=blas seed=-1 valleys=[] valleys=[-1] env.max_steps=0
+    episodes=0 num_uavs=0 threads=0 matmul=blas seed=-1 valleys=[] valleys=[-1] env.max_steps=0
 """
 
 

@@ -16,7 +16,7 @@ from uavrl.config.values import to_plain
 from uavrl.errors import UavrlError
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
-CHOICES = [file for file in FILES if file[0] not in ("pretrain", "scheme", "experiment", "learner", "preset")]
+CHOICES = [file for file in FILES if file[0] not in ("pretrain", "reward_preset", "experiment", "learner", "preset")]
 YAML_FILES = sorted(conf_dir().rglob("*.yaml"))
 
 
@@ -96,18 +96,21 @@ def test_the_thesis_pays_less_for_a_collision_with_lifeguard() -> None:
     def cost(*overrides: str) -> float:
         return settings(*overrides).reward.collided_reward
 
-    assert (cost(), cost("lifeguard=linear"), cost("learner=td3_fork", "scheme=abr")) == (-50.0, -50.0, -50.0)
-    assert (cost("learner=td3_lg"), cost("learner=td3_lg", "scheme=abr_plus")) == (-10.0, -10.0)
-    assert (cost("learner=td3_lg", "scheme=tr"), cost("learner=td3_lg", "reward.collided_reward=-50")) == (-50.0, -50.0)
+    assert (cost(), cost("lifeguard=linear"), cost("learner=td3_fork", "reward_preset=abr")) == (-50.0, -50.0, -50.0)
+    assert (cost("learner=td3_lg"), cost("learner=td3_lg", "reward_preset=abr_plus")) == (-10.0, -10.0)
+    assert (cost("learner=td3_lg", "reward_preset=tr"), cost("learner=td3_lg", "reward.collided_reward=-50")) == (
+        -50.0,
+        -50.0,
+    )
 
 
 def test_forks_weight_fades_at_a_return_that_the_reward_can_reach() -> None:
     def fades_at(*overrides: str) -> float:
         return settings("fork=on", *overrides).fork.max_reward
 
-    assert (fades_at(), fades_at("reward=navigation"), fades_at("scheme=abr_plus")) == (460.0, 460.0, 460.0)
-    assert (fades_at("reward=traditional"), fades_at("scheme=tr")) == (66.0, 66.0)
-    assert fades_at("scheme=tr", "fork.max_reward=80") == 80.0
+    assert (fades_at(), fades_at("reward=navigation"), fades_at("reward_preset=abr_plus")) == (460.0, 460.0, 460.0)
+    assert (fades_at("reward=traditional"), fades_at("reward_preset=tr")) == (66.0, 66.0)
+    assert fades_at("reward_preset=tr", "fork.max_reward=80") == 80.0
 
 
 def test_the_prize_is_what_loitering_for_ever_would_earn() -> None:
@@ -150,11 +153,16 @@ def test_the_fast_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn(
     ("overrides", "angles", "term", "reward"),
     [
         (["preset=thesis"], "raw", None, "traditional"),
-        (["preset=thesis", "scheme=abr_printed"], "raw", "literal", "navigation_printed"),
-        (["preset=thesis", "scheme=abr_plus_printed"], "raw", "literal", "navigation_printed"),
-        (["preset=thesis", "scheme=abr"], "raw", "absolute", "navigation"),
-        (["preset=thesis", "scheme=abr_printed", "perception.angles=turns"], "turns", "literal", "navigation_printed"),
-        (["scheme=abr"], "folded", "absolute", "navigation"),
+        (["preset=thesis", "reward_preset=abr_printed"], "raw", "literal", "navigation_printed"),
+        (["preset=thesis", "reward_preset=abr_plus_printed"], "raw", "literal", "navigation_printed"),
+        (["preset=thesis", "reward_preset=abr"], "raw", "absolute", "navigation"),
+        (
+            ["preset=thesis", "reward_preset=abr_printed", "perception.angles=turns"],
+            "turns",
+            "literal",
+            "navigation_printed",
+        ),
+        (["reward_preset=abr"], "folded", "absolute", "navigation"),
     ],
 )
 def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, term: str | None, reward: str) -> None:
@@ -165,11 +173,11 @@ def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, 
 
 def test_the_best_preset_is_the_fast_one_with_a_guide_in_many_valleys() -> None:
     config, fast = compose("preset=best"), compose("preset=fast")
-    assert (config.algo.random_steps, fast.algo.random_steps) == (15_000, 2000)
-    assert {**config.algo, "random_steps": 2000} == dict(fast.algo)
+    assert (config.algo.learning_starts, fast.algo.learning_starts) == (15_000, 2000)
+    assert {**config.algo, "learning_starts": 2000} == dict(fast.algo)
     assert (config.guide.reduction, compose("guide=vfh").guide.reduction) == ("range_image", "truncated_icosahedron")
     assert (config.choices.reward, config.choices.backward_reward) == ("traditional", "none")
-    assert config.enhancer.weight == 1.0
+    assert config.actor_penalty.weight == 1.0
     assert (config.perception.statistic, config.perception.last_action) == ("proximity", True)
     perceptions = [
         to_plain(dict(compose(f"perception={name}").perception)) for name in ("truncated_icosahedron", "range_image")

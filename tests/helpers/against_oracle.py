@@ -105,7 +105,7 @@ def leaves(params: TensorDictBase, index: int | None = None, *, grad: bool = Fal
 
 def networks(loss: ActorCriticLoss, learner: oracle.DDPG) -> dict[str, tuple[TensorDictBase, int | None, nn.Module]]:
     """Each network: its parameters in the library, its index if it is stacked there, and the oracle's module."""
-    base, fork = loss.unenhanced, enhancer(loss, Fork)
+    base, fork = loss.unwrapped, enhancer(loss, Fork)
     found = {
         "actor": (base.actor_network_params, None, learner.actor),
         "target actor": (base.target_actor_network_params, None, learner.target_actor),

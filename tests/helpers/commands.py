@@ -18,13 +18,13 @@ TINY = [
     "trainer.episodes=4",
     "env.num_uavs=2",
     "env.max_steps=20",
-    "algo.random_steps=40",
+    "algo.learning_starts=40",
     "algo.hidden=[8]",
     "buffer.capacity=400",
     "trainer.checkpoint_interval=40",
     "trainer.progress=false",
     "trainer.execution=captured",
-    "trainer.products=mkl",  # `auto` could turn with the process
+    "trainer.matmul=mkl",  # `auto` could turn with the process
 ]
 
 SMALL_EVALUATION = ["episodes=2", "progress=false"]  # no more vehicles than tasks are flown

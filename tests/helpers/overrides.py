@@ -27,13 +27,13 @@ from uavrl.training.trainer import EpisodeTrainer
 SECONDS = 10.0  # of computing, from the command to its end or its start
 SMALL = [
     "env.max_steps=3",
-    "algo.random_steps=0",
+    "algo.learning_starts=0",
     "algo.hidden=[8]",
     "buffer.capacity=400",
     "trainer.episodes=2",
     "trainer.progress=false",
     "trainer.execution=captured",
-    "trainer.products=mkl",
+    "trainer.matmul=mkl",
 ]
 # The asynchronous collector (and so preset=fast) and wandb start processes of their own, and an experiment is a sweep:
 # each takes longer than the rest together.
@@ -44,14 +44,14 @@ GROUPS = {
     "algo": ["td3", "ddpg", "sac", "ppo"],
     "buffer": ["uniform", "prioritized", "[uniform]"],
     "backward_reward": ["none", "abr", "abr_plus"],
-    "scheme": ["tr", "abr", "abr_plus", "prize", "best"],
+    "reward_preset": ["tr", "abr", "abr_plus", "prize", "best"],
     "fork": ["none", "on", "off"],
     "lifeguard": ["none", "linear", "mlp", "tree"],
     "learner": ["td3_lg", "td3_fork", "ppo"],
     "algo.actor._target_": ["os.system", "uavrl.models.actor_critic.Critic", "torch.nn.Linear", "null"],
     "logger": ["csv", "tensorboard", "mlflow"],
     "collector": ["sync", "threads"],
-    "enhancer": ["none", "own"],
+    "actor_penalty": ["none", "own"],
     "preset": ["thesis", "slow", "null"],
 }
 WILD = [

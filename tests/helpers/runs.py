@@ -16,14 +16,14 @@ SMALL = [
     *VALLEY,
     "env.num_uavs=2",
     "env.max_steps=12",
-    "algo.random_steps=40",
+    "algo.learning_starts=40",
     "algo.hidden=[16,16]",
     "algo.batch_size=8",
     "buffer.capacity=400",
     "trainer.checkpoint_interval=20",
     "trainer.keep_checkpoints=10",
     "trainer.progress=false",
-    "trainer.products=mkl",  # `auto` could turn with the machine's load
+    "trainer.matmul=mkl",  # `auto` could turn with the machine's load
     "trainer.execution=captured",  # compiling takes longer than these runs
 ]
 

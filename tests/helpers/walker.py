@@ -16,7 +16,7 @@ SMALL = [
     "algo.batch_size=8",
     "buffer.capacity=400",
     "trainer.progress=false",
-    "trainer.products=mkl",  # `auto` could turn with the machine's load
+    "trainer.matmul=mkl",  # `auto` could turn with the machine's load
     "trainer.execution=captured",
 ]
 

@@ -248,7 +248,7 @@ def test_enhancers_nest_either_way() -> None:
     torch.testing.assert_close(inner.actor_loss(data)[0], outer.actor_loss(data)[0])
     assert inner.active and nested.active
     assert outer.enhancers == [outer, nested]
-    assert outer.unenhanced is base
+    assert outer.unwrapped is base
     outer.observe(episode([1.0], width=6))
     assert list(nested.returns) == [1.0]
     assert outer.diagnostics().keys() == inner.diagnostics().keys()

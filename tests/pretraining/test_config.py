@@ -60,7 +60,7 @@ def test_constructors_default_to_the_configuration() -> None:
 
 
 OUT_OF_RANGE = """
-    seed=-1 threads=0 products=blas pretrain.states=0 pretrain.features=0 pretrain.hidden=0 pretrain.tradeoff=1.5
+    seed=-1 threads=0 matmul=blas pretrain.states=0 pretrain.features=0 pretrain.hidden=0 pretrain.tradeoff=1.5
     pretrain.psae_epochs=0 pretrain.psae_batch_size=0 pretrain.psae_lr=0 pretrain.clusters=[5,4,3,2,6]
     pretrain.clusters=[1,2,3,4,5] pretrain.clusters=[2,3] pretrain.k=1 pretrain.kmeans_batch_size=0
     pretrain.kmeans_iterations=0 pretrain.classifier_hidden=[] pretrain.classifier_epochs=0

@@ -40,7 +40,10 @@ def test_labels_say_what_differs(tmp_path: Path) -> None:
 
 
 def test_a_part_of_somebody_elses_is_called_by_its_yaml() -> None:
-    assert label({"algo": "ppo", "enhancer": "mine", "reward": "hover", "backward_reward": "none"}) == "PPO-mine, hover"
+    assert (
+        label({"algo": "ppo", "actor_penalty": "mine", "reward": "hover", "backward_reward": "none"})
+        == "PPO-mine, hover"
+    )
 
 
 def test_a_seed_counts_once_by_its_longest_run(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavrl.envs.world import World, WorldConfig
-from uavrl.rollout.position_stats import Whereabouts, summarize_places, whereabouts_lines
+from uavrl.rollout.position_stats import PositionStats, summarize_places, whereabouts_lines
 
 
 def test_percentiles_quarters_and_histogram_of_known_places() -> None:
@@ -37,7 +37,7 @@ def test_each_valley_has_walls_and_a_ground_of_its_own() -> None:
     ceiling = world.config.ceiling
     local = np.array([[12.0, 0.0], [-3.0, -8.5], [0.0, 0.0]])  # 1 m, 1.5 m and 10 m from the edge
     for valley in world.valleys:
-        places = Whereabouts(world)
+        places = PositionStats(world)
         for share, xy in zip((0.1, 0.6, 0.9), local, strict=True):
             ground = valley.ground.at(xy[None])[0]
             places.add(np.append(xy + valley.origin, ground + share * ceiling)[None])

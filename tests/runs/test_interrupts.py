@@ -16,7 +16,7 @@ def test_signals_are_given_back_to_who_had_them() -> None:
     before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:
         with stoppable() as stop:
-            stop.ending()
+            stop.shutting_down()
             os.kill(os.getpid(), signal.SIGTERM)
         assert stop.signal is None and not heard
         os.kill(os.getpid(), signal.SIGTERM)
@@ -27,7 +27,7 @@ def test_signals_are_given_back_to_who_had_them() -> None:
 
 def test_a_checkpoint_that_is_being_written_is_finished() -> None:
     done: list[str] = []
-    with pytest.raises(KeyboardInterrupt), stoppable() as stop, stop.behind_this():
+    with pytest.raises(KeyboardInterrupt), stoppable() as stop, stop.deferred():
         os.kill(os.getpid(), signal.SIGTERM)
         done.append("written")
     assert done == ["written"] and stop.signal == signal.SIGTERM
@@ -38,9 +38,9 @@ def test_an_interrupt_that_was_swallowed_comes_again() -> None:
     stop = Stop()
     stop.begin()
     with pytest.raises(KeyboardInterrupt):
-        stop.hear(signal.SIGTERM)
+        stop.handle(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
-        stop.foretell(1, 1)
+        stop.set_time_to_checkpoint(1, 1)
 
 
 @pytest.mark.parametrize(("left", "waits"), [(4, True), (6, False)])
@@ -54,11 +54,11 @@ def test_what_comes_soon_is_told_from_how_long_steps_take(
     stop = Stop()
     stop.begin()
     now[0] += 10.0
-    stop.foretell(left, 10)  # a step takes a second; half of the patience are five
-    heard: Callable[[], None] = lambda: stop.hear(signal.SIGINT)  # noqa: E731
+    stop.set_time_to_checkpoint(left, 10)  # a step takes a second; half of the patience are five
+    heard: Callable[[], None] = lambda: stop.handle(signal.SIGINT)  # noqa: E731
     if waits:
         heard()
         assert armed == [PATIENCE]
-        stop.foretell(1, 13)
+        stop.set_time_to_checkpoint(1, 13)
     with pytest.raises(KeyboardInterrupt):
         heard()

@@ -13,7 +13,7 @@ from tests.helpers.commands import TINY, in_process
 from uavrl.cli import train as train_command
 from uavrl.errors import FolderTaken, UavrlError
 from uavrl.runs import lock as claim
-from uavrl.runs.lock import GONE, HOLDER, LOCK, locked
+from uavrl.runs.lock import GONE, HOLDER, LOCK, run_lock
 
 
 def elsewhere(folder: Path, age: float) -> None:
@@ -26,14 +26,14 @@ def elsewhere(folder: Path, age: float) -> None:
 
 def test_a_process_that_lives_on_another_machine_is_waited_for(tmp_path: Path) -> None:
     elsewhere(tmp_path, age=GONE / 2)
-    with pytest.raises(FolderTaken, match=r"process 7 on another-machine\) trains in .*: wait"), locked(tmp_path):
+    with pytest.raises(FolderTaken, match=r"process 7 on another-machine\) trains in .*: wait"), run_lock(tmp_path):
         pass
     assert json.loads((tmp_path / HOLDER).read_text())["pid"] == 7, "its sign is left"
 
 
 def test_the_folder_of_a_machine_that_died_is_taken_over(tmp_path: Path) -> None:
     elsewhere(tmp_path, age=2 * GONE)
-    with locked(tmp_path):
+    with run_lock(tmp_path):
         assert json.loads((tmp_path / HOLDER).read_text())["pid"] == os.getpid()
     assert not (tmp_path / HOLDER).exists()
 
@@ -41,13 +41,13 @@ def test_the_folder_of_a_machine_that_died_is_taken_over(tmp_path: Path) -> None
 def test_a_damaged_sign_of_a_killed_process_here_is_no_hindrance(tmp_path: Path) -> None:
     for damaged in ("", "[]", json.dumps({"host": os.uname().nodename, "pid": 1})):
         (tmp_path / HOLDER).write_text(damaged)
-        with locked(tmp_path):
+        with run_lock(tmp_path):
             assert (tmp_path / LOCK).exists()
 
 
 def test_whoever_holds_a_folder_shows_signs_of_life(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claim, "BEAT", 0.01)
-    with locked(tmp_path):
+    with run_lock(tmp_path):
         os.utime(tmp_path / HOLDER, (0, 0))
         until = time.monotonic() + 60
         while (tmp_path / HOLDER).stat().st_mtime < 1 and time.monotonic() < until:
@@ -61,7 +61,7 @@ def test_nothing_is_written_through_a_planted_link(name: str, tmp_path: Path) ->
     run = tmp_path / "run"
     run.mkdir()
     (run / name).symlink_to(tmp_path / "mine")
-    with pytest.raises(UavrlError, match=rf"/{name} is a link that leads out of"), locked(run):
+    with pytest.raises(UavrlError, match=rf"/{name} is a link that leads out of"), run_lock(run):
         pass
     assert (tmp_path / "mine").read_text() == "untouched"
     assert [path.name for path in run.iterdir()] == [name]

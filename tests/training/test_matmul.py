@@ -15,26 +15,26 @@ from uavrl.errors import UavrlError
 from uavrl.runs.checkpoint import rotation
 from uavrl.training import matmul as arithmetic
 from uavrl.training import run as run_module
-from uavrl.training.matmul import chosen_products, multiplied_by
+from uavrl.training.matmul import chosen_matmul, matmul_backend
 from uavrl.training.run import create_run, resume_config, train
 
 
 def test_another_name_is_refused() -> None:
-    with pytest.raises(UavrlError, match=r"products must be one of .* got 'blas'"):
-        chosen_products("blas")
+    with pytest.raises(UavrlError, match=r"matmul must be one of .* got 'blas'"):
+        chosen_matmul("blas")
 
 
 @pytest.mark.parametrize("faster", ["mkl", "onednn"])
 def test_auto_takes_the_faster(faster: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arithmetic, "_obstacle", lambda name: None)
     monkeypatch.setattr(arithmetic, "product", lambda name, *_: time.sleep(1e-4 if name == faster else 1e-3))
-    assert chosen_products("auto") == faster
+    assert chosen_matmul("auto") == faster
 
 
 def test_a_tie_is_mkl(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arithmetic, "_obstacle", lambda name: None)
     monkeypatch.setattr(arithmetic.time, "perf_counter", iter(range(1000)).__next__)
-    assert chosen_products("auto") == "mkl"
+    assert chosen_matmul("auto") == "mkl"
 
 
 def test_the_caller_gets_its_products_back_and_other_devices_keep_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,10 +42,10 @@ def test_the_caller_gets_its_products_back_and_other_devices_keep_theirs(monkeyp
     setting = torch.backends.mkldnn.matmul
     before = setting.fp32_precision
     drawn = torch.get_rng_state()
-    with multiplied_by("onednn"):
+    with matmul_backend("onednn"):
         assert setting.fp32_precision == "bf16"
         assert not torch.backends.cuda.matmul.allow_tf32
-        with multiplied_by("mkl"):
+        with matmul_backend("mkl"):
             assert setting.fp32_precision == "ieee"
         assert setting.fp32_precision == "bf16"
     assert setting.fp32_precision == before
@@ -53,9 +53,9 @@ def test_the_caller_gets_its_products_back_and_other_devices_keep_theirs(monkeyp
 
 
 def test_a_run_keeps_what_auto_chose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_module, "chosen_products", lambda name, threads: {"auto": "onednn"}[name])
-    run_dir = create_run(small_config(tmp_path / "run", "trainer.products=auto"))
-    assert OmegaConf.load(run_dir / "config.yaml").trainer.products == "onednn"
+    monkeypatch.setattr(run_module, "chosen_matmul", lambda name, threads: {"auto": "onednn"}[name])
+    run_dir = create_run(small_config(tmp_path / "run", "trainer.matmul=auto"))
+    assert OmegaConf.load(run_dir / "config.yaml").trainer.matmul == "onednn"
 
 
 def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,12 +63,12 @@ def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatc
 
     def noted(name: str, threads: int) -> Any:
         asked.append(name)
-        return multiplied_by("mkl")
+        return matmul_backend("mkl")
 
-    monkeypatch.setattr(run_module, "multiplied_by", noted)
+    monkeypatch.setattr(run_module, "matmul_backend", noted)
     config = small_config(tmp_path / "run", "trainer.episodes=2")
     run_dir = create_run(config)
-    del config.trainer.products
+    del config.trainer.matmul
     (run_dir / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     train(config, run_dir)
     more = OmegaConf.create({"packages": [], "trainer": {"episodes": 4}})

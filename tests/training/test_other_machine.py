@@ -24,7 +24,7 @@ from uavrl.training import matmul as arithmetic
 from uavrl.training.run import create_run, resume_config, train
 from uavrl.training.sweep import run_folder
 
-OTHER = {"device": "cuda", "trainer.execution": "eager", "trainer.threads": 2, "trainer.products": "onednn"}
+OTHER = {"device": "cuda", "trainer.execution": "eager", "trainer.threads": 2, "trainer.matmul": "onednn"}
 
 
 @pytest.fixture
@@ -48,9 +48,9 @@ def test_products_that_this_machine_has_not_become_its_own(tmp_path: Path, caplo
     caplog.set_level(logging.INFO)
     run_dir = recorded(tmp_path / "run", trainer__products="onednn")
     config = resume_config(run_dir, small_config(run_dir), [])
-    assert config.trainer.products == "mkl"
+    assert config.trainer.matmul == "mkl"
     assert caplog.messages == [
-        f"{run_dir} goes on with trainer.products=mkl (before: onednn): from here on last digits may differ."
+        f"{run_dir} goes on with trainer.matmul=mkl (before: onednn): from here on last digits may differ."
     ]
 
 
@@ -58,7 +58,7 @@ def test_products_that_there_are_no_longer_may_be_changed(tmp_path: Path) -> Non
     run_dir = recorded(tmp_path / "run", trainer__products="bf16")
     with pytest.raises(UavrlError, match="one of auto, mkl, onednn"):
         resume_config(run_dir, small_config(run_dir), [])
-    assert resume_config(run_dir, small_config(run_dir), ["trainer.products"]).trainer.products == "mkl"
+    assert resume_config(run_dir, small_config(run_dir), ["trainer.matmul"]).trainer.matmul == "mkl"
 
 
 def test_a_run_may_leave_its_gpu_and_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -89,9 +89,9 @@ def test_a_sweep_s_folder_is_the_same_on_every_machine(key: str, tmp_path: Path)
 
 
 def test_a_sweep_keeps_what_a_run_has_chosen_by_itself() -> None:
-    config = with_run_dir(Path("run"), "device=auto", "trainer.products=auto", "trainer.execution=eager")
+    config = with_run_dir(Path("run"), "device=auto", "trainer.matmul=auto", "trainer.execution=eager")
     keys = free_keys(config)
-    assert "trainer.products" not in keys
+    assert "trainer.matmul" not in keys
     assert {"device", "trainer.execution", "trainer.threads", "trainer.episodes"} <= set(keys)
 
 
@@ -113,9 +113,9 @@ def more_of(run_dir: Path, *changed_keys: str) -> DictConfig:
 
 def test_a_run_from_before_that_was_so_goes_on_as_any_other(run_dir: Path, tmp_path: Path) -> None:
     older = Path(shutil.copytree(run_dir, tmp_path / "older/run"))
-    as_before_that_was_so(older, products="bf16", threads=2)
+    as_before_that_was_so(older, matmul="bf16", threads=2)
     train(more_of(run_dir), run_dir, resume=True)
-    train(more_of(older, "trainer.products", "trainer.threads"), older, resume=True)
+    train(more_of(older, "trainer.matmul", "trainer.threads"), older, resume=True)
     assert read_config(older).trainer == read_config(run_dir).trainer
     assert_same_run(run_dir, older)
 

@@ -34,7 +34,7 @@ def test_flights_are_expected_to_lengthen_to_half_of_the_longest(a_flight: float
 
 
 def test_random_flights_and_the_compilation_say_nothing_of_the_time_left(clock: Clock) -> None:
-    line = Progress(1000, 200, random_steps=500, max_steps=300)
+    line = Progress(1000, 200, learning_starts=500, max_steps=300)
     clock.now = 2.0  # quick: nothing is learned
     assert "flying at random until step 500 | 400 steps | last 10: success 25.0%" in shown(line, 10, 400)
     clock.now = 60.0  # compiled

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from uavrl.buffers import EpisodeBuffer
-from uavrl.training.replay import STORED_KEYS, Experience
+from uavrl.training.replay import STORED_KEYS, EpisodeReplay
 
 
 class Short:
@@ -31,10 +31,10 @@ class Short:
         self.seen = state_dict["seen"]
 
 
-def filtering() -> Experience:
+def filtering() -> EpisodeReplay:
     buffer = EpisodeBuffer(100)
     buffer.filter = Short()
-    return Experience(buffer, 2)
+    return EpisodeReplay(buffer, 2)
 
 
 def episode(steps: int) -> TensorDict:
@@ -45,19 +45,19 @@ def episode(steps: int) -> TensorDict:
 
 
 def test_after_an_episode_that_is_left_out_come_a_few_updates() -> None:
-    experience = filtering()
+    replay = filtering()
     told = []
     for batch in (episode(5), episode(9), torch.cat([episode(3), episode(8), episode(2)])):
-        stored = experience.filtered(batch)
+        stored = replay.filtered(batch)
         assert set(stored.keys(True, True)) == set(STORED_KEYS)
-        updates = experience.store(stored)
-        told.append((len(stored), len(experience.buffer), updates, sum(1 for _ in experience.batches(updates))))
+        updates = replay.store(stored)
+        told.append((len(stored), len(replay.buffer), updates, sum(1 for _ in replay.batches(updates))))
     assert told == [(5, 5, 5, 5), (0, 5, 7, 7), (5, 10, 5, 5)]
 
 
 def test_nothing_is_learned_from_an_empty_buffer() -> None:
-    experience = filtering()
-    assert experience.store(experience.filtered(episode(9))) == 0
+    replay = filtering()
+    assert replay.store(replay.filtered(episode(9))) == 0
 
 
 def test_the_filters_state_goes_into_checkpoints() -> None:
@@ -65,4 +65,4 @@ def test_the_filters_state_goes_into_checkpoints() -> None:
     one.filtered(episode(9))
     other.load_state_dict(one.state_dict())
     assert other.diagnostics() == one.diagnostics() == {"seen": 1.0}
-    assert Experience(EpisodeBuffer(9), 2).diagnostics() == {}
+    assert EpisodeReplay(EpisodeBuffer(9), 2).diagnostics() == {}

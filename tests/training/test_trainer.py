@@ -39,7 +39,7 @@ class Run:
 
     @property
     def stored(self) -> TensorDictBase:
-        buffer = self.trainer.experience.buffer
+        buffer = self.trainer.replay.buffer
         return buffer.storage.get(slice(0, len(buffer)))
 
     def stored_episodes(self) -> list[TensorDictBase]:
@@ -75,7 +75,7 @@ def policy_of(run: Run, observation: torch.Tensor) -> torch.Tensor:
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """64 random steps (the first two batches of 32), then noise of 0.1 · 2 m/s."""
-    return flown(tmp_path_factory.mktemp("noisy") / "run", *FROZEN, "trainer.episodes=30", "algo.random_steps=64")
+    return flown(tmp_path_factory.mktemp("noisy") / "run", *FROZEN, "trainer.episodes=30", "algo.learning_starts=64")
 
 
 @pytest.fixture(scope="module")
@@ -99,13 +99,15 @@ def test_after_an_episode_of_t_steps_come_t_updates(learning: Run) -> None:
 
 
 def test_no_update_comes_before_the_random_steps_are_flown(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.random_steps=500")
+    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.learning_starts=500")
     assert run.updates == [0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("per_step", [0.3125, 1.5])
 def test_fractions_of_an_update_add_up(tmp_path: Path, per_step: float) -> None:
-    run = flown(tmp_path / "run", "trainer.episodes=4", "algo.random_steps=0", f"trainer.updates_per_step={per_step}")
+    run = flown(
+        tmp_path / "run", "trainer.episodes=4", "algo.learning_starts=0", f"trainer.updates_per_step={per_step}"
+    )
     assert run.updates == [math.floor(per_step * e.total_steps) for e in run.episodes]
 
 
@@ -117,7 +119,7 @@ EASY = [
     "env.world.goal_radius=18",
     "env.world.obstacles=0",
     "env.max_steps=40",
-    "algo.random_steps=10000",
+    "algo.learning_starts=10000",
 ]
 
 
@@ -145,7 +147,7 @@ def test_the_buffer_holds_exactly_the_logged_steps(noisy: Run) -> None:
 
 
 def test_a_time_out_is_done_and_not_terminated(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.random_steps=0", lift=0.0)
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.learning_starts=0", lift=0.0)
     timed_out = [s[-1] for s, e in zip(run.stored_episodes(), run.episodes, strict=True) if e.outcome == "timed_out"]
     assert timed_out
     for last in timed_out:
@@ -155,7 +157,9 @@ def test_a_time_out_is_done_and_not_terminated(tmp_path: Path) -> None:
 
 
 def test_a_collision_is_done_and_terminated(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "env.max_steps=60", lift=-1.99)
+    run = flown(
+        tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.learning_starts=0", "env.max_steps=60", lift=-1.99
+    )
     assert [e.outcome for e in run.episodes] == ["collided", "collided"]
     for steps in run.stored_episodes():
         assert steps["next", "terminated"][:, 0].tolist() == [False] * (len(steps) - 1) + [True]
@@ -196,13 +200,13 @@ def test_actions_are_random_at_first_and_noisy_ones_of_the_policy_later(noisy: R
 
 
 def test_without_noise_the_actions_are_the_policys(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.random_steps=0", "algo.exploration_noise=0")
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=2", "algo.learning_starts=0", "algo.exploration_noise=0")
     expected = policy_of(run, run.stored["observation"])
     torch.testing.assert_close(run.stored["action"], expected, atol=1e-5, rtol=0)
 
 
 def test_noisy_actions_stay_within_the_limits(tmp_path: Path) -> None:
-    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.random_steps=0", lift=1.99)
+    run = flown(tmp_path / "run", *FROZEN, "trainer.episodes=4", "algo.learning_starts=0", lift=1.99)
     assert run.stored["action"].abs().max() == 2.0
 
 

@@ -19,7 +19,7 @@ from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.rollout.environment import inner_transforms, network_sizes
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_buffer, make_training_env
-from uavrl.training.progress import warn_of_random_steps
+from uavrl.training.progress import warn_of_late_learning
 from uavrl.training.run import create_run, train
 from uavrl.transforms import Mirror
 from uavrl.transforms.guidance import GuidedEnv
@@ -57,7 +57,7 @@ def test_the_guides_actions_are_flown_with_noise_and_chance_flies_without_one(tm
 
 
 def test_a_guide_of_ones_own_flies_the_first_steps_and_no_later_ones(tmp_path: Path) -> None:
-    first = ["packages=[tests]", "algo.exploration_noise=0", "algo.random_steps=40", "trainer.episodes=8"]
+    first = ["packages=[tests]", "algo.exploration_noise=0", "algo.learning_starts=40", "trainer.episodes=8"]
     config = small_config(tmp_path / "run", *first)
     config.guide = {"_target_": "tests.transforms.test_guidance.Still"}
     train(config, create_run(config))
@@ -76,21 +76,21 @@ def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest
     for limit, told in (("episodes=20", True), ("episodes=200", False), ("steps=300", True), ("steps=301", False)):
         caplog.clear()
         length = [f"trainer.{limit}"] if limit.startswith("episodes") else ["trainer.episodes=200", f"trainer.{limit}"]
-        few = ["guide=vfh", "algo.random_steps=300", "env.max_steps=30", *length]
-        warn_of_random_steps(validate(small_config(tmp_path / "run", *few)))
-        assert (f"the guide may fly the whole run, trainer.{limit}," in caplog.text) == told
+        few = ["guide=vfh", "algo.learning_starts=300", "env.max_steps=30", *length]
+        warn_of_late_learning(validate(small_config(tmp_path / "run", *few)))
+        assert (f"the scripted controller may fly the whole run, trainer.{limit}," in caplog.text) == told
 
 
 def test_random_steps_that_last_as_long_as_the_run_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for steps, told in ((300, True), (301, False)):
         caplog.clear()
-        few = ["algo.random_steps=300", "trainer.episodes=200", f"trainer.steps={steps}"]
-        warn_of_random_steps(validate(small_config(tmp_path / "run", *few)))
+        few = ["algo.learning_starts=300", "trainer.episodes=200", f"trainer.steps={steps}"]
+        warn_of_late_learning(validate(small_config(tmp_path / "run", *few)))
         assert ("the run ends by then, by trainer.steps=300" in caplog.text) == told
 
 
 def test_the_guides_action_is_mirrored_with_the_policys_as_it_sees(tmp_path: Path) -> None:
-    chosen = ["guide=vfh", "perception.reduction=range_image", "perception.last_action=true", "buffer.mirror=true"]
+    chosen = ["guide=vfh", "perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
     settings = validate(small_config(tmp_path / "run", *chosen))
     env = make_training_env(settings, seed=0)
     buffer = make_buffer(settings, env, network_sizes(env), torch.device("cpu"))
@@ -109,10 +109,10 @@ def test_a_guides_costs_can_be_given(tmp_path: Path) -> None:
 
 
 def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_path: Path) -> None:
-    alone = small_config(tmp_path / "a", "enhancer=imitation")
+    alone = small_config(tmp_path / "a", "actor_penalty=imitation")
     with pytest.raises(UavrlError, match="guide must be a guide's name"):
         train(alone, create_run(alone))
     calm = small_config(tmp_path / "b", "algo.n_steps=3")
-    calm.packages, calm.enhancer = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
+    calm.packages, calm.actor_penalty = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
     with pytest.raises(UavrlError, match=r"n_steps must be 1: tests.transforms.test_guidance.Calm learns from single"):
         train(calm, create_run(calm))

@@ -11,7 +11,7 @@ from uavrl.cli.command import command, given_overrides
 from uavrl.cli.suite import evaluate_suite
 from uavrl.command_line import command_line
 from uavrl.config import EvaluateConfig, validate
-from uavrl.rollout.policies import choose, distinguishing, name_of_output, policy_folder, require_fit
+from uavrl.rollout.policies import choose, output_name, policy_folder, require_fit, result_overrides
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.provenance import processor, versions
 
@@ -44,10 +44,10 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
 
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.rollout.environment import make_device, make_env
-    from uavrl.rollout.position_stats import Whereabouts
+    from uavrl.rollout.position_stats import PositionStats
     from uavrl.rollout.rollout import fly
     from uavrl.rollout.summary import summarize
-    from uavrl.training.matmul import multiplied_by
+    from uavrl.training.matmul import matmul_backend
 
     torch.set_num_threads(settings.threads)
     chosen = choose(settings, config, overrides, folder, make_device(settings.device))
@@ -55,18 +55,18 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
         chosen.source["run"] = settings.run or f"policy={settings.policy}"
     writable(output)
     told: dict[str, Any] = {"seed": settings.seed, "env": chosen.choices.get("env", "")}
-    told |= {"overrides": distinguishing(overrides), "versions": versions(), "processor": processor()}
+    told |= {"overrides": result_overrides(overrides), "versions": versions(), "processor": processor()}
     count = min(settings.num_uavs, settings.episodes)
     if "world" in chosen.env:
         told["valleys"] = list(chosen.env.world.seeds)
         told["planes"] = chosen.env.world.planes
         told["num_uavs"] = count  # planes move with the steps of all
     context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}
-    with multiplied_by(settings.products, settings.threads) as told["products"]:
+    with matmul_backend(settings.matmul, settings.threads) as told["matmul"]:
         env = make_env(chosen.env, chosen.perception, measure_clearance=True, **context)
         try:
             require_fit(chosen, env)
-            places = Whereabouts(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
+            places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
             watch = None if places is None else places.add
             flights = fly(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
         finally:
@@ -82,7 +82,7 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
     """Where the result goes; what was changed stands in its name."""
     several = [] if settings.episodes == EvaluateConfig.episodes else [f"episodes={settings.episodes}"]
-    name = name_of_output("evaluation", [*distinguishing(overrides), *several]) + ".json"
+    name = output_name("evaluation", [*result_overrides(overrides), *several]) + ".json"
     return Path(settings.output or (Path(settings.run or ".") / name))
 
 

@@ -42,10 +42,10 @@ def _export(settings: ExportConfig) -> None:
         near = did_you_mean(str(settings.policy), names, ": ", "to export your own give run=RUN_FOLDER.")
         raise UavrlError(f"policy must be one of {', '.join(names)}, got {settings.policy!r}{near}")
     # Imported here: --help and a mistyped key answer without loading torch.
-    from uavrl.rollout.saved import TOLD, export_policy, load_actor
+    from uavrl.rollout.saved import POLICY_INFO, export_policy, load_actor
 
     config, actor, known = load_actor(folder, settings.checkpoint, "cpu", settings.packages)
-    about = {key: known[key] for key in ("run", *TOLD) if key in known}
+    about = {key: known[key] for key in ("run", *POLICY_INFO) if key in known}
     export_policy(actor, config, {"run": folder.resolve().name, **about}, output)
     steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"
     then = command_line("uavrl-evaluate", run=output)

@@ -37,7 +37,7 @@ MOST_USED = {
         "trainer.until_success",
         "env.num_uavs",
         "env.world.obstacles",
-        "algo.random_steps",
+        "algo.learning_starts",
         "algo.hidden",
         "buffer.capacity",
         "packages",

@@ -9,7 +9,7 @@ import yaml
 from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
 
-ROWS = ("scheme", "learner")  # groups whose choices stand for choices of other groups
+ROWS = ("reward_preset", "learner")  # groups whose choices stand for choices of other groups
 
 
 def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:

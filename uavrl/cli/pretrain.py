@@ -19,10 +19,10 @@ def _pretrain(config: DictConfig) -> None:
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
     from uavrl.pretraining.settings import PretrainConfig
-    from uavrl.training.matmul import multiplied_by
+    from uavrl.training.matmul import matmul_backend
 
     settings = validate(config, PretrainConfig)
-    with multiplied_by(settings.products, settings.threads):
+    with matmul_backend(settings.matmul, settings.threads):
         about = pretrain(settings)
     source, learned, elbow = about["source"], about["classifier"], about["sse"]["elbow"]
     print(f"{source['states_drawn']:,} of {source['states']:,} states in {source['episodes']:,} episodes")

@@ -16,7 +16,7 @@ from uavrl.config.sentences import require
 from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count, Folder
-from uavrl.rollout.policies import choose, distinguishing, name_of_output, policy_folder
+from uavrl.rollout.policies import choose, output_name, policy_folder, result_overrides
 from uavrl.runs.files import writable
 from uavrl.runs.weights import POLICY
 
@@ -73,14 +73,14 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.rollout.position_stats import whereabouts_lines
     from uavrl.rollout.recording import load_recording, save_recording
-    from uavrl.training.matmul import multiplied_by
+    from uavrl.training.matmul import matmul_backend
     from uavrl.viewer.flight_page import needs_plotly, write_page
 
     needs_plotly()
     # All that can be wrong with the input is found before a folder is made or anything is flown.
     loaded = load_recording(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
     outputs = _outputs(settings, overrides)
-    with multiplied_by(settings.products, settings.threads):
+    with matmul_backend(settings.matmul, settings.threads):
         shown = loaded() if callable(loaded) else loaded
     for flight in shown.flights:
         summary = flight.summary
@@ -98,9 +98,9 @@ def _replay(config: DictConfig, overrides: list[str]) -> None:
 
 def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
     """Where page and data go, found writable before anything is flown."""
-    plain = ("run", "flight", "output", "data", "points", "device", "threads", "products", "progress")
+    plain = ("run", "flight", "output", "data", "points", "device", "threads", "matmul", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
-    name = name_of_output("replay", distinguishing(overrides, plain)) + ".html"
+    name = output_name("replay", result_overrides(overrides, plain)) + ".html"
     paths = {"output": Path(settings.output or folder / name)}
     if settings.data:
         paths["data"] = Path(settings.data)

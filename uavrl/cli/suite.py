@@ -21,7 +21,7 @@ from uavrl.cli.errors import configure_logging
 from uavrl.config import EvaluateConfig
 from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError, was_interrupted
-from uavrl.rollout.policies import distinguishing, file_of_policy, name_of_output, policy_folder
+from uavrl.rollout.policies import file_of_policy, output_name, policy_folder, result_overrides
 from uavrl.runs.episodes import outcomes_of
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.interrupts import interrupts_held_back
@@ -43,7 +43,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     from uavrl.rollout.suite import scenarios, suite_table
     from uavrl.rollout.summary import reached
 
-    kept = distinguishing(overrides, OWN)
+    kept = result_overrides(overrides, OWN)
     for override in kept:
         if override.split("=")[0] in ("valleys", "env") or override.startswith("env."):
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
@@ -74,7 +74,7 @@ def _config(changes: list[str]) -> DictConfig:
 
 
 def _folder(settings: EvaluateConfig, kept: list[str]) -> Path:
-    name = name_of_output("suite", distinguishing(kept))
+    name = output_name("suite", result_overrides(kept))
     if settings.run is not None and settings.output is None:
         check_links(Path(settings.run), [name])
     folder = Path(settings.output or (Path(settings.run or ".") / name))
@@ -148,7 +148,7 @@ def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, 
     try:
         result = json.loads(output.read_text(encoding="utf-8"))
         same = (result["overrides"], result["episodes"], result["seed"]) == (
-            distinguishing(told),
+            result_overrides(told),
             settings.episodes,
             settings.seed,
         )

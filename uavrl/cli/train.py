@@ -82,14 +82,14 @@ def _train(config: DictConfig) -> None:
     _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
     config = OmegaConf.create(to_plain(settings))
-    from uavrl.runs.lock import locked
+    from uavrl.runs.lock import run_lock
     from uavrl.training.run import create_run, resume_config
 
     if config.resume is None:
         _check_machine(config)
         with made_folder(Path(config.run_dir), ANY_CHECKPOINT, another=named_by_time) as run_dir:
             config.run_dir = str(run_dir)
-            with full_disk_told(run_dir), locked(run_dir):
+            with explain_full_disk(run_dir), run_lock(run_dir):
                 _fly(config, create_run(config), resume=False)
         return
     run_dir = Path(str(config.resume))
@@ -97,12 +97,12 @@ def _train(config: DictConfig) -> None:
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
     _check(validate_run(config))
     _check_machine(config)
-    with full_disk_told(run_dir):
+    with explain_full_disk(run_dir):
         _fly(config, run_dir, resume=True)
 
 
 @contextmanager
-def full_disk_told(run_dir: Path) -> Iterator[None]:
+def explain_full_disk(run_dir: Path) -> Iterator[None]:
     """Says which file could not be written, and how to go on."""
     try:
         yield
@@ -128,11 +128,11 @@ def _check(settings: TrainConfig) -> None:
 def _check_machine(config: DictConfig) -> None:
     """Finds what this machine has not, before a folder is made."""
     from uavrl.rollout.environment import make_device
-    from uavrl.training.matmul import chosen_products
+    from uavrl.training.matmul import chosen_matmul
 
     make_device(config.device)
-    if "products" in config.trainer and config.trainer.products != "auto":
-        chosen_products(config.trainer.products, config.trainer.threads)
+    if "matmul" in config.trainer and config.trainer.matmul != "auto":
+        chosen_matmul(config.trainer.matmul, config.trainer.threads)
 
 
 def _train_in_sweep(config: DictConfig) -> None:
@@ -144,7 +144,7 @@ def _train_in_sweep(config: DictConfig) -> None:
             "command is started again."
         )
     from uavrl.runs.config import free_keys
-    from uavrl.runs.lock import locked
+    from uavrl.runs.lock import run_lock
     from uavrl.training.run import create_run, resume_config
     from uavrl.training.sweep import is_begun, is_finished, run_folder
 
@@ -161,7 +161,7 @@ def _train_in_sweep(config: DictConfig) -> None:
         return
     try:
         _check_machine(config)
-        with full_disk_told(run_dir), made_folder(run_dir, ANY_CHECKPOINT), locked(run_dir):
+        with explain_full_disk(run_dir), made_folder(run_dir, ANY_CHECKPOINT), run_lock(run_dir):
             if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):  # meanwhile, by another process
                 print(f"Finished: {run_dir}")
             elif is_begun(run_dir):

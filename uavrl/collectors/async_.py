@@ -34,7 +34,7 @@ class AsyncCollector(MultiAsyncCollector):
         FlyingEnded: while iterating, when a worker has died.
     """
 
-    flies_elsewhere: ClassVar[bool] = True
+    is_remote: ClassVar[bool] = True
 
     def __init__(
         self, create_env_fn: Callable[[], EnvBase], *, processes: Annotated[int, Field(ge=1, le=256)] = 1, **kwargs: Any
@@ -60,7 +60,7 @@ class AsyncCollector(MultiAsyncCollector):
         """Yields what was flown, ``frames_per_batch`` steps at a time."""
         batches = super().iterator()
         while True:
-            with _death_told():
+            with _worker_errors():
                 try:
                     batch = next(batches)
                 except StopIteration:
@@ -69,21 +69,21 @@ class AsyncCollector(MultiAsyncCollector):
 
     def set_seed(self, *args: Any, **kwargs: Any) -> int:
         """Seeds the worker's environment."""
-        with _death_told():
+        with _worker_errors():
             return super().set_seed(*args, **kwargs)
 
     def reset(self, *args: Any, **kwargs: Any) -> None:
         """Starts new episodes."""
-        with _death_told():
+        with _worker_errors():
             super().reset(*args, **kwargs)
 
-    def start_anew(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, flights: int) -> None:
         """Starts new episodes from a seed, another one in each process, unless some fly: these go on. All count."""
         if not self.running:
             self.set_seed(seed)
             self.reset()
 
-    def wind_down(self) -> bool:
+    def drain(self) -> bool:
         """Nothing need end: open flights go on through a checkpoint."""
         return True
 
@@ -106,7 +106,7 @@ class AsyncCollector(MultiAsyncCollector):
 
 
 @contextmanager
-def _death_told() -> Iterator[None]:
+def _worker_errors() -> Iterator[None]:
     """Turns what TorchRL raises when the worker does not answer into a sentence."""
     try:
         yield

@@ -6,26 +6,26 @@ from typing import Any, ClassVar, Protocol
 
 from tensordict import TensorDictBase
 
-OURS = ("flies_elsewhere", "start_anew", "wind_down")  # what TorchRL's collectors lack
+REQUIRED = ("is_remote", "restart", "drain")  # what TorchRL's collectors lack
 
 
-class FlightCollector(Protocol):
+class EpisodeCollector(Protocol):
     """Yields whole flights, one a batch, and can be told when to begin anew.
 
     One of your own subclasses a collector of uavrl's, or one of TorchRL's and has these three beside. With
-    ``flies_copies = True`` it gets a policy on the CPU, whatever the learner's device is.
+    ``copies_policy = True`` it gets a policy on the CPU, whatever the learner's device is.
     """
 
-    flies_elsewhere: ClassVar[bool]  # than in the learner's process: it makes its environments itself
+    is_remote: ClassVar[bool]  # than in the learner's process: it makes its environments itself
     init_random_frames: int
 
     def __iter__(self) -> Iterator[TensorDictBase]:
         """The flights that count."""
 
-    def start_anew(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, flights: int) -> None:
         """Drops what is open, unless that flies on, and begins from a seed; the first ``flights`` of then on count."""
 
-    def wind_down(self) -> bool:
+    def drain(self) -> bool:
         """Begins no flight that counts; tells whether all that count have ended."""
 
     def state_dict(self) -> OrderedDict[str, Any]:

@@ -67,8 +67,8 @@ class RayCollector(TorchRLRayCollector):
         FlyingEnded: while iterating, when a worker has died.
     """
 
-    flies_elsewhere: ClassVar[bool] = True
-    flies_copies: ClassVar[bool] = True  # of the policy, on CPUs
+    is_remote: ClassVar[bool] = True
+    copies_policy: ClassVar[bool] = True  # of the policy, on CPUs
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class RayCollector(TorchRLRayCollector):
         self._running = True
         flying = {batch: (worker, told) for worker in self.remote_collectors for batch, told in [self._fly(worker)]}
         while True:
-            with _death_told():
+            with _worker_errors():
                 ended = ray.wait(list(flying))[0][0]
                 worker, told = flying.pop(ended)
                 ray.get(told)
@@ -133,14 +133,14 @@ class RayCollector(TorchRLRayCollector):
         told = worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
         return worker.next.remote(), told
 
-    def start_anew(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, flights: int) -> None:
         """Starts new flights from a seed, another one in each worker, unless some fly: these go on. All count."""
         if not self._running:
             seeds = np.random.SeedSequence(seed).generate_state(self.num_collectors)
-            with _death_told():
+            with _worker_errors():
                 self.map_fn("begin", [(int(own), self._frames // self.num_collectors) for own in seeds])
 
-    def wind_down(self) -> bool:
+    def drain(self) -> bool:
         """Nothing need end: open flights go on through a checkpoint."""
         return True
 
@@ -226,7 +226,7 @@ def _handlers_kept() -> Iterator[None]:
 
 
 @contextmanager
-def _death_told() -> Iterator[None]:
+def _worker_errors() -> Iterator[None]:
     """Turns what Ray raises when a worker does not answer into a sentence."""
     import ray
 

@@ -12,7 +12,7 @@ SECONDS = 30.0
 log = logging.getLogger(__name__)
 
 
-class Silence:
+class StallNotice:
     """Says what is waited for, once in every silence that lasts."""
 
     def __init__(self, text: str, seconds: float | None = None) -> None:
@@ -21,13 +21,13 @@ class Silence:
         self._last: float | None = time.monotonic()
         self._over = threading.Event()
 
-    def heard(self) -> None:
-        """Begins the next silence."""
+    def reset(self) -> None:
+        """Begins the next stall_notice."""
         self._last = time.monotonic()
 
-    def __enter__(self) -> Silence:
+    def __enter__(self) -> StallNotice:
         """Listens, in a thread of its own."""
-        self.heard()
+        self.reset()
         self._over.clear()
         threading.Thread(target=self._listen, daemon=True).start()
         return self

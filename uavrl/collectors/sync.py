@@ -17,20 +17,20 @@ class SyncCollector(Collector):
     knows ``tasks_begun``.
     """
 
-    flies_elsewhere: ClassVar[bool] = False
+    is_remote: ClassVar[bool] = False
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._counted: float = math.inf
         self._ended = 0
 
-    def start_anew(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, flights: int) -> None:
         """Builds the environment anew from a seed and drops what is open; the first ``flights`` from here on count."""
         self._counted, self._ended = flights, 0
         self.set_seed(seed, static_seed=True)
         self.reset()
 
-    def wind_down(self) -> bool:
+    def drain(self) -> bool:
         """Counts no flight that begins after the first call; tells whether all that count have ended."""
         self._counted = min(self._counted, self.getattr_env("tasks_begun"))
         return self._ended == self._counted

@@ -16,7 +16,7 @@ CONTEXT: Mapping[str, tuple[str, ...]] = {
     "algo": ("actor_network", "qvalue_networks", "value_network", "action_spec"),
     "fork": _ENHANCER,
     "lifeguard": _ENHANCER,
-    "enhancer": _ENHANCER,
+    "actor_penalty": _ENHANCER,
     "buffer": ("frames", "seed", "transform"),
     "backward_reward": ("stacked", "observations", "perception", "kept"),
     "collector": (

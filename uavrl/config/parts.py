@@ -18,7 +18,7 @@ PARTS = (
     "algo",
     "fork",
     "lifeguard",
-    "enhancer",
+    "actor_penalty",
     "buffer",
     "backward_reward",
     "guide",
@@ -31,7 +31,7 @@ _NETWORK = Annotated[Any, Rule(f"a part with a {TARGET}", lambda value: False)] 
 LOOP: Mapping[str, Mapping[str, Any]] = {
     "algo": {
         "batch_size": Count,
-        "random_steps": Whole,
+        "learning_starts": Whole,
         "exploration_noise": NonNegative,
         "exploration_spread": Annotated[float, Field(ge=1, le=1e6)],
         "hidden": Widths,

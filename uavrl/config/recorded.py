@@ -13,10 +13,10 @@ from uavrl.errors import UavrlError
 log = logging.getLogger(__name__)
 # Where a class lies today, by the name that it was recorded under.
 MOVED = {
-    "uavrl.rollout.baselines.VectorFieldHistogram": "uavrl.rollout.baselines.VectorFieldHistogram",
-    "uavrl.collectors.async_.AsyncCollector": "uavrl.collectors.async_.AsyncCollector",
-    "uavrl.collectors.ray.RayCollector": "uavrl.collectors.ray.RayCollector",
-    "uavrl.collectors.sync.SyncCollector": "uavrl.collectors.sync.SyncCollector",
+    "uavrl.flying.baselines.VectorFieldHistogram": "uavrl.rollout.baselines.VectorFieldHistogram",
+    "uavrl.training.async_collector.AsyncCollector": "uavrl.collectors.async_.AsyncCollector",
+    "uavrl.training.ray_collector.RayCollector": "uavrl.collectors.ray.RayCollector",
+    "uavrl.training.sync_collector.SyncCollector": "uavrl.collectors.sync.SyncCollector",
 }
 # Keys that there are no longer, with the value that is today's only behaviour; None where no value bears on it.
 GONE: Mapping[str, Any] = {
@@ -48,8 +48,8 @@ def renewed(config: DictConfig) -> DictConfig:
             del part[name]
     for name in map(str, list(result)):
         _renew(result[name], name)
-    if OmegaConf.select(result, "trainer.products") == "bf16":
-        result.trainer.products = "mkl"
+    if OmegaConf.select(result, "trainer.matmul") == "bf16":
+        result.trainer.matmul = "mkl"
     return result
 
 

@@ -11,7 +11,7 @@ from uavrl.ranges import Count, Folder, Rule, Seed, Share, Text
 
 NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
 Execution = Literal["eager", "captured", "compiled", "auto"]
-Products = Literal["mkl", "onednn", "auto"]
+MatmulBackend = Literal["mkl", "onednn", "auto"]
 Threads = Annotated[int, Field(ge=1, le=256)]
 Valleys = Annotated[
     tuple[int, ...], Rule("null or a list of seeds from 0", lambda seeds: len(seeds) > 0 and min(seeds) >= 0)
@@ -31,7 +31,7 @@ class TrainerConfig:
     keep_checkpoints: Count = 2
     threads: Threads = 1
     execution: Execution = "auto"
-    products: Products = "auto"
+    matmul: MatmulBackend = "auto"
     progress: bool = True
 
 
@@ -50,7 +50,7 @@ class TrainConfig:
     algo: Part
     fork: Part
     lifeguard: Part
-    enhancer: Part
+    actor_penalty: Part
     buffer: Part
     backward_reward: Part
     collector: Part
@@ -98,7 +98,7 @@ class FlyingConfig:
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1
-    products: Products = "mkl"
+    matmul: MatmulBackend = "mkl"
     progress: bool = True
 
 

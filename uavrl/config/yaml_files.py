@@ -71,7 +71,12 @@ def learner_name(choices: Mapping[str, str]) -> str:
         >>> learner_name({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
         'ddpg_lg_abr_plus'
     """
-    usual = {"fork": ("fork", "on"), "lifeguard": ("lg", "linear"), "enhancer": ("", ""), "backward_reward": ("", "")}
+    usual = {
+        "fork": ("fork", "on"),
+        "lifeguard": ("lg", "linear"),
+        "actor_penalty": ("", ""),
+        "backward_reward": ("", ""),
+    }
     parts = [choices["algo"]]
     for group, (short, plain) in usual.items():
         choice = choices.get(group, NONE)

@@ -6,14 +6,16 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from uavrl.envs.mesh import Mesh, cut_up, edge_lengths
 from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import MissingSimulator
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 STATIC, VEHICLE, PLANE = 2, 64, 128  # collision groups: vehicles meet the other two, nothing else meets
 CLOSEST_DISTANCE_CAP = 5.0  # m
@@ -119,7 +121,9 @@ class Clearance:
         self._ball = min(airframe.collision_radius, airframe.collision_height / 2)  # in the middle of the hull
 
     @cached_property
-    def _surface(self) -> cKDTree | None:
+    def _surface(self) -> "cKDTree | None":
+        from scipy.spatial import cKDTree  # here, so that it is PyBullet that is missed first
+
         return cKDTree(surface_samples(Mesh.merge(self._statics), SAMPLE_SPACING)) if self._statics else None
 
     def distances(self, vehicles: Sequence[int], positions: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ Tilt = Annotated[float, Rule("an angle in (0, π/2) rad", lambda angle: 0 < angl
 ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 ROTOR_SPINS = np.array([-1.0, 1.0, -1.0, 1.0])  # sign of the yaw moment that each rotor leaves on the body
 
-# Products of quaternion entries (x, y, z, w), numbered 4 i + j, that add up to the entries of a rotation matrix.
+# MatmulBackend of quaternion entries (x, y, z, w), numbered 4 i + j, that add up to the entries of a rotation matrix.
 _ENTRIES = (
     {0: 1, 5: -1, 10: -1, 15: 1}, {1: 2, 11: -2}, {2: 2, 7: 2},
     {1: 2, 11: 2}, {0: -1, 5: 1, 10: -1, 15: 1}, {6: 2, 3: -2},

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from uavrl.envs.bullet import PLANE, STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
@@ -249,6 +248,8 @@ class Simulation:
         position, rotation, velocity = self.lidar_position[index], self.rotation[index], self.velocity[index]
         spin = (rotation @ self.angular_velocity[index][:, :, None])[:, :, 0]
         if lidar.config.motion_distortion:  # the scan is the spin that ends now
+            from scipy.spatial.transform import Rotation  # here, so that it is PyBullet that is missed first
+
             position = position - velocity / self._control_rate
             rotation = Rotation.from_rotvec(-spin / self._control_rate).as_matrix() @ rotation
         return lidar.scan(position, rotation, planes, velocities=velocity, angular_velocities=spin, rng=rng)

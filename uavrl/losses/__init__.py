@@ -2,7 +2,7 @@
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.ddpg import DDPGLoss
-from uavrl.losses.enhancer import Enhancer, Model
+from uavrl.losses.enhancer import AuxiliaryModel, Enhancer
 from uavrl.losses.fork import Fork
 from uavrl.losses.imitation import Imitation
 from uavrl.losses.lifeguard import LifeGuard
@@ -12,12 +12,12 @@ from uavrl.losses.td3 import TD3Loss
 
 __all__ = [
     "ActorCriticLoss",
+    "AuxiliaryModel",
     "DDPGLoss",
     "Enhancer",
     "Fork",
     "Imitation",
     "LifeGuard",
-    "Model",
     "PSAELoss",
     "SACLoss",
     "TD3Loss",

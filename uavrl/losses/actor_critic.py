@@ -56,7 +56,7 @@ class ActorCriticLoss(_LossModule):
         return cls(actor, critics, action_spec=action_spec, **options)
 
     @property
-    def unenhanced(self) -> ActorCriticLoss:
+    def unwrapped(self) -> ActorCriticLoss:
         """The loss below all enhancers; here that is itself."""
         return self
 

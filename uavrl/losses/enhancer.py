@@ -22,7 +22,7 @@ Sample = Callable[[int], TensorDictBase]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class AuxiliaryModel:
     """A model that an enhancer needs trained: at each update by ``loss``, after each episode by ``fit``, or by both.
 
     Attributes:
@@ -72,7 +72,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         self.use_prioritized_weights = base.use_prioritized_weights
         self.loss_mask_key = base.loss_mask_key
         self.out_keys = list(base.out_keys)
-        for keys in (base.unenhanced.tensor_keys, base.tensor_keys):
+        for keys in (base.unwrapped.tensor_keys, base.tensor_keys):
             for name in self._AcceptedKeys.__dataclass_fields__:
                 if hasattr(keys, name):
                     setattr(self.tensor_keys, name, getattr(keys, name))
@@ -87,7 +87,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         return True
 
     @property
-    def models(self) -> list[Model]:
+    def models(self) -> list[AuxiliaryModel]:
         """The models that the term needs trained."""
         return []
 
@@ -154,9 +154,9 @@ class Enhancer(ActorCriticLoss, LossModule):
         return [self, *self.base.enhancers]
 
     @property
-    def unenhanced(self) -> ActorCriticLoss:
+    def unwrapped(self) -> ActorCriticLoss:
         """The loss below all enhancers."""
-        return self.base.unenhanced
+        return self.base.unwrapped
 
     @property
     def critic_network_params(self) -> TensorDictParams:

@@ -12,7 +12,7 @@ from tensordict.utils import unravel_key
 from torch import Tensor, nn
 
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import Enhancer, Model
+from uavrl.losses.enhancer import AuxiliaryModel, Enhancer
 from uavrl.losses.functional import check_episodes, clamped_smooth_l1, episode_returns, fork_objective, fork_weight
 from uavrl.losses.gate import Gate
 from uavrl.ranges import Count, Discount, NonNegative, Positive
@@ -185,10 +185,10 @@ class Fork(Enhancer):
         return [leaf for group in groups for leaf in group.values(True, True) if isinstance(leaf, nn.Parameter)]
 
     @property
-    def models(self) -> list[Model]:
+    def models(self) -> list[AuxiliaryModel]:
         """The networks, trained at each update; their losses move the gate."""
         learned = lambda metadata: self.update_gate(**metadata)  # noqa: E731
-        return [Model(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
+        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
 
     def system_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The reduced error of predicted next states (:meth:`system_errors`), and its mean ``system_loss``."""
@@ -281,7 +281,7 @@ def _call(network: TensorDictModuleBase, params: TensorDictBase, inputs: TensorD
 
 def _keys_of(base: ActorCriticLoss) -> tuple[NestedKey, NestedKey]:
     """The keys of the state and of the action."""
-    own = base.unenhanced
+    own = base.unwrapped
     if len(states := own.actor_network.in_keys) != 1:
         raise ValueError(f"Fork expected an actor that reads one key, the state, got {states}: concatenate them first.")
     return states[0], getattr(own.tensor_keys, "action", own.actor_network.out_keys[-1])

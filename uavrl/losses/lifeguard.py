@@ -11,7 +11,7 @@ from torch.func import functional_call
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import Enhancer, Model, Sample
+from uavrl.losses.enhancer import AuxiliaryModel, Enhancer, Sample
 from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
@@ -121,7 +121,7 @@ class LifeGuard(Enhancer):
         self.out_keys = [*self.out_keys, "loss_lifeguard"]
         self._active = False
         self._last_episode: Tensor | None = None
-        states = base.unenhanced.actor_network.in_keys
+        states = base.unwrapped.actor_network.in_keys
         if len(states) == 1:
             self.tensor_keys.observation = states[0]
         self.to(next(iter(base.actor_network_params.values(True, True))).device)
@@ -243,9 +243,9 @@ class LifeGuard(Enhancer):
         return list(self.classifier.parameters())
 
     @property
-    def models(self) -> list[Model]:
+    def models(self) -> list[AuxiliaryModel]:
         """The classifier, trained after each episode."""
-        return [Model(parameters=self.model_params, lr=self.model_lr, fit=self.fit)]
+        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, fit=self.fit)]
 
     def make_optimizer(self) -> torch.optim.Optimizer | None:
         """Adam for :attr:`model_params`, or None without any. Keep it, and save it in your checkpoints."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from uavrl.config.sentences import require
-from uavrl.config.settings import Products, Threads
+from uavrl.config.settings import MatmulBackend, Threads
 from uavrl.ranges import Count, Folder, Fraction, Positive, Seed, Widths
 
 THESIS_CLUSTERS = (100, 250, 500, 750, 1000, *range(1500, 6001, 500))
@@ -60,5 +60,5 @@ class PretrainConfig:
     pretrain: PretrainRecipe = field(default_factory=PretrainRecipe)
     seed: Seed = 0
     threads: Threads = 1
-    products: Products = "mkl"
+    matmul: MatmulBackend = "mkl"
     progress: bool = True

@@ -46,7 +46,7 @@ def label(choices: Mapping[str, str]) -> str:
         choice = choices.get(group, NONE)
         return [] if choice == NONE else [_NAMES.get(group, {}).get(choice, choice)]
 
-    learner = "-".join([choices["algo"].upper(), *named("fork"), *named("lifeguard"), *named("enhancer")])
+    learner = "-".join([choices["algo"].upper(), *named("fork"), *named("lifeguard"), *named("actor_penalty")])
     return ", ".join([" + ".join([learner, *named("backward_reward")]), *named("reward")])
 
 

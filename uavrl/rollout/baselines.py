@@ -136,11 +136,11 @@ class VectorFieldHistogram:
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``."""
-        cost, speed = self.rated(tensordict)
+        cost, speed = self.score_directions(tensordict)
         best = cost.argmin(-1, keepdim=True)
-        return tensordict.set("action", self.flown(best, speed.gather(-1, best)))
+        return tensordict.set("action", self.to_action(best, speed.gather(-1, best)))
 
-    def rated(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+    def score_directions(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """What each direction costs, and how fast it would be flown in m/s: ``[N, D]`` each."""
         costs, heading = self.costs, torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
         x, y, z = self.directions.T
@@ -154,7 +154,7 @@ class VectorFieldHistogram:
         )
         return cost, ACTION_LIMIT * (1 - costs.caution * in_the_way.clamp(0, 1))
 
-    def flown(self, best: Tensor, speed: Tensor) -> Tensor:
+    def to_action(self, best: Tensor, speed: Tensor) -> Tensor:
         """The action ``[N, 4]`` that flies in the directions ``best [N, 1]`` at ``speed [N, 1]``, turning to them."""
         way = self.directions[best[:, 0]]
         turn = (3 * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-ACTION_LIMIT, ACTION_LIMIT)

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` flies, beside the baselines
 
 # Keys of an evaluation that do not tell which tasks were flown by what.
-PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "products", "progress")
+PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
 
 
 @dataclass(frozen=True)
-class Chosen:
+class PolicySetup:
     """What flies, and where.
 
     Attributes:
@@ -61,7 +61,7 @@ def choose(
     overrides: list[str],
     folder: Path | None,
     device: torch.device,
-) -> Chosen:
+) -> PolicySetup:
     """Loads what the command line asks for."""
     from uavrl.rollout.saved import load_policy
 
@@ -73,18 +73,18 @@ def choose(
         told = {**settings.perception, "flight_level": settings.env.world.flight_level}
         policy = named_policy(str(settings.policy), told, settings.packages)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
-        chosen = Chosen(policy, *parts, {"policy": settings.policy})
+        chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
     else:
         run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
         run = validate_run(with_overrides(run_config, config, overrides))
-        chosen = Chosen(policy, run.env, run.perception, run.reward, run.choices, source, run)
+        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, source, run)
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
     return chosen
 
 
-def require_fit(chosen: Chosen, env: EnvBase) -> None:
+def require_fit(chosen: PolicySetup, env: EnvBase) -> None:
     """Refuses a run's policy that reads or writes other numbers than an environment has, before anything is flown."""
     import torch
 
@@ -148,12 +148,12 @@ def _require_env_of_policy(run: DictConfig) -> None:
         )
 
 
-def distinguishing(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
+def result_overrides(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
     """The overrides of a command line whose keys are not plain: those by which its result differs from another one."""
     return [override for override in overrides if override.split("=")[0] not in plain]
 
 
-def name_of_output(stem: str, overrides: Sequence[str]) -> str:
+def output_name(stem: str, overrides: Sequence[str]) -> str:
     """A file name without suffix in which the overrides stand."""
     told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
     return "_".join([stem, *told])

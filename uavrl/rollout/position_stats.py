@@ -13,7 +13,7 @@ PERCENTILES = (5, 50, 95)
 BIN = 0.25  # m of altitude
 
 
-class Whereabouts:
+class PositionStats:
     """Collects the places where flights were at the end of each of their steps.
 
     Args:
@@ -23,7 +23,7 @@ class Whereabouts:
 
     Examples:
         >>> from uavrl.envs.world import WorldConfig
-        >>> places = Whereabouts(World(WorldConfig()))
+        >>> places = PositionStats(World(WorldConfig()))
         >>> places.add(np.array([[0.0, 0.0, 3.5], [12.0, 0.0, 3.0]]))
         >>> places.summary()["wall_distance"]["p50"]
         11.5

@@ -16,7 +16,7 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
-from uavrl.rollout.position_stats import Whereabouts
+from uavrl.rollout.position_stats import PositionStats
 from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.rollout.rollout import FlightMeter, Policy, rollout
 from uavrl.transforms import PointCloudReduction
@@ -83,7 +83,7 @@ def record_flight(
         if ended:
             break
     states = cast(TensorDict, torch.stack([moment["state"] for moment in moments]))
-    taken, origin, places = torch.stack(actions), origins[valley], Whereabouts(base.world)
+    taken, origin, places = torch.stack(actions), origins[valley], PositionStats(base.world)
     places.add(states["position"][1:].numpy())
     return RecordedFlight(
         summary=ended[0],

@@ -23,7 +23,7 @@ class RecordedFlight:
 
     Args:
         summary: Task, outcome, lengths and clearance, as an evaluation gives them.
-        whereabouts: Where it went, as :class:`uavrl.rollout.position_stats.Whereabouts` sums it up.
+        whereabouts: Where it went, as :class:`uavrl.rollout.position_stats.PositionStats` sums it up.
         times: ``[T + 1]`` in s.
         positions: ``[T + 1, 3]``, the airframe's centre in m.
         attitudes: ``[T + 1, 4]``, quaternions (x, y, z, w) from body to world axes.

@@ -21,7 +21,7 @@ from uavrl.runs.files import replacing, writable
 from uavrl.runs.names import CONFIG
 from uavrl.runs.weights import POLICY
 
-TOLD = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
+POLICY_INFO = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
 
 
 def load_actor(
@@ -44,7 +44,7 @@ def load_actor(
     metadata = check_checkpoint(path, config)
     restore(Checkpoint(policy=actor), path, ["policy"])
     steps, episodes = metadata["collected_frames"], metadata["episodes"]
-    return config, actor, dict(zip(TOLD, (path.name, steps, episodes, metadata.get("commit")), strict=True))
+    return config, actor, dict(zip(POLICY_INFO, (path.name, steps, episodes, metadata.get("commit")), strict=True))
 
 
 def load_policy(
@@ -57,7 +57,7 @@ def load_policy(
         acted = actor(tensordict.select("observation").to(device))
         return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
 
-    return config, policy, {"run": str(folder), **{key: about[key] for key in TOLD if key in about}}
+    return config, policy, {"run": str(folder), **{key: about[key] for key in POLICY_INFO if key in about}}
 
 
 def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:

@@ -3,7 +3,7 @@
 import hashlib
 import io
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import yaml
@@ -28,9 +28,17 @@ FREE_KEYS = (
     "trainer.keep_checkpoints",
 )
 # What a run may change when it goes on, on another machine perhaps: it bears on the last digits alone.
-MACHINE_KEYS = ("device", "trainer.execution", "trainer.threads", "trainer.products")
+MACHINE_KEYS = ("device", "trainer.execution", "trainer.threads", "trainer.matmul")
 # What may differ between two seeds of one experiment.
-OF_OLDER_RUNS = ("trainer.record_states",)
+OF_OLDER_RUNS = ("trainer.record_states", "trainer.products")
+# What keys are called today, by the name that runs before 0.2.0 recorded.
+RENAMED = {
+    "trainer.products": "trainer.matmul",
+    "algo.random_steps": "algo.learning_starts",
+    "enhancer": "actor_penalty",
+    "choices.enhancer": "choices.actor_penalty",
+    "choices.scheme": "choices.reward_preset",
+}
 HOW_IT_RUNS = (*FREE_KEYS, *MACHINE_KEYS, "trainer.window", *OF_OLDER_RUNS)
 _MOST_BYTES = 1_000_000  # a configuration is of some 4,000
 
@@ -52,7 +60,9 @@ def fingerprints(config: DictConfig) -> tuple[str, ...]:
 
     Until 0.1.0 the machine's keys counted, as they are recorded: give what the run folder holds, with nothing changed.
     """
-    return fingerprint(config), fingerprint(config, FREE_KEYS)
+    old = _renamed(config, {now: before for before, now in RENAMED.items()})
+    machine = (*FREE_KEYS, *MACHINE_KEYS, "trainer.products")
+    return tuple(fingerprint(each, without) for each in (config, old) for without in (machine, FREE_KEYS))
 
 
 def free_keys(config: DictConfig) -> list[str]:
@@ -101,4 +111,14 @@ def load_config(path: Path) -> DictConfig:
     loaded = OmegaConf.load(io.StringIO(text))
     if not isinstance(loaded, DictConfig):
         raise ValueError("it holds no configuration")
-    return loaded
+    return _renamed(loaded, RENAMED)
+
+
+def _renamed(config: DictConfig, names: Mapping[str, str]) -> DictConfig:
+    result = config.copy()
+    for before, now in names.items():
+        (above, _, old), (_, _, new) = before.rpartition("."), now.rpartition(".")
+        node = OmegaConf.select(result, above) if above else result
+        if isinstance(node, DictConfig) and old in node and new not in node:
+            node[new] = node.pop(old)
+    return result

@@ -22,7 +22,7 @@ class Stop:
         self._waiting = self._ending = self._insisted = False
         self._began, self._seconds_left = 0.0, float("inf")
 
-    def hear(self, number: int, _: FrameType | None = None) -> None:
+    def handle(self, number: int, _: FrameType | None = None) -> None:
         """Handles a signal, and the alarm that ends the patience with the first one."""
         if self._ending and not self._insisted:
             self._insisted = True
@@ -37,14 +37,14 @@ class Stop:
         """From here on steps are flown towards the next checkpoint."""
         self._began = time.monotonic()
 
-    def foretell(self, left: int, done: int) -> None:
+    def set_time_to_checkpoint(self, left: int, done: int) -> None:
         """Tells how soon the next checkpoint comes: ``left`` steps from now, after the ``done`` since the last one."""
         if self.signal is not None and not self._waiting:
             raise KeyboardInterrupt  # once more: what Python calls in passing may swallow the first
         self._seconds_left = max(left, 0) * (time.monotonic() - self._began) / max(done, 1)
 
     @contextmanager
-    def behind_this(self) -> Iterator[None]:
+    def deferred(self) -> Iterator[None]:
         """Around the writing of a checkpoint, which is finished first; then a run ends that was asked to."""
         self._seconds_left = 0.0
         yield
@@ -52,7 +52,7 @@ class Stop:
         if self.signal is not None:
             raise KeyboardInterrupt
 
-    def ending(self) -> None:
+    def shutting_down(self) -> None:
         """From here on the run ends by itself."""
         self._ending = True
         if self._waiting:
@@ -82,7 +82,7 @@ def stoppable() -> Iterator[Stop]:
     before = {number: signal.getsignal(number) for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
-            signal.signal(number, stop.hear)
+            signal.signal(number, stop.handle)
     try:
         yield stop
     finally:

@@ -19,7 +19,7 @@ GONE = 120.0  # s without one after which a holder on another machine is taken f
 
 
 @contextmanager
-def locked(run_dir: Path) -> Iterator[None]:
+def run_lock(run_dir: Path) -> Iterator[None]:
     """Keeps every other process out of a run folder; within this process it can be nested.
 
     The lock of the file system tells on one machine, and there it ends with the process. Not every shared folder hands
@@ -41,7 +41,7 @@ def locked(run_dir: Path) -> Iterator[None]:
             return
         if _held_elsewhere(run_dir):
             raise _taken(run_dir)
-        with _signs_of_life(run_dir / HOLDER):
+        with _heartbeat(run_dir / HOLDER):
             yield
     finally:
         lock.release()
@@ -72,7 +72,7 @@ def _held_elsewhere(run_dir: Path) -> bool:
 
 
 @contextmanager
-def _signs_of_life(holder: Path) -> Iterator[None]:
+def _heartbeat(holder: Path) -> Iterator[None]:
     holder.write_text(json.dumps({"host": platform.node(), "pid": os.getpid()}), encoding="utf-8")
     ended = Event()
 

@@ -16,7 +16,7 @@ from uavrl.runs.names import ANY_CHECKPOINT, BEGUN, EPISODES, SUMMARY
 log = logging.getLogger(__name__)
 
 
-def never_began(run_dir: Path) -> bool:
+def has_no_checkpoint(run_dir: Path) -> bool:
     """Whether a run was stopped before its first checkpoint, which comes before its first flight: nothing is lost."""
     episodes = run_dir / EPISODES
     return (

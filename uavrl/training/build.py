@@ -16,7 +16,7 @@ from torchrl.modules import AdditiveGaussianModule
 
 import uavrl
 from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
-from uavrl.collectors.base import OURS, FlightCollector
+from uavrl.collectors.base import REQUIRED, EpisodeCollector
 from uavrl.config.build import TARGET, build, find_class, options
 from uavrl.config.context import CONTEXT, refuse_context
 from uavrl.config.parts import STEPPER
@@ -34,8 +34,8 @@ from uavrl.runs.names import ARTIFACT, EPISODES
 from uavrl.runs.provenance import commit
 from uavrl.training.compiled import chosen_execution
 from uavrl.training.loggers import IntervalLog, make_logger
-from uavrl.training.matmul import carried
-from uavrl.training.replay import Experience
+from uavrl.training.matmul import with_matmul_backend
+from uavrl.training.replay import EpisodeReplay
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms import Mirror
@@ -54,16 +54,16 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
     backward_reward = make_backward_reward(settings, sizes, run_dir / ARTIFACT)
     buffer = make_buffer(settings, env, sizes, device)
     flown: EnvBase | Callable[[], EnvBase] = env
-    if collector_class(settings).flies_elsewhere:
+    if collector_class(settings).is_remote:
         env.close()  # another process makes its own
-        flown = carried(new_env)
+        flown = with_matmul_backend(new_env)
     taken = options({**settings.algo, TARGET: STEPPER})
     logger = make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages)
     return EpisodeTrainer(
         loss=loss,
         stepper=ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution)),
         backward_reward=backward_reward,
-        experience=Experience(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
+        replay=EpisodeReplay(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
         metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
@@ -71,8 +71,8 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         episodes=settings.trainer.episodes,
         steps=settings.trainer.steps,
         until_success=settings.trainer.until_success,
-        learns_after=0 if settings.guided else settings.algo.random_steps,
-        judged_after=settings.algo.random_steps if settings.guided else 0,
+        learning_starts=0 if settings.guided else settings.algo.learning_starts,
+        stats_start=settings.algo.learning_starts if settings.guided else 0,
         seed=settings.seed,
         reward_terms=reward_terms,
         checkpoint_interval=settings.trainer.checkpoint_interval,
@@ -98,7 +98,7 @@ def make_loss(
     refuse_context("algo", written, CONTEXT["algo"])
     loss = loss_type.of_networks(actor, critics, sizes.action_spec(device), **written)
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
-    for part in (settings.fork, settings.lifeguard, settings.enhancer):
+    for part in (settings.fork, settings.lifeguard, settings.actor_penalty):
         enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
         if enhanced is None:
             continue
@@ -210,15 +210,15 @@ def make_noise(settings: TrainConfig, sizes: NetworkSizes, device: torch.device)
     )
 
 
-def collector_class(settings: TrainConfig) -> type[FlightCollector]:
+def collector_class(settings: TrainConfig) -> type[EpisodeCollector]:
     """The class of the run's collector."""
     found = find_class(str(settings.collector._target_), BaseCollector, settings.packages)
-    if missing := [name for name in OURS if not hasattr(found, name)]:
+    if missing := [name for name in REQUIRED if not hasattr(found, name)]:
         raise UavrlError(
             f"collector must have what uavrl's collectors have, and {found.__name__} lacks {', '.join(missing)}: "
             f"subclass one of them."
         )
-    return cast(type[FlightCollector], found)
+    return cast(type[EpisodeCollector], found)
 
 
 def make_collector(
@@ -227,17 +227,17 @@ def make_collector(
     actor: TensorDictModuleBase,
     sizes: NetworkSizes,
     device: torch.device,
-) -> FlightCollector:
+) -> EpisodeCollector:
     """Collects whole episodes, one a batch, with exploration noise after the random steps."""
     vehicles = settings.env.get("num_uavs", 1)
     found: Any = collector_class(settings)
-    flier = torch.device("cpu") if getattr(found, "flies_copies", False) else device
+    flier = torch.device("cpu") if getattr(found, "copies_policy", False) else device
     noise = make_noise(settings, sizes, flier)
     kwargs: dict[str, Any] = {
         "policy": TensorDictSequential(actor, noise),
         "frames_per_batch": vehicles * settings.collector.steps_per_batch,
         "total_frames": -1,
-        "init_random_frames": settings.algo.random_steps,
+        "init_random_frames": settings.algo.learning_starts,
         "trajs_per_batch": 1,
         "traj_format": "cat",
         "policy_device": flier,
@@ -245,7 +245,7 @@ def make_collector(
         "storing_device": "cpu",
         "auto_register_policy_transforms": False,
     }
-    if found.flies_elsewhere:
+    if found.is_remote:
         kwargs["num_threads"] = settings.trainer.threads
     own = options(settings.collector, settings.packages)
     refuse_context("collector", own, CONTEXT["collector"])

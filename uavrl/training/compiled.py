@@ -1,7 +1,7 @@
 """An update without what Python, TensorDict and PyTorch's bookkeeping cost around its kernels.
 
-A :class:`Minimizer` is Adam on what a loss says about some parameters. :class:`LossGradients` records the loss and its
-gradients once and replays or compiles them; :class:`FusedAdam` and :class:`FusedSoftUpdate` make one call of all
+A :class:`GradientStep` is Adam on what a loss says about some parameters. :class:`LossGradients` records the loss and
+its gradients once and replays or compiles them; :class:`FusedAdam` and :class:`FusedSoftUpdate` make one call of all
 parameters.
 
 Why not the stock tools: ``torch.compile`` of the same losses with PyTorch's fused Adam and TorchRL's ``SoftUpdate``
@@ -210,7 +210,7 @@ class FusedAdam(torch.optim.Adam):
 
     Examples:
         >>> weight = torch.nn.Parameter(torch.ones(2))
-        >>> FusedAdam([weight], lr=0.1).descend([torch.tensor([1.0, -1.0])])
+        >>> FusedAdam([weight], lr=0.1).apply([torch.tensor([1.0, -1.0])])
         >>> weight
         Parameter containing:
         tensor([0.9000, 1.1000], requires_grad=True)
@@ -227,7 +227,7 @@ class FusedAdam(torch.optim.Adam):
                 )
 
     @torch.no_grad()
-    def descend(self, gradients: Sequence[Tensor]) -> None:
+    def apply(self, gradients: Sequence[Tensor]) -> None:
         """One step along ``gradients``, which come in the order of the parameters and with any strides."""
         if self._gathered is None:
             self._gathered = self._gather()
@@ -274,7 +274,7 @@ def _laid_out(tensor: Tensor, like: Tensor) -> Tensor:
     return tensor if tensor.stride() == like.stride() else torch.empty_like(like).copy_(tensor)
 
 
-class Minimizer:
+class GradientStep:
     """Adam on what a loss says about some parameters."""
 
     def __init__(
@@ -295,7 +295,7 @@ class Minimizer:
         result = self.gradients(batch)
         for parameter, gradient in zip(self.gradients.parameters, result.gradients, strict=True):
             parameter.grad = gradient  # for whoever wants to look
-        self.optimizer.descend(result.gradients)
+        self.optimizer.apply(result.gradients)
         return result
 
 

@@ -15,7 +15,7 @@ from uavrl.errors import UavrlError
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-Products = Literal["mkl", "onednn"]
+MatmulBackend = Literal["mkl", "onednn"]
 LARGEST_ERROR = 1e-3  # of a float32 product of PROBE: some 1e-5 to 1e-4; with factors of 8 bits it is 0.1 and more
 PROBE = (100, 400, 300)  # the largest product of the thesis's networks: batch and both hidden layers
 GAIN = 0.95  # onednn is taken from this share of mkl's time on: a tie does not turn with the machine's load
@@ -23,47 +23,47 @@ _ON_CPU: Any = torch.backends.mkldnn.matmul  # type: ignore[attr-defined]  # PyT
 ISA = "ONEDNN_MAX_CPU_ISA"  # oneDNN reads it once, at the process's first product
 
 
-def chosen_products(name: str, threads: int = 1) -> Products:
+def chosen_matmul(name: str, threads: int = 1) -> MatmulBackend:
     """``name``, found possible here, or for ``"auto"`` the faster of ``"mkl"`` and ``"onednn"``.
 
     ``mkl`` is PyTorch's default. ``onednn`` is float32 too: PyTorch hands products to oneDNN where it may round to
     bfloat16, and ``ONEDNN_MAX_CPU_ISA=AVX512_CORE`` keeps oneDNN from the instructions that would.
     """
     if name not in ("auto", "mkl", "onednn"):
-        raise UavrlError(f"products must be one of auto, mkl, onednn, got {name!r}.")
+        raise UavrlError(f"matmul must be one of auto, mkl, onednn, got {name!r}.")
     os.environ.setdefault(ISA, "AVX512_CORE")
     if name == "auto":
         return _faster(threads)
     if obstacle := _obstacle(name):
-        raise UavrlError(f"products={name} is not possible here: {obstacle}.")
-    return cast(Products, name)
+        raise UavrlError(f"matmul={name} is not possible here: {obstacle}.")
+    return cast(MatmulBackend, name)
 
 
-def products_here(recorded: str, threads: int = 1) -> Products:
+def matmul_here(recorded: str, threads: int = 1) -> MatmulBackend:
     """What a run has recorded; on a machine without oneDNN's products in float32 PyTorch's own, which are as good."""
     if recorded == "onednn":
         os.environ.setdefault(ISA, "AVX512_CORE")
         return "mkl" if _obstacle(recorded) else "onednn"
-    return chosen_products(recorded, threads)
+    return chosen_matmul(recorded, threads)
 
 
 @contextmanager
-def multiplied_by(name: str, threads: int = 1) -> Iterator[Products]:
-    """Multiplies by :func:`chosen_products`, yields its name, and gives the caller's choice back at the end.
+def matmul_backend(name: str, threads: int = 1) -> Iterator[MatmulBackend]:
+    """Multiplies by :func:`chosen_matmul`, yields its name, and gives the caller's choice back at the end.
 
-    Products on other devices than the CPU stay as they are.
+    MatmulBackend on other devices than the CPU stay as they are.
     """
-    chosen = chosen_products(name, threads)
+    chosen = chosen_matmul(name, threads)
     with _multiplied_by(chosen):
         yield chosen
 
 
-def multiply_by(products: Products) -> None:
+def multiply_by(backend: MatmulBackend) -> None:
     """Sets what multiplies in this process from now on."""
-    _ON_CPU.fp32_precision = "ieee" if products == "mkl" else "bf16"
+    _ON_CPU.fp32_precision = "ieee" if backend == "mkl" else "bf16"
 
 
-def carried(function: Callable[[], T]) -> Callable[[], T]:
+def with_matmul_backend(function: Callable[[], T]) -> Callable[[], T]:
     """``function`` for another process, which from its call on multiplies as this one does now."""
     return partial(_after_setting, _ON_CPU.fp32_precision, os.environ.get(ISA), function)
 
@@ -92,18 +92,18 @@ def denormals_flushed() -> Iterator[None]:
 
 
 @contextmanager
-def _multiplied_by(products: Products) -> Iterator[None]:
+def _multiplied_by(backend: MatmulBackend) -> Iterator[None]:
     before = _ON_CPU.fp32_precision
-    multiply_by(products)
+    multiply_by(backend)
     try:
         yield
     finally:
         _ON_CPU.fp32_precision = before
 
 
-def product(products: Products, one: Tensor, other: Tensor) -> Tensor:
+def product(backend: MatmulBackend, one: Tensor, other: Tensor) -> Tensor:
     """``one @ other`` by this library, whatever the process multiplies by."""
-    with _multiplied_by(products):
+    with _multiplied_by(backend):
         return one @ other
 
 
@@ -118,7 +118,7 @@ def _obstacle(name: str) -> str | None:
     if name == "mkl":
         return None
     one, other = _probe()
-    result = product(cast(Products, name), one, other)
+    result = product(cast(MatmulBackend, name), one, other)
     if torch.equal(result, product("mkl", one, other)):
         return "PyTorch does not hand products to oneDNN on this machine; choose mkl"
     error = float((result - one.double() @ other.double()).abs().max())
@@ -130,7 +130,7 @@ def _obstacle(name: str) -> str | None:
     return None
 
 
-def _faster(threads: int) -> Products:
+def _faster(threads: int) -> MatmulBackend:
     """Times the products of a layer's update with both libraries in turn, for some milliseconds."""
     if _obstacle("onednn"):
         return "mkl"
@@ -138,7 +138,7 @@ def _faster(threads: int) -> Products:
     gradient = state @ weight
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
-    libraries: tuple[Products, ...] = ("mkl", "onednn")
+    libraries: tuple[MatmulBackend, ...] = ("mkl", "onednn")
     best = dict.fromkeys(libraries, float("inf"))
     try:
         for _ in range(20):
@@ -149,5 +149,5 @@ def _faster(threads: int) -> Products:
                 best[name] = min(best[name], time.perf_counter() - begin)
     finally:
         torch.set_num_threads(before)
-    log.debug("Products by MKL take %.3f ms, by oneDNN %.3f ms.", 1e3 * best["mkl"], 1e3 * best["onednn"])
+    log.debug("MatmulBackend by MKL take %.3f ms, by oneDNN %.3f ms.", 1e3 * best["mkl"], 1e3 * best["onednn"])
     return "onednn" if best["onednn"] < GAIN * best["mkl"] else "mkl"

@@ -39,14 +39,14 @@ class Progress:
         enabled: bool = True,
         done: int = 0,
         steps: int = 0,
-        random_steps: int = 0,
+        learning_starts: int = 0,
         guided: bool = False,
         max_steps: int = 300,
         last_step: int | None = None,
         until_success: float | None = None,
     ) -> None:
         self._window = window
-        self._random_steps = random_steps
+        self._random_steps = learning_starts
         self._first = "the guide flies" if guided else "flying at random"
         self._max_steps = max_steps
         self._episodes = episodes
@@ -122,42 +122,42 @@ def expected_steps(episodes: int, max_steps: int) -> int:
     return max(episodes * min(max_steps, 50), episodes * max_steps // 6)
 
 
-def warn_of_random_steps(settings: TrainConfig) -> None:
-    """Before the run: its random steps may not end before it does."""
-    random_steps, episodes, steps = settings.algo.random_steps, settings.trainer.episodes, settings.trainer.steps
+def warn_of_late_learning(settings: TrainConfig) -> None:
+    """Before the run: it may end before learning starts."""
+    learning_starts, episodes, steps = settings.algo.learning_starts, settings.trainer.episodes, settings.trainer.steps
     length = f"trainer.episodes={episodes}" if steps is None else f"trainer.steps={steps}"
     if settings.guided:  # whose flights are learned from at once
-        if random_steps >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf):
+        if learning_starts >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf):
             log.warning(
-                "algo.random_steps=%d: the guide may fly the whole run, %s, and the policy nothing. Choose fewer "
-                "random steps or a longer run.",
-                random_steps,
+                "algo.learning_starts=%d: the scripted controller may fly the whole run, %s, and the policy "
+                "nothing. Lower it, or choose a longer run.",
+                learning_starts,
                 length,
             )
         return
-    if steps is not None and random_steps >= steps:
+    if steps is not None and learning_starts >= steps:
         log.warning(
-            "algo.random_steps=%d: nothing is learned before, and the run ends by then, by trainer.steps=%d. Choose "
-            "fewer random steps or a longer run.",
-            random_steps,
+            "algo.learning_starts=%d: nothing is learned before, and the run ends by then, by trainer.steps=%d. Lower "
+            "it, or choose a longer run.",
+            learning_starts,
             steps,
         )
-    elif random_steps > (expected := expected_steps(episodes, settings.env.get("max_steps", random_steps * 6))):
+    elif learning_starts > (expected := expected_steps(episodes, settings.env.get("max_steps", learning_starts * 6))):
         log.warning(
-            "algo.random_steps=%d: nothing is learned before, and trainer.episodes=%d flights may be over by then, "
-            "since random ones last about %d steps together. Choose fewer random steps or a longer run.",
-            random_steps,
+            "algo.learning_starts=%d: nothing is learned before, and trainer.episodes=%d may be over by then, since "
+            "random episodes take about %d steps together. Lower it, or choose a longer run.",
+            learning_starts,
             episodes,
             expected,
         )
 
 
 def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> None:
-    """After the run: it ended inside its random steps."""
+    """After the run: it ended before learning started."""
     if updates == 0:
         log.warning(
-            "Nothing was learned: the run ended after %d steps, inside its algo.random_steps=%d. Choose fewer random "
-            "steps, or a longer run.",
+            "Nothing was learned: the run ended after %d steps, before its algo.learning_starts=%d. Lower it, or "
+            "choose a longer run.",
             steps,
-            settings.algo.random_steps,
+            settings.algo.learning_starts,
         )

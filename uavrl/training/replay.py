@@ -24,7 +24,7 @@ STORED_KEYS = (
 BATCHES_AT_ONCE = 32  # drawn in one call, where every transition is as likely as the next
 
 
-class Experience:
+class EpisodeReplay:
     """Stores whole episodes and gives the batches to learn from: after an episode of T steps T of them."""
 
     def __init__(self, buffer: EpisodeBuffer, batch_size: int, updates_per_step: float = 1.0) -> None:

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-from uavrl.collectors.stall_notice import Silence
+from uavrl.collectors.stall_notice import StallNotice
 from uavrl.command_line import command_line
 from uavrl.config import learner_name, validate, validate_run
 from uavrl.config.settings import TrainConfig
@@ -25,16 +25,16 @@ from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.files import replacing
 from uavrl.runs.interrupts import Stop, stoppable
-from uavrl.runs.lock import locked
+from uavrl.runs.lock import run_lock
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
 from uavrl.runs.provenance import processor, versions
-from uavrl.runs.resume import checkpoint_to_resume, how_to_go_on, never_began
+from uavrl.runs.resume import checkpoint_to_resume, has_no_checkpoint, how_to_go_on
 from uavrl.runs.trust import check_links
 from uavrl.training.build import build_trainer
 from uavrl.training.compiled import chosen_execution
 from uavrl.training.loggers import close, truncate_logs
-from uavrl.training.matmul import chosen_products, denormals_flushed, multiplied_by, products_here
-from uavrl.training.progress import Progress, warn_of_nothing_learned, warn_of_random_steps
+from uavrl.training.matmul import chosen_matmul, denormals_flushed, matmul_backend, matmul_here
+from uavrl.training.progress import Progress, warn_of_late_learning, warn_of_nothing_learned
 from uavrl.training.trainer import EpisodeTrainer
 
 log = logging.getLogger(__name__)
@@ -47,12 +47,12 @@ def create_run(config: DictConfig) -> Path:
     _refuse_a_run(run_dir)
     # recorded: both bear on the last digits
     config.trainer.execution = chosen_execution(config.trainer.execution)
-    config.trainer.products = chosen_products(config.trainer.products, config.trainer.threads)
+    config.trainer.matmul = chosen_matmul(config.trainer.matmul, config.trainer.threads)
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
-        with locked(run_dir):
+        with run_lock(run_dir):
             _refuse_a_run(run_dir)
-            free(run_dir)
+            reset_unstarted_run(run_dir)
             (run_dir / BEGUN).touch()
             _write(config, run_dir)
     except OSError as error:
@@ -63,7 +63,7 @@ def create_run(config: DictConfig) -> Path:
 
 
 def _refuse_a_run(run_dir: Path) -> None:
-    if never_began(run_dir):
+    if has_no_checkpoint(run_dir):
         return
     if any(run_dir.glob(ANY_CHECKPOINT)):
         raise FolderTaken(
@@ -92,11 +92,11 @@ def train(
     """
     if resume:
         check_links(run_dir, TRAINING)
-    products = OmegaConf.select(config, "trainer.products", default="mkl")  # that of runs older than the choice
+    backend = OmegaConf.select(config, "trainer.matmul", default="mkl")  # that of runs older than the choice
     with (
-        locked(run_dir),
+        run_lock(run_dir),
         denormals_flushed(),
-        multiplied_by(products, config.trainer.threads),
+        matmul_backend(backend, config.trainer.threads),
         stoppable() as stop,
     ):
         try:
@@ -113,7 +113,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     settings: TrainConfig = validate_run(config) if resume else validate(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
-    if resume and never_began(run_dir):
+    if resume and has_no_checkpoint(run_dir):
         log.info("%s was stopped before its first flight: it starts anew.", run_dir)
         _clear(run_dir)
         _write(config, run_dir)
@@ -121,18 +121,18 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     checkpoint = checkpoint_to_resume(run_dir, config) if resume else None
     _drop_unfinished_checkpoints(run_dir)
     try:
-        warn_of_random_steps(settings)
-        with Silence("The world and the networks are still being built: large ones take minutes."):
+        warn_of_late_learning(settings)
+        with StallNotice("The world and the networks are still being built: large ones take minutes."):
             trainer = build_trainer(settings, config, run_dir)
     except Exception:
         if not resume:
-            free(run_dir)
+            reset_unstarted_run(run_dir)
         raise
     trainer.stop = stop
     try:
         begun()
         if checkpoint is not None:
-            _take_up(trainer, checkpoint, config, run_dir)
+            _restore_run(trainer, checkpoint, config, run_dir)
         else:
             trainer.save()
         trainer.progress = Progress(
@@ -142,7 +142,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
             done=trainer.episode_log.count,
             steps=trainer.collected_frames,
             last_step=settings.trainer.steps,
-            random_steps=settings.algo.random_steps,
+            learning_starts=settings.algo.learning_starts,
             guided=settings.guided,
             max_steps=settings.env.get("max_steps", 0),
             until_success=settings.trainer.until_success,
@@ -156,13 +156,13 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
                 trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
-        stop.ending()
+        stop.shutting_down()
         trainer.progress.close()
         trainer.collector.shutdown()
         close(trainer.log.logger)
 
 
-def free(run_dir: Path) -> None:
+def reset_unstarted_run(run_dir: Path) -> None:
     """Makes a folder whose run never reached its first checkpoint free for another try; others stay as they are."""
     if not (run_dir / BEGUN).exists():
         return
@@ -191,7 +191,7 @@ def seed_everything(seed: int) -> None:
     torch.manual_seed(seed)
 
 
-def _take_up(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
+def _restore_run(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
     """Makes trainer and run folder what they were after the barrier of a checkpoint."""
     flown = read_episodes(run_dir / EPISODES)
     _restore(trainer, checkpoint)
@@ -260,9 +260,9 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
             f"resume={run_dir} goes on with the run's own configuration, and {', '.join(changed)} would change it: "
             f"leave that out, or start a new run."
         )
-    if "trainer.products" in machine:  # older runs have no choice
-        found_here = chosen_products if "trainer.products" in changed else products_here
-        config.trainer.products = found_here(config.trainer.products, config.trainer.threads)
+    if "trainer.matmul" in machine:  # older runs have no choice
+        found_here = chosen_matmul if "trainer.matmul" in changed else matmul_here
+        config.trainer.matmul = found_here(config.trainer.matmul, config.trainer.threads)
         config.trainer.execution = chosen_execution(config.trainer.execution)
     now = _of_the_machine(config)
     if others := [f"{key}={now[key]} (before: {machine.get(key)})" for key in now if now[key] != machine.get(key)]:

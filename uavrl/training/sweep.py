@@ -9,7 +9,7 @@ from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, EPISODES, SUMMARY
-from uavrl.training.run import free
+from uavrl.training.run import reset_unstarted_run
 
 NAME_DIGITS = 6
 
@@ -39,7 +39,7 @@ def is_begun(run_dir: Path) -> bool:
             f"{run_dir} holds {flown} episodes and no checkpoint to go on from: bring its checkpoints back, or "
             f"move the folder away to train anew."
         )
-    free(run_dir)
+    reset_unstarted_run(run_dir)
     return False
 
 

@@ -13,8 +13,8 @@ from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
 from uavrl.buffers import BackwardReward
-from uavrl.collectors.base import FlightCollector
-from uavrl.collectors.stall_notice import Silence
+from uavrl.collectors.base import EpisodeCollector
+from uavrl.collectors.stall_notice import StallNotice
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
@@ -23,7 +23,7 @@ from uavrl.runs.files import naming, require_room
 from uavrl.runs.interrupts import Stop
 from uavrl.training.loggers import IntervalLog
 from uavrl.training.progress import Progress
-from uavrl.training.replay import Experience
+from uavrl.training.replay import EpisodeReplay
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms.rewards import RewardTerms
 
@@ -48,11 +48,11 @@ class EpisodeTrainer:
     to one that was never stopped.
     """
 
-    collector: FlightCollector  # yields one whole episode a batch
+    collector: EpisodeCollector  # yields one whole episode a batch
     policy: torch.nn.Module  # the actor, kept as a component of its own for evaluation
     loss: ActorCriticLoss
     stepper: ActorCriticStepper
-    experience: Experience
+    replay: EpisodeReplay
     backward_reward: BackwardReward | None
     episode_log: EpisodeLog
     log: IntervalLog
@@ -61,8 +61,8 @@ class EpisodeTrainer:
     episodes: int
     steps: int | None  # of whole episodes, which end the training before
     until_success: float | None  # the share of the last ``episode_log.window`` flights that ends the training before
-    learns_after: int  # steps
-    judged_after: int  # steps; flights that ended before are a guide's, and say nothing of the policy
+    learning_starts: int  # steps
+    stats_start: int  # steps; flights that ended before are a guide's, and say nothing of the policy
     seed: int
     checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
     reward_terms: RewardTerms | None = None  # the named terms of the reward
@@ -76,15 +76,15 @@ class EpisodeTrainer:
         """Sets out what a checkpoint holds."""
         self._last_save = 0
         self._began = time.monotonic()
-        self._silence = Silence(WAITED_FOR)
+        self._stall_notice = StallNotice(WAITED_FOR)
         relabelling = {} if self.backward_reward is None else {"backward_reward": self.backward_reward}
         self.checkpoint = Checkpoint(
             policy=self.policy,
             loss_module=self.loss,
             stepper=self.stepper,
             collector=self.collector,
-            experience=self.experience,
-            replay_data=BufferState(self.experience.buffer),
+            experience=self.replay,  # as checkpoints of older runs call it
+            replay_data=BufferState(self.replay.buffer),
             **relabelling,
             episode_log=self.episode_log,
             log=self.log,
@@ -96,16 +96,16 @@ class EpisodeTrainer:
 
     def train(self) -> None:
         """Chansuparp (2022), Algorithm 3.1, for whole episodes: those of N vehicles end one after the other."""
-        with self._silence, self._kept():  # says what is waited for where no episode ends for long
+        with self._stall_notice, self._kept():  # says what is waited for where no episode ends for long
             for episode in self.collector:  # a_t = clip(μ(s_t) + ε, a_low, a_high) until d_t
                 self.collected_frames += len(episode)
-                stored = self.experience.filtered(episode)
+                stored = self.replay.filtered(episode)
                 if self.backward_reward is not None:
                     stored = self.backward_reward.inv(stored)  # r += m P_addReward, where it arrived
-                updates = self.experience.store(stored)
-                self.stepper.observe(episode, self.experience.draw)  # the classifier c learns
+                updates = self.replay.store(stored)
+                self.stepper.observe(episode, self.replay.draw)  # the classifier c learns
                 self.record(episode)
-                if self.collected_frames >= self.learns_after:
+                if self.collected_frames >= self.learning_starts:
                     self.learn(updates, actor=len(stored) > 0)
                 if self.finished:
                     self.save()
@@ -127,9 +127,9 @@ class EpisodeTrainer:
         """Updates critics and models, and every so many times the actor and the targets, on random batches."""
         self.stepper.actor_learns = actor
         losses: TensorDictBase | None = None
-        for done, batch in enumerate(self.experience.batches(updates)):
+        for done, batch in enumerate(self.replay.batches(updates)):
             new = self.stepper.step(None, batch)
-            self.experience.update_priority(batch)
+            self.replay.update_priority(batch)
             losses = new if losses is None else _mean(losses, new, done)
         if losses is not None:
             self._check(losses)
@@ -137,7 +137,7 @@ class EpisodeTrainer:
 
     def record(self, batch: TensorDictBase) -> None:
         """Writes the episodes of a batch down, shows progress, and logs what is worth it."""
-        self._silence.heard()
+        self._stall_notice.reset()
         steps = self.collected_frames - len(batch)
         for trajectory in split_episodes(batch):
             steps += len(trajectory)
@@ -152,7 +152,7 @@ class EpisodeTrainer:
             **{f"return_{name}": mean for name, mean in self.episode_log.mean_terms().items()},
             "episodes": self.episode_log.count,
         }
-        for part in (self.stepper, self.backward_reward, self.experience):
+        for part in (self.stepper, self.backward_reward, self.replay):
             values |= {} if part is None else part.diagnostics()
         self.log.add(values, self.collected_frames)
 
@@ -174,7 +174,7 @@ class EpisodeTrainer:
         log = self.episode_log
         flown = log.count >= self.episodes or (self.steps is not None and self.collected_frames >= self.steps)
         trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
-        own = log.count >= log.window and log.window_began >= self.judged_after
+        own = log.count >= log.window and log.window_began >= self.stats_start
         return flown or (trained and own)
 
     def save_if_due(self) -> None:
@@ -184,16 +184,16 @@ class EpisodeTrainer:
         is flown after it. Flights in a process of their own never come again, and are saved at once.
         """
         steps = self.collected_frames - self._last_save
-        anywhere = self.collector.flies_elsewhere
-        self.stop.foretell(0 if anywhere else self.checkpoint_interval - steps, steps)
+        anywhere = self.collector.is_remote
+        self.stop.set_time_to_checkpoint(0 if anywhere else self.checkpoint_interval - steps, steps)
         due = steps >= self.checkpoint_interval or (anywhere and self.stop.signal is not None)
-        if due and self.collector.wind_down():
+        if due and self.collector.drain():
             self.save()
 
     def save(self) -> None:
         """Writes a checkpoint, behind a barrier."""
         self._last_save = self.collected_frames
-        with self.stop.behind_this():
+        with self.stop.deferred():
             self.barrier()
             self._write()
 
@@ -201,7 +201,7 @@ class EpisodeTrainer:
         """Builds the environment anew; flights in a process of their own go on."""
         count = self.episode_log.count
         self.steps_flown = self.collector.state_dict()["frames"]
-        self.collector.start_anew(barrier_seed(self.seed, count), self.episodes - count)
+        self.collector.restart(barrier_seed(self.seed, count), self.episodes - count)
         self.stop.begin()
 
     def _write(self) -> None:
@@ -218,7 +218,7 @@ class EpisodeTrainer:
     def _checkpoint_size(self) -> float:
         """About how many bytes a checkpoint takes: the networks, Adam's moments of them, and the transitions."""
         networks = sum(getattr(value, "nbytes", 0) for value in self.loss.state_dict().values())
-        return 3 * networks + self.experience.buffer.storage.frame_bytes + 80 * len(self.experience.buffer)
+        return 3 * networks + self.replay.buffer.storage.frame_bytes + 80 * len(self.replay.buffer)
 
     def state_dict(self) -> dict[str, Any]:
         """How far the run has come."""

@@ -11,7 +11,7 @@ from torchrl.trainers import OptimizationStepper, Trainer
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.enhancer import Sample
 from uavrl.ranges import Positive, Share
-from uavrl.training.compiled import Execution, FusedSoftUpdate, Minimizer
+from uavrl.training.compiled import Execution, FusedSoftUpdate, GradientStep
 
 
 class ActorCriticStepper(OptimizationStepper):
@@ -45,20 +45,20 @@ class ActorCriticStepper(OptimizationStepper):
         super().__init__()
         self.loss = loss
         self.policy_delay = policy_delay
-        keys = (loss.unenhanced.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
+        keys = (loss.unwrapped.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
         in_keys = [*loss.in_keys, *keys]
         critics, actor = (
             [value for value in params.values(True, True) if isinstance(value, Tensor)]
             for params in (loss.critic_network_params, loss.actor_network_params)
         )
-        self.critic = Minimizer(self._value_loss, critics, critic_lr, execution, in_keys)
-        self.actor = Minimizer(loss.actor_loss, actor, actor_lr, execution, in_keys, self._active)
-        self.targets = FusedSoftUpdate(loss.unenhanced, tau=tau)
-        temperature = loss.unenhanced.alpha_params
+        self.critic = GradientStep(self._value_loss, critics, critic_lr, execution, in_keys)
+        self.actor = GradientStep(loss.actor_loss, actor, actor_lr, execution, in_keys, self._active)
+        self.targets = FusedSoftUpdate(loss.unwrapped, tau=tau)
+        temperature = loss.unwrapped.alpha_params
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
         models = [model for enhancer in loss.enhancers for model in enhancer.models]
         self.models = [
-            (Minimizer(model.loss, model.parameters, model.lr, execution), model.learned)
+            (GradientStep(model.loss, model.parameters, model.lr, execution), model.learned)
             for model in models
             if model.loss is not None
         ]
@@ -74,7 +74,7 @@ class ActorCriticStepper(OptimizationStepper):
     def step(self, trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates on one batch, which gets the new priorities; returns detached losses and the batch's mean value."""
         value = self.critic(sub_batch)
-        sub_batch.set(self.loss.unenhanced.tensor_keys.priority, value.metadata["priority"])
+        sub_batch.set(self.loss.unwrapped.tensor_keys.priority, value.metadata["priority"])
         for model, learned in self.models:
             learned(model(sub_batch).metadata)
         self.updates += 1
@@ -83,7 +83,7 @@ class ActorCriticStepper(OptimizationStepper):
             self._actor_loss = actor.loss
             if self.temperature is not None:
                 self.temperature.zero_grad(set_to_none=True)
-                self.loss.unenhanced.alpha_loss(actor.metadata["log_prob"]).backward()
+                self.loss.unwrapped.alpha_loss(actor.metadata["log_prob"]).backward()
                 self.temperature.step()
             self.targets.step()
         return TensorDict({"loss_value": value.loss, "loss_actor": self._actor_loss, "value": value.metadata["value"]})

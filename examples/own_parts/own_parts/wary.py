@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from uavrl.losses import ActorCriticLoss, Enhancer, Model
+from uavrl.losses import ActorCriticLoss, AuxiliaryModel, Enhancer
 from uavrl.ranges import NonNegative, Positive
 
 
@@ -32,9 +32,9 @@ class Wary(Enhancer):
         self.model = nn.Sequential(nn.Linear(observations + actions, 16), nn.ReLU(), nn.Linear(16, 1))
 
     @property
-    def models(self) -> list[Model]:
+    def models(self) -> list[AuxiliaryModel]:
         """One, trained at each update."""
-        return [Model(parameters=list(self.model.parameters()), lr=self.model_lr, loss=self.ending_loss)]
+        return [AuxiliaryModel(parameters=list(self.model.parameters()), lr=self.model_lr, loss=self.ending_loss)]
 
     def ending_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """How far P is from what happened."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.commands import in_process
-from uavrl.cli.reached import main
+from uavrl.cli.run_summary import main
 
 
 def evaluated(folder: Path, name: str, rate: float, when: float) -> None:

@@ -1,4 +1,4 @@
-"""``python -m uavrl.cli.reached RUN_FOLDER``: three lines about a run that was trained, evaluated and replayed."""
+"""``python -m uavrl.cli.run_summary RUN_FOLDER``: three lines about a run that was trained, evaluated and replayed."""
 
 import json
 import sys
