@@ -23,22 +23,22 @@ Sample = Callable[[int], TensorDictBase]
 
 @dataclass(frozen=True, kw_only=True)
 class AuxiliaryModel:
-    """A model that an enhancer needs trained: at each update by ``loss``, after each episode by ``fit``, or by both.
+    """A model that an enhancer needs trained: at each update by ``loss``, after each episode by ``on_episode``, or by both.
 
     Attributes:
-        parameters: what Adam moves; none where ``fit`` has a rule of its own.
+        parameters: what Adam moves; none where ``on_episode`` has a rule of its own.
         lr: Adam's step.
         loss: returns the reduced loss of the critics' batch ``[B]``, and metadata.
-        learned: receives that metadata after each step.
-        fit: trains after new episodes; takes a function that draws n stored transitions, the number of new steps, and
+        on_update: receives that metadata after each step.
+        on_episode: trains after new episodes; takes a function that draws n stored transitions, the number of new steps, and
             Adam (None without parameters).
     """
 
     parameters: list[Tensor]
     lr: float
     loss: LossMethod | None = None
-    learned: Callable[[dict[str, Tensor]], None] = lambda metadata: None
-    fit: Callable[[Sample, int, torch.optim.Optimizer | None], None] | None = None
+    on_update: Callable[[dict[str, Tensor]], None] = lambda metadata: None
+    on_episode: Callable[[Sample, int, torch.optim.Optimizer | None], None] | None = None
 
 
 class Enhancer(ActorCriticLoss, LossModule):

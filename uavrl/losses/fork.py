@@ -187,8 +187,8 @@ class Fork(Enhancer):
     @property
     def models(self) -> list[AuxiliaryModel]:
         """The networks, trained at each update; their losses move the gate."""
-        learned = lambda metadata: self.update_gate(**metadata)  # noqa: E731
-        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
+        gate = lambda metadata: self.update_gate(**metadata)  # noqa: E731
+        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, on_update=gate)]
 
     def system_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The reduced error of predicted next states (:meth:`system_errors`), and its mean ``system_loss``."""

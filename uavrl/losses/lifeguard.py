@@ -245,7 +245,7 @@ class LifeGuard(Enhancer):
     @property
     def models(self) -> list[AuxiliaryModel]:
         """The classifier, trained after each episode."""
-        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, fit=self.fit)]
+        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, on_episode=self.fit)]
 
     def make_optimizer(self) -> torch.optim.Optimizer | None:
         """Adam for :attr:`model_params`, or None without any. Keep it, and save it in your checkpoints."""
