@@ -23,15 +23,15 @@ Sample = Callable[[int], TensorDictBase]
 
 @dataclass(frozen=True, kw_only=True)
 class AuxiliaryModel:
-    """A model that an enhancer needs trained: at each update by ``loss``, after each episode by ``on_episode``, or by both.
+    """A model that an enhancer trains: at each update by ``loss``, after each episode by ``on_episode``, or both.
 
     Attributes:
         parameters: what Adam moves; none where ``on_episode`` has a rule of its own.
         lr: Adam's step.
         loss: returns the reduced loss of the critics' batch ``[B]``, and metadata.
         on_update: receives that metadata after each step.
-        on_episode: trains after new episodes; takes a function that draws n stored transitions, the number of new steps, and
-            Adam (None without parameters).
+        on_episode: trains after new episodes; takes a function that draws n stored transitions, the number of new
+            steps, and Adam (None without parameters).
     """
 
     parameters: list[Tensor]

@@ -1,5 +1,6 @@
 """One optimisation step of an actor–critic."""
 
+from functools import partial
 from typing import Annotated, Any
 
 import torch
@@ -60,8 +61,9 @@ class ActorCriticStepper(OptimizationStepper):
             for model in models
             if model.loss is not None
         ]
+        adam = partial(torch.optim.Adam, fused=True)
         self.fits = [
-            (model.on_episode, torch.optim.Adam(model.parameters, lr=model.lr, fused=True) if model.parameters else None)
+            (model.on_episode, adam(model.parameters, lr=model.lr) if model.parameters else None)
             for model in models
             if model.on_episode is not None
         ]
