@@ -53,7 +53,7 @@ test: $(DEV) lint
 
 # What needs processes, Ray, kills, a browser or more than some seconds.
 check: $(DEV)
-	$(BIN)/python -m pytest -n 2 --dist worksteal tests/check $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal tests/check examples/walker/tests studies/tests $(ARGS)
 
 # What takes more than a minute by its nature.
 test-slow: $(DEV)

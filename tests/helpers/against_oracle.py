@@ -12,10 +12,9 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.data import Bounded
-from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from tests.helpers import oracle
-from tests.helpers.updates import ACTIONS, FRAME, STATE, batch_number, cast, flights, plain
+from tests.helpers.updates import ACTIONS, FRAME, STATE, batch_number, cast, episodes, plain
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
 from uavrl.models.collision import LinearClassifier
@@ -34,10 +33,7 @@ GUARD = {
     "evaluation_window": 4,
     "model_lr": 1e-2,
 }
-HEARD = [False, False, True, True, True]  # one evaluation whenever episodes are shown, more than two are needed
-
-
-# ---------------------------------------------------------------------- a small world
+ACTIVE = [False, False, True, True, True]  # one evaluation whenever episodes are shown, more than two are needed
 
 
 # ---------------------------------------------------------------------- both sides, with the same weights
@@ -54,10 +50,6 @@ class Case:
     low: tuple[float, ...] = (-2.0, -2.0)
     high: tuple[float, ...] = (2.0, 2.0)
 
-    @property
-    def delay(self) -> int:
-        return 1 if self.algo == "ddpg" else 2
-
 
 CASES = {
     "td3": Case(),
@@ -72,37 +64,18 @@ CASES = {
 }
 
 
-def wrapped(module: nn.Module, *in_keys: str, out: str) -> TensorDictModule:
-    return TensorDictModule(module, list(in_keys), [out])
-
-
-def stochastic_actor(cells: Sequence[int]) -> ProbabilisticActor:
-    return ProbabilisticActor(
-        TensorDictModule(GaussianActor(STATE, ACTIONS, cells), ["observation"], ["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        spec=Bounded(-2.0, 2.0, (ACTIONS,)),
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": -2.0, "high": 2.0},
-        return_log_prob=True,
-    )
-
-
 def library(case: Case) -> ActorCriticLoss:
     """The library's loss, with weights drawn from a fixed seed."""
     torch.manual_seed(0)
     low, high = torch.tensor(case.low), torch.tensor(case.high)
     spec = Bounded(low, high)
-    critics = [wrapped(Critic(STATE, ACTIONS, case.cells), "observation", "action", out="state_action_value")]
-    critics += [wrapped(Critic(STATE, ACTIONS, case.cells), "observation", "action", out="state_action_value")]
-    even = case.low == (-2.0, -2.0)
-    actor = Actor(STATE, ACTIONS, case.cells) if even else oracle.Actor(STATE, case.cells, low, high)
-    loss: ActorCriticLoss
-    if case.algo == "sac":
-        loss = SACLoss(stochastic_actor(case.cells), critics, action_spec=spec)
-    elif case.algo == "ddpg":
-        loss = DDPGLoss(wrapped(actor, "observation", out="action"), critics[0])
-    else:
-        loss = TD3Loss(wrapped(actor, "observation", out="action"), critics, action_spec=spec)
+    keys = ["observation", "action"], ["state_action_value"]
+    critics = [TensorDictModule(Critic(STATE, ACTIONS, case.cells), *keys) for _ in "12"]
+    actor = (GaussianActor if case.algo == "sac" else Actor)(STATE, ACTIONS, case.cells)
+    if case.low != (-2.0, -2.0):
+        actor = oracle.Actor(STATE, case.cells, low, high)
+    kind = {"td3": TD3Loss, "ddpg": DDPGLoss, "sac": SACLoss}[case.algo]
+    loss: ActorCriticLoss = kind.of_networks(kind.policy_of(actor, spec), critics, spec)
     if case.fork is not None:
         loss = Fork(
             loss,
@@ -117,12 +90,8 @@ def library(case: Case) -> ActorCriticLoss:
     return loss.double() if torch.get_default_dtype() == torch.float64 else loss  # some buffers do not ask the default
 
 
-def stepper_of(loss: ActorCriticLoss, case: Case, execution: Execution) -> ActorCriticStepper:
-    return ActorCriticStepper(loss, policy_delay=case.delay, execution=execution)
-
-
 def enhancer(loss: ActorCriticLoss, kind: type) -> LifeGuard | Fork | None:
-    return next((one for one in getattr(loss, "enhancers", []) if isinstance(one, kind)), None)
+    return next((one for one in loss.enhancers if isinstance(one, kind)), None)
 
 
 def leaves(params: TensorDictBase, index: int | None = None, *, grad: bool = False) -> list[Tensor]:
@@ -134,10 +103,22 @@ def leaves(params: TensorDictBase, index: int | None = None, *, grad: bool = Fal
     return values if index is None else [value[index] for value in values]
 
 
-def each_critic(params: TensorDictBase, count: int, *, grad: bool = False) -> list[list[Tensor]]:
-    if count == 1:
-        return [leaves(params, grad=grad)]
-    return [leaves(params, index, grad=grad) for index in range(count)]
+def networks(loss: ActorCriticLoss, learner: oracle.DDPG) -> dict[str, tuple[TensorDictBase, int | None, nn.Module]]:
+    """Each network: its parameters in the library, its index if it is stacked there, and the oracle's module."""
+    base, fork = loss.unwrapped, enhancer(loss, Fork)
+    found = {
+        "actor": (base.actor_network_params, None, learner.actor),
+        "target actor": (base.target_actor_network_params, None, learner.target_actor),
+    }
+    targets = getattr(base, f"target_{base.critic_name}_params")
+    for index, (critic, target) in enumerate(zip(learner.critics, learner.target_critics, strict=True)):
+        at = index if len(learner.critics) > 1 else None
+        found[f"critic{index}"] = (base.critic_network_params, at, critic)
+        found[f"target critic{index}"] = (targets, at, target)
+    if fork is not None:
+        found["system"] = (fork.system_network_params, None, learner.enhancers[0].system)
+        found["reward"] = (fork.reward_network_params, None, learner.enhancers[0].reward)
+    return found
 
 
 def copy_into(module: nn.Module, values: Sequence[Tensor]) -> None:
@@ -150,21 +131,18 @@ def by_hand(case: Case, loss: ActorCriticLoss) -> oracle.DDPG:
     """The oracle with the library's weights."""
     low, high = torch.tensor(case.low), torch.tensor(case.high)
     actor = oracle.Actor(STATE, case.cells, low, high)
-    copy_into(actor, leaves(loss.actor_network_params))
     critics = [oracle.OfPair(STATE + ACTIONS, case.cells, 1) for _ in range(1 if case.algo == "ddpg" else 2)]
-    for critic, values in zip(critics, each_critic(loss.critic_network_params, len(critics)), strict=True):
-        copy_into(critic, values)
     enhancers: list[oracle.ActorLoss] = []
-    if (fork := enhancer(loss, Fork)) is not None:
+    if case.fork is not None:
         system = oracle.OfPair(STATE + ACTIONS, case.cells, STATE)
         reward = oracle.OfPair(2 * STATE + ACTIONS, case.cells, 1)
-        copy_into(system, leaves(fork.system_network_params))
-        copy_into(reward, leaves(fork.reward_network_params))
         enhancers.append(oracle.Fork(system, reward, lr=3e-4, threshold=case.fork, max_reward=MAX_REWARD))
     if case.guard is not None:
         enhancers.append(oracle.LifeGuard(lambda x: x[..., 0], last=FRAME))
-    learner = {"td3": oracle.TD3, "ddpg": oracle.DDPG}[case.algo]
-    return learner(actor, critics, low, high, enhancers)
+    learner = {"td3": oracle.TD3, "ddpg": oracle.DDPG}[case.algo](actor, critics, low, high, enhancers)
+    for params, index, module in networks(loss, learner).values():
+        copy_into(module, leaves(params, index))
+    return learner
 
 
 def classifier_of(guard: LifeGuard) -> Callable[[Tensor], Tensor]:
@@ -180,7 +158,7 @@ def classifier_of(guard: LifeGuard) -> Callable[[Tensor], Tensor]:
 
 
 def show(stepper: ActorCriticStepper, learner: oracle.DDPG, data: TensorDict) -> None:
-    """New episodes, to both."""
+    """Shows new episodes to both."""
     stepper.observe(data, lambda n: data[torch.randint(len(data), (n,))])
     done = data["next", "done"].squeeze(-1)
     lengths = torch.diff(done.nonzero().squeeze(-1), prepend=torch.tensor([-1])).tolist()
@@ -199,54 +177,28 @@ def show(stepper: ActorCriticStepper, learner: oracle.DDPG, data: TensorDict) ->
 # ---------------------------------------------------------------------- the comparison
 
 
-def assert_all_close(ours: Sequence[Tensor], expected: Sequence[Tensor], tolerance: float, relative: float) -> None:
-    for one, two in zip(ours, expected, strict=True):
-        torch.testing.assert_close(one, two, atol=tolerance, rtol=relative)
-
-
 def compare_update(result: TensorDictBase, loss: ActorCriticLoss, learner: oracle.DDPG, tolerance: float) -> None:
     """Losses and gradients of the update that both have just made."""
-    for ours, theirs in (("loss_value", "critic"), ("loss_actor", "actor")):
-        if theirs in learner.losses:
-            assert result[ours].item() == pytest.approx(learner.losses[theirs], rel=tolerance, abs=tolerance), ours
-
-    def compare(name: str, gradients: Sequence[Tensor]) -> None:
-        scale = max(gradient.abs().max().item() for gradient in learner.gradients[name])
-        assert scale > 0, name
-        assert_all_close(gradients, learner.gradients[name], tolerance * max(scale, 1), 10 * tolerance)
-
-    critics = each_critic(loss.critic_network_params, len(learner.critics), grad=True)
-    for index, gradients in enumerate(critics):
-        compare(f"critic{index}", gradients)
-    if "actor" in learner.losses:
-        compare("actor", leaves(loss.actor_network_params, grad=True))
+    ours = {"critic": float(result["loss_value"]), "actor": float(result["loss_actor"])}
     if (fork := enhancer(loss, Fork)) is not None:
         said = fork.diagnostics()
-        assert said["system_loss"] == pytest.approx(learner.losses["system"], rel=tolerance, abs=tolerance)
-        assert said["reward_loss"] == pytest.approx(learner.losses["reward"], rel=tolerance, abs=tolerance)
-        compare("system", leaves(fork.system_network_params, grad=True))
-        compare("reward", leaves(fork.reward_network_params, grad=True))
+        ours |= {"system": said["system_loss"], "reward": said["reward_loss"]}
+    for name, expected in learner.losses.items():
+        assert ours[name] == pytest.approx(expected, rel=tolerance, abs=tolerance), name
+    both = networks(loss, learner)
+    for name, gradients in learner.gradients.items():
+        params, index, _ = both[name]
+        scale = max(gradient.abs().max().item() for gradient in gradients)
+        assert scale > 0, name
+        found = leaves(params, index, grad=True)
+        torch.testing.assert_close(found, gradients, atol=tolerance * max(scale, 1), rtol=10 * tolerance)
 
 
 def compare_parameters(loss: ActorCriticLoss, learner: oracle.DDPG, tolerance: float) -> None:
     """Online and target networks, and FORK's models."""
-    base = loss.unwrapped
-    target_critics = getattr(base, "target_value_network_params", None)
-    target_critics = base.target_qvalue_network_params if target_critics is None else target_critics
-    count = len(learner.critics)
-    pairs: list[tuple[Sequence[Tensor], nn.Module]] = [
-        (leaves(loss.actor_network_params), learner.actor),
-        (leaves(base.target_actor_network_params), learner.target_actor),
-        *zip(each_critic(loss.critic_network_params, count), learner.critics, strict=True),
-        *zip(each_critic(target_critics, count), learner.target_critics, strict=True),
-    ]
-    fork = enhancer(loss, Fork)
-    for one in learner.enhancers:
-        if isinstance(one, oracle.Fork):
-            pairs.append((leaves(fork.system_network_params), one.system))
-            pairs.append((leaves(fork.reward_network_params), one.reward))
-    for ours, module in pairs:
-        assert_all_close(ours, [p.detach() for p in module.parameters()], tolerance, 0.0)
+    for params, index, module in networks(loss, learner).values():
+        expected = [p.detach() for p in module.parameters()]
+        torch.testing.assert_close(leaves(params, index), expected, atol=tolerance, rtol=0.0)
 
 
 def compare_updates(name: str, execution: Execution, dtype: torch.dtype) -> None:
@@ -254,22 +206,21 @@ def compare_updates(name: str, execution: Execution, dtype: torch.dtype) -> None
     before = torch.get_default_dtype()
     torch.set_default_dtype(dtype)
     try:
-        _compare_updates(name, execution, {torch.float32: 1e-5, torch.float64: 1e-10}[dtype])
+        _compare_updates(CASES[name], execution, {torch.float32: 1e-5, torch.float64: 1e-10}[dtype])
     finally:
         torch.set_default_dtype(before)
 
 
-def _compare_updates(name: str, execution: Execution, tolerance: float) -> None:
-    case = CASES[name]
+def _compare_updates(case: Case, execution: Execution, tolerance: float) -> None:
     loss = library(case)
     learner = by_hand(case, loss)
-    stepper = stepper_of(loss, case, execution)
+    stepper = ActorCriticStepper(loss, policy_delay=learner.delay, execution=execution)
     compare_parameters(loss, learner, 0.0)
-    heard: list[bool] = []
+    active: list[bool] = []
     for update in range(UPDATES):
         if update % EPISODES_EVERY == 0:
-            show(stepper, learner, cast(flights(update)))
-            heard += [one.active for one in learner.enhancers if isinstance(one, oracle.LifeGuard)]
+            show(stepper, learner, cast(episodes(update)))
+            active += [one.active for one in learner.enhancers if isinstance(one, oracle.LifeGuard)]
         data = cast(batch_number(update))
         batch = plain(data)
         torch.manual_seed(update)
@@ -278,9 +229,9 @@ def _compare_updates(name: str, execution: Execution, tolerance: float) -> None:
         learner.update(batch)
         compare_update(result, loss, learner, tolerance)
     compare_parameters(loss, learner, tolerance)
-    assert heard == (HEARD if case.guard else [])
+    assert active == (ACTIVE if case.guard else [])
     if case.fork == THRESHOLD:
-        opened = learner.enhancers[0].opened[case.delay - 1 :: case.delay]  # as the actor's updates saw the gate
+        opened = learner.enhancers[0].opened[learner.delay - 1 :: learner.delay]  # as the actor's updates saw the gate
         assert 5 < sum(opened) < len(opened) - 5
         assert sum(one != two for one, two in itertools.pairwise(opened)) > 5
 
@@ -301,12 +252,12 @@ RECORDED = {
 def trained(case: Case, execution: Execution, updates: int = 30) -> dict[str, Tensor]:
     """Everything in the loss after some updates, drawn from one stream of random numbers."""
     loss = library(case)
-    stepper = stepper_of(loss, case, execution)
+    stepper = ActorCriticStepper(loss, policy_delay=1 if case.algo == "ddpg" else 2, execution=execution)
     torch.manual_seed(5)
     results: dict[str, Tensor] = {}
     for update in range(updates):
         if update % EPISODES_EVERY == 0:
-            data = flights(update)
+            data = episodes(update)
             stepper.observe(data, lambda n, data=data: data[torch.randint(len(data), (n,))])
         batch = batch_number(update)
         said = stepper.step(None, batch)

@@ -6,11 +6,9 @@ from collections.abc import Callable
 
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded
-from torchrl.envs.utils import ExplorationType
-from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from uavrl.losses import ActorCriticLoss, DDPGLoss, Fork, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, RewardNet, SystemNet
@@ -23,16 +21,8 @@ def actor() -> TensorDictModule:
     return TensorDictModule(Actor(6, 2, (8,)), ["observation"], ["action"])
 
 
-def stochastic_actor() -> ProbabilisticActor:
-    return ProbabilisticActor(
-        TensorDictModule(GaussianActor(6, 2, (8,)), ["observation"], ["loc", "scale"]),
-        in_keys=["loc", "scale"],
-        spec=SPEC,
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": -2.0, "high": 2.0},
-        return_log_prob=True,
-        default_interaction_type=ExplorationType.RANDOM,
-    )
+def stochastic_actor() -> TensorDictModuleBase:
+    return SACLoss.policy_of(GaussianActor(6, 2, (8,)), SPEC)
 
 
 def critics() -> list[TensorDictModule]:
@@ -106,7 +96,7 @@ def sampler(data: TensorDict) -> Callable[[int], TensorDict]:
 
 
 def trained(loss: LifeGuard, rounds: int = 8) -> LifeGuard:
-    """Fed with collisions that are easy to tell, until the actor listens."""
+    """Trained on collisions that are easy to classify, until its penalty is active."""
     data = episodes(10)
     optimizer = loss.make_optimizer()
     for _ in range(rounds):

@@ -26,7 +26,7 @@ NOISE_CLIP = 0.5
 
 @dataclass
 class Batch:
-    """Transitions. `terminated` is true at an arrival or a collision only, a time-out bootstraps."""
+    """Transitions. `terminated` is true at a success or a collision only, a time-out bootstraps."""
 
     observation: Tensor
     action: Tensor
@@ -229,7 +229,7 @@ class Fork(ActorLoss):
 class LifeGuard(ActorLoss):
     """Eq. 3.11: the predicted probability of a collision is taken off the value, -(Q1 - weight sigmoid(c)).
 
-    `logit` is the classifier; how it is trained, and when the actor listens, is not this module's business.
+    `logit` is the classifier; this module does not say how it is trained, and when the penalty is active.
     """
 
     def __init__(self, logit: Callable[[Tensor], Tensor], *, last: int, penalty: float = 10.0) -> None:
@@ -237,23 +237,23 @@ class LifeGuard(ActorLoss):
         self.last = last  # width of the last observation, at the end of the stacked state
         self.penalty = penalty
         self.active = False
-        self.arrivals: deque[bool] = deque(maxlen=100)
+        self.successes: deque[bool] = deque(maxlen=100)
         self.lowest: Tensor | None = None
         self.highest: Tensor | None = None
 
     def features(self, observation: Tensor, action: Tensor) -> Tensor:
         return torch.cat([observation[..., -self.last :], action], -1)
 
-    def observe(self, observations: Tensor, actions: Tensor, arrivals: Sequence[bool]) -> None:
+    def observe(self, observations: Tensor, actions: Tensor, successes: Sequence[bool]) -> None:
         """The range of the features seen so far, and how the episodes ended."""
         features = self.features(observations, actions)
         low, high = features.amin(0), features.amax(0)
         self.lowest = low if self.lowest is None else torch.minimum(self.lowest, low)
         self.highest = high if self.highest is None else torch.maximum(self.highest, high)
-        self.arrivals.extend(arrivals)
+        self.successes.extend(successes)
 
     def weight(self) -> float:
-        success = sum(self.arrivals) / len(self.arrivals) if self.arrivals else 0.0
+        success = sum(self.successes) / len(self.successes) if self.successes else 0.0
         return self.penalty * (1 - min(max(success, 0.0), 1.0))
 
     def term(self, oracle: DDPG, observation: Tensor, action: Tensor) -> Tensor | None:

@@ -35,7 +35,7 @@ def transitions(size: int, seed: int, noise: float) -> TensorDict:
     return TensorDict({"observation": state, "action": action, "next": following}, [size])
 
 
-def flights(seed: int, count: int = 30, steps: int = 5) -> TensorDict:
+def episodes(seed: int, count: int = 30, steps: int = 5) -> TensorDict:
     """Whole episodes, end to end; two in three collide, where the last frame is large, and one arrives.
 
     They see little of the world, so that FORK's range cuts many predictions.

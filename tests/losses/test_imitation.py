@@ -1,4 +1,4 @@
-"""Staying near a guide: the value by hand, where the gradient goes, and what is said of a batch without a guide."""
+"""Behaviour cloning: the value by hand, where the gradient goes, and the error for a batch without actions to clone."""
 
 from __future__ import annotations
 
@@ -8,19 +8,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import NormalParamExtractor, TensorDictModule
-from torchrl.data import Bounded
 from torchrl.modules import MLP
 
 from tests.helpers.contracts import ActorCriticLossContract
-from uavrl.losses import DDPGLoss, Fork, Imitation, SACLoss, TD3Loss
+from tests.helpers.losses import SPEC, fork, td3
+from uavrl.losses import DDPGLoss, Imitation, SACLoss, TD3Loss
 from uavrl.losses.imitation import distance_to_guide
-from uavrl.models import Actor, Critic, RewardNet, SystemNet
-
-
-def make_td3(**options: Any) -> TD3Loss:
-    critics = [TensorDictModule(Critic(6, 2), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
-    actor = TensorDictModule(Actor(6, 2), ["observation"], ["action"])
-    return TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,)), **options)
 
 
 class MLPCritic(torch.nn.Module):
@@ -36,7 +29,7 @@ class MLPCritic(torch.nn.Module):
 
 class TestContract(ActorCriticLossContract):
     def make_loss(self, **options: Any) -> Imitation:
-        return Imitation(make_td3(**options), limit=2.0)
+        return Imitation(td3(**options), limit=2.0)
 
     def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
         data = super().make_data(dtype, size)
@@ -45,8 +38,8 @@ class TestContract(ActorCriticLossContract):
 
 def test_the_distance_by_hand() -> None:
     """Differences 1 and -3 of actions up to 2: (0.5² + 1.5²) / 2 = 1.25."""
-    told = distance_to_guide(torch.tensor([[1.0, -1.0]]), torch.tensor([[0.0, 2.0]]), 2.0)
-    assert told.tolist() == [1.25]
+    distance = distance_to_guide(torch.tensor([[1.0, -1.0]]), torch.tensor([[0.0, 2.0]]), 2.0)
+    assert distance.tolist() == [1.25]
 
 
 def test_the_term_has_the_size_of_the_objective() -> None:
@@ -54,8 +47,7 @@ def test_the_term_has_the_size_of_the_objective() -> None:
     loss = TestContract().seeded_loss(reduction="none")
     loss.weight = 0.7
     plain, metadata = loss.base.actor_loss(data)
-    actions = loss.act(data)["action"]
-    distance = distance_to_guide(actions, data["guide_action"], 2.0)
+    distance = distance_to_guide(loss.act(data)["action"], data["guide_action"], 2.0)
     torch.testing.assert_close(loss.actor_loss(data)[0], plain + 0.7 * plain.abs().mean() * distance)
     torch.testing.assert_close(loss.actor_loss(data)[1]["guide_distance"], distance)
     assert set(metadata) < set(loss.actor_loss(data)[1])
@@ -63,7 +55,7 @@ def test_the_term_has_the_size_of_the_objective() -> None:
 
 def test_alone_it_leads_to_the_guide() -> None:
     torch.manual_seed(0)
-    loss = Imitation(make_td3(), limit=2.0, weight=1e4)
+    loss = Imitation(td3(), limit=2.0, weight=1e4)
     data = TestContract().make_data(size=64).set("guide_action", torch.tensor([1.0, -0.5]).expand(64, 2))
     adam = torch.optim.Adam(list(loss.actor_network_params.values(True, True)), lr=1e-2)
     for _ in range(200):
@@ -73,7 +65,7 @@ def test_alone_it_leads_to_the_guide() -> None:
     torch.testing.assert_close(loss.act(data)["action"], data["guide_action"], atol=0.2, rtol=0.0)
 
 
-def test_without_a_guide_it_says_what_is_missing() -> None:
+def test_a_batch_without_actions_to_clone_is_refused() -> None:
     loss = TestContract().make_loss()
     with pytest.raises(KeyError, match="Imitation reads 'guide_action'"):
         loss.actor_loss(TestContract().make_data().exclude("guide_action"))
@@ -82,32 +74,27 @@ def test_without_a_guide_it_says_what_is_missing() -> None:
     loss.actor_loss(TestContract().make_data().rename_key_("guide_action", "advice"))
 
 
-@pytest.mark.parametrize("algorithm", ["ddpg", "sac", "foreign"])
-def test_it_attaches_to_other_losses_and_to_critics_that_are_not_ours(algorithm: str) -> None:
+@pytest.mark.parametrize("kind", [DDPGLoss, SACLoss, TD3Loss])
+def test_it_attaches_to_any_loss_and_to_critics_that_are_not_ours(kind: type[TD3Loss | DDPGLoss | SACLoss]) -> None:
     torch.manual_seed(0)
-    spec = Bounded(-2.0, 2.0, (2,))
-    kind = {"ddpg": DDPGLoss, "sac": SACLoss, "foreign": TD3Loss}[algorithm]
     network: torch.nn.Module = MLP(in_features=6, out_features=4 if kind is SACLoss else 2, num_cells=[16])
     if kind is SACLoss:  # mean and deviation
         network = torch.nn.Sequential(network, NormalParamExtractor())
-    critics = [
-        TensorDictModule(MLPCritic(), ["observation", "action"], ["state_action_value"])
-        for _ in range(kind.num_critics)
-    ]
-    loss = Imitation(kind.of_networks(kind.policy_of(network, spec), critics, spec), limit=2.0)
+    keys = ["observation", "action"], ["state_action_value"]
+    critics = [TensorDictModule(MLPCritic(), *keys) for _ in range(kind.num_critics)]
+    loss = Imitation(kind.of_networks(kind.policy_of(network, SPEC), critics, SPEC), limit=2.0)
     data = TestContract().make_data()
     with torch.random.fork_rng():  # SAC draws its action: the same one both times
         plain = loss.base.actor_loss(data)[0]
-    enhanced = loss.actor_loss(data)
-    assert enhanced[1]["guide_distance"].shape == data.batch_size
-    assert enhanced[0].isfinite() and enhanced[0] > plain
-    enhanced[0].backward()
+    value, metadata = loss.actor_loss(data)
+    assert metadata["guide_distance"].shape == data.batch_size
+    assert value.isfinite() and value > plain
+    value.backward()
     assert any(p.grad is not None and p.grad.abs().sum() > 0 for p in loss.actor_network_params.values(True, True))
 
 
 def test_fork_goes_around_it() -> None:
-    nets = {"system_network": SystemNet(6, 2), "reward_network": RewardNet(6, 2), "observations": 6}
-    loss = Fork(TestContract().make_loss(), **nets, max_reward=500.0)
+    loss = fork(TestContract().make_loss())
     loss.update_gate(0.01)
     value, metadata = loss.actor_loss(TestContract().make_data())
     assert value.isfinite() and {"fork_term", "guide_distance"} <= set(metadata)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
@@ -14,13 +13,14 @@ from uavrl.losses import ActorCriticLoss, LifeGuard
 
 
 class _Contract(ActorCriticLossContract):
-    """The contract, of a LifeGuard that the actor listens to; the critic's loss is the base's."""
+    """The contract of a LifeGuard around TD3 whose penalty is active; the critic's loss is the base's."""
 
-    base: Callable[..., ActorCriticLoss]
-    settings: ClassVar[dict[str, object]]
+    settings: ClassVar[dict[str, object]] = {}
 
     def make_loss(self, **kwargs: object) -> LifeGuard:
-        return trained(lifeguard(self.base(**kwargs), **self.settings))
+        loss = trained(lifeguard(td3(**kwargs), **self.settings))
+        loss.zero_grad()
+        return loss
 
     def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
         data = super().make_data(dtype, size)
@@ -28,33 +28,20 @@ class _Contract(ActorCriticLossContract):
         return data
 
 
-class _MLPContract(_Contract):
-    methods: ClassVar[dict[str, str]] = _Contract.methods | {"lifeguard_loss": "model"}
-    settings: ClassVar[dict[str, object]] = {"model": "mlp", "model_lr": 1e-2}
-
-    def make_loss(self, **kwargs: object) -> LifeGuard:
-        loss = super().make_loss(**kwargs)
-        loss.zero_grad()
-        return loss
-
-
 class TestLinearOnTD3(_Contract):
-    base = staticmethod(td3)
-    settings: ClassVar[dict[str, object]] = {}
-
     def test_no_optimiser_moves_its_weights(self) -> None:
         loss = self.make_loss()
         assert not loss.model_params
         assert not loss.lifeguard_loss(self.make_data())[0].requires_grad
 
 
-class TestMLPOnTD3(_MLPContract):
+class TestMLPOnTD3(_Contract):
     compiled: ClassVar[tuple[str, ...]] = ("actor_loss",)
-    base = staticmethod(td3)
+    methods: ClassVar[dict[str, str]] = _Contract.methods | {"lifeguard_loss": "model"}
+    settings: ClassVar[dict[str, object]] = {"model": "mlp", "model_lr": 1e-2}
 
 
 class TestLabelOnTD3(_Contract):
-    base = staticmethod(td3)
     settings: ClassVar[dict[str, object]] = {"penalty": "label"}
 
 
@@ -73,6 +60,8 @@ class TestActorTerm:
         plain, label = actor_gradient(base, data), actor_gradient(loss, data)
         assert all(torch.equal(one, other) for one, other in zip(plain, label, strict=True))
         assert loss.actor_loss(data)[0] > base.actor_loss(data)[0]  # the loss itself is not the same
+        numbers = loss.diagnostics()
+        assert numbers["lifeguard_penalty"] > 0.0 == numbers["lifeguard_gradient"]
         loss.penalty = "probability"
         assert not all(torch.equal(one, other) for one, other in zip(plain, actor_gradient(loss, data), strict=True))
 
@@ -104,11 +93,6 @@ class TestActorTerm:
         (gradient,) = torch.autograd.grad(term.sum(), action)  # 8 · ¼ · (-2) / 4
         assert gradient.tolist() == [[-1.0, 0.0]]
 
-    def test_a_wrong_width_is_refused(self) -> None:
-        loss = LifeGuard(td3(), observations=3, actions=4)
-        with pytest.raises(ValueError, match="check observations= and actions="):
-            loss.observe(episodes(1))
-
 
 class TestObserve:
     def test_stores_the_last_transition_of_each_collision_unscaled(self) -> None:
@@ -119,7 +103,7 @@ class TestObserve:
         assert torch.equal(loss.collisions[:], expected)
 
     def test_equal_stores_are_saved_as_equal_bytes(self) -> None:
-        """Also where nothing was stored yet."""
+        """Rows that hold nothing yet are saved, too."""
         data = episodes(3)
         loss, other = lifeguard(capacity=1000), lifeguard(capacity=1000)
         for one in (loss, other):
@@ -133,11 +117,9 @@ class TestObserve:
         loss.observe(episodes(5))
         last = episodes(5)
         loss.observe(last)
-        assert len(loss.collisions) == 7
         stored = {tuple(row) for row in loss.collisions[:].tolist()}
-        assert {
-            tuple(row) for row in torch.cat([last["observation"][:, 3:], last["action"]], -1)[4::5].tolist()
-        } < stored
+        newest = torch.cat([last["observation"][4::5, 3:], last["action"][4::5]], -1)
+        assert len(loss.collisions) == 7 and {tuple(row) for row in newest.tolist()} < stored
 
     def test_weight_falls_with_recent_success(self) -> None:
         loss = lifeguard(success_window=4)
@@ -168,19 +150,24 @@ class TestObserve:
         with pytest.raises(ValueError, match="Expected keys out of"):
             loss.set_keys(colided="crash")
 
-    @pytest.mark.parametrize("key", ["observation", "action"])
-    def test_nan_is_refused_and_leaves_no_trace(self, key: str) -> None:
-        data = episodes(2)
-        data[key][3, -1] = torch.nan
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (
+                lambda data: data.set("observation", torch.full((10, 6), torch.nan)),
+                "Expected finite states and actions",
+            ),
+            (lambda data: data.set("action", torch.full((10, 2), torch.inf)), "Expected finite states and actions"),
+            (lambda data: data[:-1], "Expected whole episodes"),
+            (lambda data: data.set("action", torch.zeros(10, 4)), "check observations= and actions="),
+        ],
+    )
+    def test_other_data_is_refused_and_leaves_no_trace(self, change: object, message: str) -> None:
         loss = lifeguard()
-        with pytest.raises(ValueError, match="Expected finite states and actions"):
-            loss.observe(data)
+        with pytest.raises(ValueError, match=message):
+            loss.observe(change(episodes(2)))
         assert len(loss.collisions) == 0
         assert loss.classifier.scaler.low.isinf().all()
-
-    def test_part_of_an_episode_is_refused(self) -> None:
-        with pytest.raises(ValueError, match="Expected whole episodes"):
-            lifeguard().observe(episodes(2)[:-1])
 
 
 class TestFit:
@@ -193,21 +180,12 @@ class TestFit:
         loss.fit(sampler(data), 5, loss.make_optimizer())
         assert loss.evaluated == 0
         assert all(torch.equal(value, before[name]) for name, value in loss.classifier.model.state_dict().items())
-        assert loss.diagnostics() == {
-            "lifeguard_active": 0.0,
-            "lifeguard_true_positive_rate": 0.0,
-            "lifeguard_false_positive_rate": 0.0,
-            "lifeguard_true_negative_rate": 0.0,
-            "lifeguard_false_negative_rate": 0.0,
-            "lifeguard_collisions": 0.0,
-            "lifeguard_weight": 10.0,
-            "lifeguard_penalty": 0.0,
-            "lifeguard_gradient": 0.0,
-        }
+        rates = {f"lifeguard_{a}_{b}_rate": 0.0 for a in ("true", "false") for b in ("positive", "negative")}
+        others = ("lifeguard_active", "lifeguard_collisions", "lifeguard_penalty", "lifeguard_gradient")
+        assert loss.diagnostics() == rates | dict.fromkeys(others, 0.0) | {"lifeguard_weight": 10.0}
 
     def test_training_starts_with_more_than_min_collisions(self) -> None:
-        loss = lifeguard(min_collisions=4)
-        data = episodes(4)
+        loss, data = lifeguard(min_collisions=4), episodes(4)
         loss.observe(data)
         loss.fit(sampler(data), 1)
         assert int(loss.classifier.model.t) == 0
@@ -235,20 +213,13 @@ class TestFit:
         assert len({tuple(row) for row in labels.tolist()}) > 20
 
     def test_evaluates_before_it_trains(self) -> None:
-        """An untrained classifier calls nothing a collision: no positive, true or false."""
-        loss = lifeguard()
-        data = episodes(10)
+        """An untrained classifier predicts no collision: no positive, true or false."""
+        loss, data = lifeguard(), episodes(10)
         loss.observe(data)
         loss.fit(sampler(data), 50)
         assert list(loss.evaluations) == [[0, 0, 10, 10]]
         loss.evaluate(data[torch.arange(10)])
         assert loss.evaluated == 2
-        with pytest.raises(ValueError, match="Expected 10 transitions"):
-            loss.evaluate(data)
-
-    def test_evaluation_without_collisions_is_refused(self) -> None:
-        with pytest.raises(ValueError, match="found none"):
-            lifeguard().evaluate(episodes(2, collided=False))
 
     @pytest.mark.parametrize(
         ("false_positives", "evaluations", "active"),
@@ -262,10 +233,9 @@ class TestFit:
         loss._refresh()
         assert loss.active is active
 
-    def test_deactivates_when_it_cries_wolf(self) -> None:
-        loss = lifeguard(evaluation_window=3)
+    def test_false_alarms_deactivate_the_penalty(self) -> None:
+        loss, others = lifeguard(evaluation_window=3), episodes(2, collided=False)
         loss.observe(episodes(1))
-        others = episodes(2, collided=False)
         for _ in range(3):
             loss.evaluate(others)
         assert loss.active
@@ -290,16 +260,20 @@ class TestFit:
         loss.fit(sample, 500)
         assert max(sizes) <= 8192
 
-    def test_a_buffer_of_collisions_only_is_refused(self) -> None:
-        loss = lifeguard()
-        data = episodes(10)
+    @pytest.mark.parametrize(
+        ("model", "call", "message"),
+        [
+            ("linear", lambda loss, data: loss.fit(lambda n: data[4::5][torch.randint(10, (n,))], 5), "not collide"),
+            ("linear", lambda loss, data: loss.evaluate(data), "Expected 10 transitions"),
+            ("linear", lambda loss, data: lifeguard().evaluate(data[:10]), "found none"),
+            ("mlp", lambda loss, data: loss.fit(sampler(data), 5), "see make_optimizer"),
+        ],
+    )
+    def test_what_it_cannot_learn_from_is_refused(self, model: str, call: object, message: str) -> None:
+        loss, data = lifeguard(model=model), episodes(10)
         loss.observe(data)
-        with pytest.raises(ValueError, match="did not collide"):
-            loss.fit(lambda n: data[4::5][torch.randint(10, (n,))], 5)
-
-    def test_an_mlp_without_an_optimiser_is_refused(self) -> None:
-        with pytest.raises(ValueError, match="see make_optimizer"):
-            lifeguard(model="mlp").fit(sampler(episodes(1)), 5)
+        with pytest.raises(ValueError, match=message):
+            call(loss, data)
 
     def test_a_module_of_ones_own(self) -> None:
         class Own(torch.nn.Module):
@@ -335,23 +309,16 @@ class TestFit:
         assert torch.equal(one.actor_loss(data)[0], other.actor_loss(data)[0])
 
 
-class TestDiagnostics:
-    def test_gradient_norm_against_autograd_through_the_actor_term(self) -> None:
-        loss = trained(lifeguard(model="mlp", model_lr=1e-2))
-        data = episodes(1)
-        loss.observe(data)
-        action = data["action"].clone().requires_grad_()
-        term, _ = loss.actor_term(data.set("action", action))
-        (gradient,) = torch.autograd.grad(term.sum(), action)
-        numbers = loss.diagnostics()
-        assert numbers["lifeguard_penalty"] == pytest.approx(float(term.detach().mean()))
-        assert numbers["lifeguard_gradient"] == pytest.approx(float(gradient.norm(dim=-1).mean()))
-        assert numbers["lifeguard_active"] == 1.0
-
-    def test_labels_have_no_gradient(self) -> None:
-        numbers = trained(lifeguard(penalty="label")).diagnostics()
-        assert numbers["lifeguard_penalty"] > 0
-        assert numbers["lifeguard_gradient"] == 0.0
+def test_diagnostics_agree_with_autograd_through_the_actor_term() -> None:
+    loss, data = trained(lifeguard(model="mlp", model_lr=1e-2)), episodes(1)
+    loss.observe(data)
+    action = data["action"].clone().requires_grad_()
+    term, _ = loss.actor_term(data.set("action", action))
+    (gradient,) = torch.autograd.grad(term.sum(), action)
+    numbers = loss.diagnostics()
+    assert numbers["lifeguard_penalty"] == pytest.approx(float(term.detach().mean()))
+    assert numbers["lifeguard_gradient"] == pytest.approx(float(gradient.norm(dim=-1).mean()))
+    assert numbers["lifeguard_active"] == 1.0
 
 
 def test_one_lifeguard_on_another() -> None:
@@ -361,7 +328,7 @@ def test_one_lifeguard_on_another() -> None:
     torch.testing.assert_close(outer.actor_loss(data)[0], inner.actor_loss(data)[0])
     trained(outer)
     assert [one.active for one in outer.enhancers] == [True, True]
-    assert len(inner.collisions) == 160  # the outer one passes on what it observes
+    assert len(inner.collisions) == 160  # the outer one passes episodes on
     assert outer.actor_loss(data)[0] > inner.actor_loss(data)[0]
 
 

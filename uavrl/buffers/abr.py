@@ -1,4 +1,4 @@
-"""The two backward rewards of the thesis, with the classifiers that make them."""
+"""The two backward rewards of the thesis: BackwardReward with their classifiers."""
 
 import shutil
 from collections.abc import Mapping
@@ -19,13 +19,13 @@ class ABR(BackwardReward):
     Args:
         multiplier: p_addReward.
         threshold: cosine similarity from which a state joins a class (Table 4.1).
-        max_classes: classes that are founded at most.
-        seed: of the convolution that gives the features.
+        max_classes: largest number of classes.
+        seed: seed of the convolution that computes the features.
         stacked: observations in a state.
         observations: width of the state.
 
     Raises:
-        UavrlError: for states of one observation: it convolves over time.
+        UavrlError: for states of one observation, since it convolves over time.
 
     Examples:
         >>> ABR(observations=70, stacked=2).frames
@@ -62,14 +62,14 @@ class ABRPlus(BackwardReward):
 
     Args:
         multiplier: p_addReward.
-        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``: of states as the default has them.
+        artifact: a folder that ``uavrl-pretrain`` wrote, or ``"packaged"``, which fits the default states.
         stacked: observations in a state.
         observations: width of the state.
-        perception: the run's; an artifact of another one is refused. What one of the two does not tell is not compared.
-        kept: a copy of the artifact, made here at the first time and read from then on; None keeps none.
+        perception: settings of the run's perception, compared with those that the artifact records.
+        kept: folder for a copy of the artifact, which is read if it is there; None makes no copy.
 
     Raises:
-        UavrlError: when the artifact is missing, damaged, or of other states.
+        UavrlError: when the artifact is missing, damaged, or made for other states.
 
     Examples:
         >>> ABRPlus().classifier.inputs
@@ -93,7 +93,7 @@ class ABRPlus(BackwardReward):
         _require_its_states(classifier, str(artifact), observations, perception or {})
         if kept is not None and kept != source:
             kept.mkdir()
-            for name in (ARTIFACT.safetensors, ARTIFACT.json):  # and nothing that lies beside them
+            for name in (ARTIFACT.safetensors, ARTIFACT.json):
                 shutil.copyfile(source / name, kept / name)
         super().__init__(classifier, stacked, multiplier)
 

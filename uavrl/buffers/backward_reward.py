@@ -14,46 +14,36 @@ from uavrl.buffers.history import TrajectoryHistory
 
 
 class StateClassifier(Protocol):
-    """Anything that puts states into classes: a function, or a module (whose state then goes into checkpoints).
-
-    Examples:
-        >>> def by_quadrant(states: Tensor) -> Tensor:
-        ...     return 2 * (states[:, 0] > 0).long() + (states[:, 1] > 0).long()
-        >>> classifier: StateClassifier = by_quadrant
-        >>> classifier(torch.tensor([[0.3, -1.0], [2.0, 0.1]])).tolist()
-        [2, 3]
-    """
+    """A function that puts states into classes, or a module, whose state then goes into checkpoints."""
 
     def __call__(self, states: Tensor, /) -> Tensor:
-        """States ``[N, *S]``, in the order flown, to int64 labels ``[N]``."""
+        """States ``[N, *S]`` in the order of time to int64 labels ``[N]``."""
 
 
 class BackwardReward(Transform):
-    """Relabels the rewards of episodes that arrive, while a replay buffer stores them: ABR⁺, ABR, or your own.
+    """Relabels the rewards of successful episodes while a replay buffer stores them: ABR⁺, ABR, or your own.
 
-    Chansuparp (2022), §3.4, Eq. 3.5, Algorithm 3.1; see :func:`uavrl.buffers.functional.backward_reward`. The
-    classifier decides which it is. Every write holds whole episodes: flat data ``[T]`` may hold several, end to
-    end, and so may each row of ``[*B, T]``. Episodes that did not arrive keep their rewards, and all keep a copy
-    from before. Sampling changes nothing, and neither does a write change the data that it is given.
+    Chansuparp (2022), §3.4, Eq. 3.5, Algorithm 3.1; see :func:`uavrl.buffers.functional.backward_reward`. Every write
+    holds whole episodes: ``[T]``, and each row of ``[*B, T]``, may hold several, end to end. Other episodes keep their
+    rewards; all episodes keep the old rewards, too. Neither sampled data nor the data of a write are modified.
 
-    The state that stands for a window is s_Z of Algorithm 3.1, in which the window's last action is taken: the
-    ``observation`` of the window's last transition, not the one after it. For the other reading pass
-    ``observation=("next", "observation")``. All keys are full keys.
+    A window's state is s_Z of Algorithm 3.1, in which the window's last action is taken: the ``observation`` of its
+    last transition. For the state after it pass ``observation=("next", "observation")``. All keys are full keys.
 
     Args:
         classifier: puts states into classes.
         frames: p_frames, steps in a window.
         multiplier: p_addReward (Table 4.1: "extra reward multiplier").
-        history: H to start from; a new one if not given.
-        observation: key of the states, ``[*B, T, *S]``.
-        reward: key of the rewards, one a step; the relabelled ones go there.
-        arrived: key of the flag that the last step of an episode carries if it arrived.
+        history: H to start from; by default an empty one.
+        observation: key of the states ``[*B, T, *S]``.
+        reward: key of the rewards, one for each step, before and after.
+        arrived: key of the flag of success on an episode's last step.
         done: key of the flag that marks the last step of each episode.
-        reward_raw: where the rewards from before go.
+        reward_raw: key for the old rewards.
 
     Raises:
-        ValueError: for bad settings; at a write, for half episodes, data that was relabelled before, labels that
-            are no integers and rewards that are not finite, and inside an environment.
+        ValueError: for bad settings; at a write, for parts of episodes, data that was relabelled before, labels that
+            are no integers and rewards that are not finite; inside an environment.
         KeyError: at a write, when a key is missing.
 
     Examples:
@@ -69,7 +59,7 @@ class BackwardReward(Transform):
         [1.0, 1.0, 1.0, 2.5, 2.5, 2.5]
     """
 
-    # A buffer that processes share would give each process a history of its own: TorchRL refuses it.
+    # Processes that share a buffer would each have their own history: TorchRL refuses such a buffer.
     requires_shared_write_state = True
 
     def __init__(
@@ -100,32 +90,31 @@ class BackwardReward(Transform):
         self.relabelling_seconds = 0.0
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Sampled data as it is."""
+        """Returns sampled data unchanged."""
         return tensordict
 
     @torch.no_grad()
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Whole episodes to whole episodes with new rewards; ``inv`` has made a shallow copy before."""
+        """Sets the new rewards of whole episodes, in the shallow copy that ``inv`` has made."""
         if self.parent is not None:
-            raise ValueError("BackwardReward relabels what is stored: give it to a replay buffer, not an environment.")
+            raise ValueError("BackwardReward relabels stored data: give it to a replay buffer, not an environment.")
         reward_key, raw_key = self.out_keys_inv
         if tensordict.get(raw_key, None) is not None:
             raise ValueError(
-                f"Expected rewards as the environment gave them, got data that was relabelled before: put back what "
-                f"{raw_key!r} holds, and drop that key."
+                f"Expected the environment's rewards, got data that was relabelled before: restore the rewards from "
+                f"{raw_key!r}, and drop that key."
             )
         states, reward, arrived, done = (self._steps(tensordict, key) for key in self.in_keys_inv)
         _check_whole(done, tensordict.batch_size)
         start_time = time.perf_counter()
-        new = self.relabel(
-            states, _one_a_step(reward, reward_key), _one_a_step(arrived, "arrived"), _one_a_step(done, "done")
-        )
+        steps = (_one_a_step(reward, reward_key), _one_a_step(arrived, "arrived"), _one_a_step(done, "done"))
+        new = self.relabel(states, *steps)
         self.relabelling_seconds += time.perf_counter() - start_time
         old = tensordict.get(reward_key)
         return tensordict.set(raw_key, old.clone()).set(reward_key, new.reshape(old.shape))
 
     def _steps(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
-        """An entry with its batch dimensions flattened to the order flown."""
+        """An entry with its batch dimensions flattened to one of time."""
         value = tensordict.get(key, None)
         if value is None:
             raise KeyError(
@@ -137,32 +126,29 @@ class BackwardReward(Transform):
         return value.flatten(0, tensordict.batch_dims - 1)
 
     def relabel(self, states: Tensor, reward: Tensor, arrived: Tensor, done: Tensor) -> Tensor:
-        """New rewards ``[T]`` of flat data that holds whole episodes; a rule of one's own overrides this."""
-        arrivals = [(start, end) for start, end in episode_bounds(done) if arrived[end - 1]]
-        windows = [window_ends(end - start, self.frames) + start for start, end in arrivals]
+        """New rewards ``[T]`` of whole episodes, end to end; override it for another rule."""
+        successes = [(start, end) for start, end in episode_bounds(done) if arrived[end - 1]]
+        windows = [window_ends(end - start, self.frames) + start for start, end in successes]
         new = reward.clone()
-        if not arrivals:
+        if not successes:
             return new
         at = torch.cat(windows).to(states.device)
         labels = self.classifier(states[at]) if len(at) else at
         check_labels(labels, len(at))
         parts = labels.split([len(ends) for ends in windows])
-        for (start, end), part in zip(arrivals, parts, strict=True):
-            steps = slice(start, end)
-            new[steps] = backward_reward(
-                reward[steps], part, self.history, frames=self.frames, multiplier=self.multiplier
-            )
-            self.mean_extra = float((new[steps] - reward[steps]).double().mean())
-        self.episodes += len(arrivals)
+        for (start, end), part in zip(successes, parts, strict=True):
+            old = reward[start:end]
+            new[start:end] = backward_reward(old, part, self.history, frames=self.frames, multiplier=self.multiplier)
+            self.mean_extra = float((new[start:end] - old).double().mean())
+        self.episodes += len(successes)
         return new
 
     def diagnostics(self) -> dict[str, float]:
-        """What to log.
+        """Numbers to log.
 
-        Returns:
-            ``backward_extra``: mean extra reward a step of the last episode that arrived; ``backward_episodes``:
-            episodes relabelled; ``backward_classes`` and ``backward_values``: size of the history;
-            ``backward_seconds``: spent relabelling since the object was made.
+        ``backward_extra`` is the mean extra reward per step of the last successful episode, ``backward_episodes`` the
+        number of relabelled episodes, ``backward_classes`` and ``backward_values`` the size of the history,
+        ``backward_seconds`` the time spent relabelling since the object was made.
         """
         return {
             "backward_extra": self.mean_extra,

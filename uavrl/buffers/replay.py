@@ -1,4 +1,4 @@
-"""Replay buffers of whole episodes, as a run chooses among them."""
+"""The replay buffers of whole episodes that a run can choose."""
 
 from typing import Any, Protocol
 
@@ -15,19 +15,19 @@ class EpisodeFilter(Protocol):
     """Chooses which episodes a buffer stores; its state goes into checkpoints."""
 
     updates_when_left_out: int
-    """Updates of all but actor and targets after an episode that is not stored."""
+    """How many updates, of all but actor and targets, follow an episode that is not stored."""
 
     def keeps(self, episode: TensorDictBase) -> bool:
-        """Whether one whole episode ``[T]`` is stored; asked once for each, with all that the environment emits."""
+        """Whether one whole episode ``[T]`` is stored; called once for each, with all that the environment emits."""
 
     def diagnostics(self) -> dict[str, float]:
-        """Numbers worth logging."""
+        """Numbers to log."""
 
     def state_dict(self) -> dict[str, Any]:
-        """What :meth:`load_state_dict` restores."""
+        """The state that :meth:`load_state_dict` restores."""
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Goes on where another was."""
+        """Restores what :meth:`state_dict` returned."""
 
 
 class EpisodeBuffer(TensorDictReplayBuffer):
@@ -51,10 +51,10 @@ class EpisodeBuffer(TensorDictReplayBuffer):
     """
 
     filter: EpisodeFilter | None = None
-    """What chooses the episodes that are stored; None stores all."""
+    """Chooses the episodes that are stored; None stores all."""
 
     reads: tuple[str, ...] = ()
-    """What the environment must emit for it."""
+    """What the environment must emit for the filter."""
 
     def __init__(
         self,
@@ -77,8 +77,8 @@ class PrioritizedBuffer(EpisodeBuffer):
 
     Args:
         capacity: transitions.
-        alpha: how much the priority counts; 0 is uniform.
-        beta: how much importance weights correct for it.
+        alpha: exponent of the priority; 0 is uniform.
+        beta: exponent of the importance weights.
         **kwargs: as in :class:`EpisodeBuffer`.
 
     Examples:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -16,14 +15,14 @@ from torchrl.data import Bounded
 if TYPE_CHECKING:
     from torchrl.objectives import LossModule as _LossModule
 else:
-    _LossModule = ABC
+    _LossModule = object
 
 
 class ActorCriticLoss(_LossModule):
     """The interface of a deterministic or reparameterised actor–critic loss.
 
-    A subclass says how it acts and what it wants of an action; the actor's loss follows. An
-    :class:`~uavrl.losses.Enhancer` reads the same three methods, so that it attaches to any of them.
+    The actor's loss follows from :meth:`act` and :meth:`action_value`, which are here those of a deterministic actor
+    and its first critic. An :class:`~uavrl.losses.Enhancer` calls the same methods, so that it attaches to any of them.
     """
 
     actor_network_params: TensorDictParams
@@ -31,30 +30,28 @@ class ActorCriticLoss(_LossModule):
     out_keys = TensorDictModuleBase.out_keys  # TorchRL's lists hold for all instances: no key could be selected
     """What ``forward`` writes."""
 
+    critic_name: ClassVar[str] = "qvalue_network"
+    """What TorchRL's loss calls its critics."""
+
     num_critics: ClassVar[int] = 2
     """How many critics :meth:`of_networks` takes."""
 
     @classmethod
     def policy_of(cls, network: nn.Module, action_spec: Bounded) -> TensorDictModuleBase:
-        """The policy that this loss trains, of a network that takes states to actions.
-
-        Args:
-            network: ``observation [*B, S]`` to what the policy is made of: here, the action.
-            action_spec: the bounds of one action.
-        """
+        """The policy of a network that takes ``observation [*B, S]`` to its parameters; here, to the action."""
         return TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
 
     @classmethod
     def of_networks(
         cls, actor: TensorDictModuleBase, critics: Sequence[TensorDictModule], action_spec: Bounded, **options: Any
     ) -> Self:
-        """The loss of a policy and :attr:`num_critics` critics; a constructor that takes them otherwise says so here.
+        """The loss of a policy and :attr:`num_critics` critics; override it where the constructor differs.
 
         Args:
-            actor: what :meth:`policy_of` gave.
+            actor: what :meth:`policy_of` returned.
             critics: each reads ``observation`` and ``action``, writes ``state_action_value``.
             action_spec: the bounds of one action.
-            **options: of the constructor.
+            **options: arguments of the constructor.
         """
         return cls(actor, critics, action_spec=action_spec, **options)
 
@@ -70,7 +67,7 @@ class ActorCriticLoss(_LossModule):
 
     @property
     def alpha_params(self) -> list[Tensor]:
-        """The parameters of a temperature, which :meth:`alpha_loss` moves after each step of the actor: here, none."""
+        """The parameters that :meth:`alpha_loss` trains after each step of the actor; here there are none."""
         return []
 
     def alpha_loss(self, log_prob: Tensor) -> Tensor:
@@ -78,10 +75,10 @@ class ActorCriticLoss(_LossModule):
         raise NotImplementedError
 
     def observe(self, episodes: TensorDictBase) -> None:
-        """Takes in whole new episodes ``[T]``, end to end: only enhancers learn from them."""
+        """Takes whole new episodes ``[T]``, end to end; only enhancers learn from them."""
 
     def diagnostics(self) -> dict[str, float]:
-        """Numbers worth logging: here, none."""
+        """Numbers to log; here there are none."""
         return {}
 
     def _accepted_keys(self) -> set[str]:
@@ -89,20 +86,15 @@ class ActorCriticLoss(_LossModule):
         return set(self._AcceptedKeys.__dataclass_fields__)
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
-        """Chooses how the values of next states become the critics' targets.
+        """As in :class:`torchrl.objectives.LossModule`, and returns the loss.
 
-        Args:
-            value_type: as in :class:`torchrl.objectives.LossModule`, by default TD(0).
-            **hyperparams: such as ``gamma``; what is not given has TorchRL's default, not that of the constructor.
+        An argument such as ``gamma`` that is not given has TorchRL's default, not that of this loss's constructor.
         """
         super().make_value_estimator(value_type, **hyperparams)
         return self
 
     def reset_parameters_recursive(self) -> None:
-        """Draws the weights of all networks anew, each by its modules' ``reset_parameters``; targets become copies.
-
-        What is no weight of a network stays, such as SAC's temperature.
-        """
+        """Draws the weights of all networks anew by ``reset_parameters``; targets are copies, a temperature stays."""
         for name, network in self.__dict__.items():
             params = self._modules.get(f"{name}_params")
             if not isinstance(network, TensorDictModuleBase) or not isinstance(params, TensorDictParams):
@@ -114,52 +106,47 @@ class ActorCriticLoss(_LossModule):
                 target.data.update_(params.data)
 
     @property
-    @abstractmethod
     def critic_network_params(self) -> TensorDictParams:
         """The parameters that the critic's optimiser moves."""
+        return getattr(self, f"{self.critic_name}_params")
 
-    @abstractmethod
+    def _actor_inputs(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """A new tensordict of what actor and critics read."""
+        keys = (*self.actor_network.in_keys, *getattr(self, self.critic_name).in_keys)
+        return tensordict.select(*keys, strict=False)
+
+    def _constant_critics(self, target: bool) -> TensorDictBase:
+        """The critics' parameters, or those of their targets, without gradients."""
+        return getattr(self, f"target_{self.critic_name}_params") if target else self.critic_network_params.detach()
+
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The state, with the action that the current actor takes there, differentiable in the actor.
+        """States ``[*B]`` with the current actor's actions, differentiable in the actor; the input is not modified."""
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            return self.actor_network(self._actor_inputs(tensordict))
 
-        Args:
-            tensordict: ``[*B]`` with the actor's in-keys; it is not modified.
-        """
-
-    @abstractmethod
     def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
-        """The value ``[*B]`` of states and actions; the critics are constant, the action is not.
-
-        Args:
-            acted: ``[*B]`` with the state and an action.
-            target: ask the target critics.
-        """
+        """The value ``[*B]`` of states and actions by constant critics, or by the target critics."""
+        critic, params = getattr(self, self.critic_name), self._constant_critics(target)
+        with (params[0] if params.batch_dims else params).to_module(critic, preserve_module_state=False):
+            value = critic(acted.select(*critic.in_keys))
+        return value.get(self.tensor_keys.state_action_value).squeeze(-1)
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """What the actor minimises for each sample, ``[*B]`` (Chansuparp (2022), Eq. 2.13: ``-Q(s, μ(s))``).
-
-        Args:
-            acted: ``[*B]`` with the state and the actor's action.
-            target: ascend the target critics in place of the online ones.
-        """
+        """What the actor minimises for each sample ``[*B]``: ``-Q(s, μ(s))`` (Eq. 2.13), and metadata."""
         value = self.action_value(acted, target=target)
         return -value, {"state_action_value_actor": value.detach()}
 
     if TYPE_CHECKING:  # TorchRL's losses bring it
 
         def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-            """The critics' loss, and metadata with ``td_error``, ``pred_value``."""
+            """The critics' reduced loss on transitions ``[*B]``, and metadata with ``td_error`` and ``pred_value``."""
             raise NotImplementedError
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The actor's loss; critics and models are constant.
-
-        Args:
-            tensordict: ``[*B]`` with the state.
-
-        Returns:
-            The reduced loss and detached metadata.
-        """
-        weights = self._maybe_get_priority_weight(tensordict)
+        """The actor's reduced loss on states ``[*B]``, and detached metadata; critics and models are constant."""
         objective, metadata = self.actor_objective(self.act(tensordict))
-        return self._reduce_loss(objective, tensordict=tensordict, weights=weights), metadata
+        return self._reduced(objective, tensordict), metadata
+
+    def _reduced(self, errors: Tensor, tensordict: TensorDictBase) -> Tensor:
+        """Reduces errors ``[*B]``, weighted by the batch's priority weights if it has them."""
+        return self._reduce_loss(errors, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))

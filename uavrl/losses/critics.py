@@ -1,15 +1,15 @@
 """Several critics evaluated as one."""
 
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
-from torch import Tensor, nn
+from torch import nn
 
 
 def is_stackable(network: nn.Module) -> bool:
-    """Whether :func:`stacked_values` says the same as the network.
+    """Whether :func:`stacked_values` gives what the network gives.
 
-    A network does that wraps a module whose ``forward`` has a ``forward_stacked`` beside it, in the same class: where a
-    subclass has another ``forward``, the inherited ``forward_stacked`` is that of another network.
+    It does if the network wraps a module whose ``forward`` and ``forward_stacked`` are defined by the same class: where
+    a subclass overrides ``forward`` alone, the inherited ``forward_stacked`` computes something else.
     """
     if _owner(network, "forward") is not TensorDictModule or network._kwargs is not None or network.method is not None:
         return False
@@ -21,21 +21,22 @@ def _owner(instance: object, method: str) -> type:
     return next((cls for cls in type(instance).__mro__ if method in vars(cls)), object)
 
 
-def stacked_values(network: TensorDictModule, params: TensorDictBase, states: Tensor, actions: Tensor) -> Tensor:
-    """What ``vmap`` over K critics gives, without its cost.
+def stacked_values(
+    network: TensorDictModule, tensordict: TensorDictBase, params: TensorDictBase, *, repeated: bool = False
+) -> TensorDictBase:
+    """What ``vmap`` over K critics gives, without its cost: the values ``[K, *B, 1]``.
 
     Args:
         network: one that :func:`is_stackable`.
-        params: its parameters, stacked: ``[K]``.
-        states: ``[K, *B, observations]``.
-        actions: ``[K, *B, actions]``.
-
-    Returns:
-        The values ``[K, *B, 1]``.
+        tensordict: states and actions ``[*B]``, or ``[K, *B]`` if ``repeated``.
+        params: the network's parameters, stacked: ``[K]``.
+        repeated: whether each critic has inputs of its own.
     """
-    batch = states.shape[1:-1]
+    batch = tensordict.batch_size[1:] if repeated else tensordict.batch_size
+    shape = (*params.batch_size, *batch)
+    inputs = [tensordict.get(key) for key in network.in_keys]
+    inputs = [value.expand(*shape, value.shape[-1]) for value in inputs]
     if len(batch) != 1:  # the batched product takes one batch dimension
-        shape = (states.shape[0], batch.numel(), -1)
-        return stacked_values(network, params, states.reshape(shape), actions.reshape(shape)).unflatten(1, batch)
-    parameters = dict(params.get("module").flatten_keys(".").items())
-    return network.module.forward_stacked(parameters, states, actions)
+        inputs = [value.reshape(shape[0], batch.numel(), value.shape[-1]) for value in inputs]
+    values = network.module.forward_stacked(dict(params.get("module").flatten_keys(".").items()), *inputs)
+    return TensorDict({network.out_keys[0]: values if len(batch) == 1 else values.reshape(*shape, 1)}, shape)

@@ -23,31 +23,31 @@ Sample = Callable[[int], TensorDictBase]
 
 @dataclass(frozen=True, kw_only=True)
 class AuxiliaryModel:
-    """What an enhancer wants trained, and when: at each update by ``loss``, after each episode by ``fit``, or both.
+    """A model that an enhancer trains: at each update by ``loss``, after each episode by ``on_episode``, or both.
 
     Attributes:
-        parameters: what Adam moves; none where ``fit`` has a rule of its own.
+        parameters: what Adam moves; none where ``on_episode`` has a rule of its own.
         lr: Adam's step.
-        loss: gives the reduced loss of the critics' batch ``[B]``, and metadata.
-        learned: is told that metadata after each step.
-        fit: trains after new episodes; takes what draws n stored transitions, the number of steps that were flown, and
-            Adam (None without parameters).
+        loss: returns the reduced loss of the critics' batch ``[B]``, and metadata.
+        on_update: receives that metadata after each step.
+        on_episode: trains after new episodes; takes a function that draws n stored transitions, the number of new
+            steps, and Adam (None without parameters).
     """
 
     parameters: list[Tensor]
     lr: float
     loss: LossMethod | None = None
-    learned: Callable[[dict[str, Tensor]], None] = lambda metadata: None
-    fit: Callable[[Sample, int, torch.optim.Optimizer | None], None] | None = None
+    on_update: Callable[[dict[str, Tensor]], None] = lambda metadata: None
+    on_episode: Callable[[Sample, int, torch.optim.Optimizer | None], None] | None = None
 
 
 class Enhancer(ActorCriticLoss, LossModule):
     """Adds a term to the actor's objective of another loss.
 
-    A subclass gives :meth:`actor_term`; one with models to train gives :attr:`models`, too.
+    A subclass defines :meth:`actor_term`; one with models to train defines :attr:`models`, too.
 
-    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change it asks of ``base``, whose
-    networks it shows as its own: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``.
+    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change comes from ``base``, whose
+    networks appear as its own: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``.
 
     Args:
         base: the loss to enhance, or another enhancer.
@@ -62,7 +62,7 @@ class Enhancer(ActorCriticLoss, LossModule):
     default_keys = _AcceptedKeys
 
     learns_from_single_steps: ClassVar[bool] = True
-    """Whether n-step returns would mislead it, because its states must lie one step apart."""
+    """Whether its models need states that lie one step apart, so that n-step returns would mislead them."""
 
     def __init__(self, base: ActorCriticLoss) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ class Enhancer(ActorCriticLoss, LossModule):
 
     @property
     def models(self) -> list[AuxiliaryModel]:
-        """What the term needs to have trained."""
+        """The models that the term needs trained."""
         return []
 
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
@@ -117,15 +117,11 @@ class Enhancer(ActorCriticLoss, LossModule):
         super().set_keys(**{name: key for name, key in kwargs.items() if name in own})
 
     def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
-        """The base has told its own."""
+        """Does nothing: the base has told its estimator."""
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The base's losses, the enhanced ``loss_actor``, and the losses of the models.
-
-        Args:
-            tensordict: ``[*B]`` transitions; the base writes its priority into them.
-        """
+        """The base's losses on transitions ``[*B]``, the enhanced ``loss_actor``, and the losses of the models."""
         losses = self.base(tensordict)
         losses.update(self.model_losses(tensordict))  # first: the actor's term may depend on how good they are
         loss_actor, metadata = self.actor_loss(tensordict)
@@ -163,21 +159,16 @@ class Enhancer(ActorCriticLoss, LossModule):
         return self.base.unwrapped
 
     @property
-    def actor_network_params(self) -> TensorDictParams:
-        """The parameters that the actor's optimiser moves."""
-        return self.base.actor_network_params
-
-    @property
     def critic_network_params(self) -> TensorDictParams:
         """The parameters that the critic's optimiser moves."""
         return self.base.critic_network_params
 
     def observe(self, episodes: TensorDictBase) -> None:
-        """Takes in whole new episodes ``[T]``, end to end; so does the base. Call it once for each episode flown."""
+        """Takes whole new episodes ``[T]``, end to end, each of them once; so does the base."""
         self.base.observe(episodes)
 
     def diagnostics(self) -> dict[str, float]:
-        """Numbers worth logging, the base's among them."""
+        """Numbers to log, the base's among them."""
         return self.base.diagnostics()
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -189,7 +180,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         return self.base.action_value(acted, target=target)
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """The base's objective, and the term while it counts."""
+        """The base's objective, and the term while it is active."""
         objective, metadata = self.base.actor_objective(acted, target=target)
         if not self.active:
             return objective, metadata
@@ -197,7 +188,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         return objective + term, metadata | own
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
-        """The base's; the γ of FORK's predicted steps is an argument of its own."""
+        """The base's; the γ of FORK's predicted steps is an argument of FORK."""
         self.base.make_value_estimator(value_type, **hyperparams)
         return self
 
@@ -207,7 +198,7 @@ class Enhancer(ActorCriticLoss, LossModule):
         return self.base.value_estimator
 
     def set_vmap_randomness(self, value: str) -> None:
-        """The base's: what its critics do with random layers."""
+        """The base's."""
         self.base.set_vmap_randomness(value)
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:

@@ -21,28 +21,28 @@ from uavrl.ranges import Count, Discount, NonNegative, Positive
 class Fork(Enhancer):
     """Lets the actor look two predicted steps ahead (Chansuparp (2022), Eq. 2.14).
 
-    A system network predicts the next state, a reward network the reward. To the actor's objective comes
-    ``-w [g(s, s1, μ(s)) + γ g(s1, s2, μ(s1)) + γ² Q(s2, μ(s2))]`` with ``s1 = f(s, μ(s))`` and
-    ``s2 = f(s1, μ(s1))``, while the last system loss is under ``threshold``. The weight falls as returns
-    rise: ``w = base_weight (1 - clip(mean of the last returns / max_reward, 0, 1))``.
+    A system network f predicts the next state, a reward network g the reward. The term
+    ``-w [g(s, s1, μ(s)) + γ g(s1, s2, μ(s1)) + γ² Q(s2, μ(s2))]`` with ``s1 = f(s, μ(s))`` and ``s2 = f(s1, μ(s1))`` is
+    added to the actor's objective while the last system loss is under ``threshold``. The weight falls as returns rise:
+    ``w = base_weight (1 - clip(mean of the last returns / max_reward, 0, 1))``.
 
-    A variant is a subclass with its own :meth:`look_ahead` (the term), :meth:`system_errors` (what the system network
-    learns by) or :attr:`predicts_rewards`.
+    A variant is a subclass with its own :meth:`look_ahead` (the term), :meth:`system_errors` (the system network's
+    error) or :attr:`predicts_rewards`.
 
     Args:
         base: the loss to enhance, or another enhancer. Its actor reads one key, the state.
-        system_network: of state and ``action`` to the next state, such as :class:`uavrl.models.SystemNet`.
-        reward_network: of state, next state and ``action`` to the reward ``[*B, 1]``, such as
-            :class:`uavrl.models.RewardNet`; none where a variant predicts no rewards.
+        system_network: takes state and ``action`` to the next state, such as :class:`uavrl.models.SystemNet`.
+        reward_network: takes state, next state and ``action`` to the reward ``[*B, 1]``, such as
+            :class:`uavrl.models.RewardNet`; None where a variant predicts no rewards.
         observations: width of the state.
         max_reward: return at which the weight is 0.
         gamma: discount γ of the predicted steps.
         base_weight: the weight at returns of 0 and below.
-        threshold: the term counts while the system loss is below this.
+        threshold: the term is active while the system loss is below this.
         return_window: how many of the last returns are averaged.
         backprop_through_model: let the actor's gradient flow through predicted states; the authors detach them.
         clamp: clamp predicted states to the range observed so far, each dimension by itself.
-        model_lr: Adam's step for both networks, for whoever trains them.
+        model_lr: Adam's step for both networks.
 
     Raises:
         ValueError: for a reward network too many or too few, or several state keys.
@@ -64,10 +64,10 @@ class Fork(Enhancer):
 
     @dataclass
     class _AcceptedKeys(Enhancer._AcceptedKeys):
-        """The keys that FORK reads of a transition; ``observation`` and ``action`` are first the actor's.
+        """The keys that FORK reads of a transition; by default ``observation`` and ``action`` are the actor's.
 
-        ``episode_reward`` is what TorchRL's ``RewardSum`` writes under ``"next"``: where it is there, it gives the
-        returns of :meth:`observe`, which are then those from before another transform changed the rewards.
+        If TorchRL's ``RewardSum`` has written ``episode_reward`` under ``"next"``, :meth:`observe` takes the returns
+        from there: they are not changed by a transform that comes after it.
         """
 
         observation: NestedKey = "observation"
@@ -113,6 +113,7 @@ class Fork(Enhancer):
         super().__init__(base)
         self.tensor_keys.observation, self.tensor_keys.action = _keys_of(base)
         self._wrapped: list[str] = []  # networks that came without keys
+        self._model_names = ["system", "reward"] if self.predicts_rewards else ["system"]
         self._add_network("system_network", system_network, ("next", self.tensor_keys.observation))
         if reward_network is not None:
             self._add_network("reward_network", reward_network, ("next", self.tensor_keys.reward))
@@ -123,7 +124,7 @@ class Fork(Enhancer):
         self.register_buffer("observed_low", torch.full((observations,), -math.inf, device=device))
         self.register_buffer("observed_high", torch.full((observations,), math.inf, device=device))
         self.returns: deque[float] = deque(maxlen=return_window)
-        self.out_keys = [*self.out_keys, "loss_system", *(["loss_reward"] if self.predicts_rewards else [])]
+        self.out_keys = [*self.out_keys, *(f"loss_{name}" for name in self._model_names)]
         self.gate = Gate(threshold, device)
 
     def _add_network(self, name: str, network: nn.Module, out_key: NestedKey) -> None:
@@ -137,7 +138,7 @@ class Fork(Enhancer):
         return [state, action] if name == "system_network" else [state, unravel_key(("next", state)), action]
 
     def set_keys(self, **kwargs: NestedKey | None) -> None:
-        """As :meth:`Enhancer.set_keys`; networks that are given without keys of their own read the new ones."""
+        """As :meth:`Enhancer.set_keys`; networks that came without keys read the new ones."""
         super().set_keys(**kwargs)
         for name in self._wrapped:
             getattr(self, name).in_keys = self._read_by(name)
@@ -149,24 +150,18 @@ class Fork(Enhancer):
 
     @property
     def active(self) -> bool:
-        """Whether the last system loss was under the threshold; in a graph of ``torch.compile`` always."""
+        """Whether the last system loss was under the threshold; always true in a graph of ``torch.compile``."""
         return self.gate.is_open
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """What :meth:`look_ahead` gives, while the gate is open."""
+        """The term of :meth:`look_ahead` ``[*B]`` while the gate is open."""
         first = self._advance(acted)
         second = self._advance(first)
         term = self.gate.mask(self.look_ahead(acted, first, second), 0.0)
         return term, {"fork_term": term.detach()}
 
     def look_ahead(self, acted: TensorDictBase, first: TensorDictBase, second: TensorDictBase) -> Tensor:
-        """What comes to the objective of each sample ``[*B]`` (Eq. 2.14).
-
-        Args:
-            acted: ``[*B]`` with the state and the actor's action.
-            first: the same at the first predicted state.
-            second: the same at the second.
-        """
+        """The term ``[*B]`` (Eq. 2.14), of states and actions now and at the first and second predicted states."""
         g_t, g_tp1 = self._predict_reward(acted, first), self._predict_reward(first, second)
         return fork_objective(g_t, g_tp1, self.action_value(second), self.weight, self.gamma)
 
@@ -175,7 +170,7 @@ class Fork(Enhancer):
         with torch.set_grad_enabled(self.backprop_through_model and torch.is_grad_enabled()):
             prediction = _call(self.system_network, self.system_network_params.detach(), acted)
             state = prediction.clamp(self.observed_low, self.observed_high)
-            state = self.gate.mask(state, acted.get(self.tensor_keys.observation))  # else 0 times NaN would count
+            state = self.gate.mask(state, acted.get(self.tensor_keys.observation))  # else a NaN would spread by 0 · NaN
         return self.act(TensorDict({self.tensor_keys.observation: state}, acted.batch_size, device=acted.device))
 
     def _predict_reward(self, acted: TensorDictBase, following: TensorDictBase) -> Tensor:
@@ -186,17 +181,17 @@ class Fork(Enhancer):
     @property
     def model_params(self) -> list[Tensor]:
         """The parameters that the models' optimiser moves."""
-        groups = [self.system_network_params] + ([self.reward_network_params] if self.predicts_rewards else [])
+        groups = [getattr(self, f"{name}_network_params") for name in self._model_names]
         return [leaf for group in groups for leaf in group.values(True, True) if isinstance(leaf, nn.Parameter)]
 
     @property
     def models(self) -> list[AuxiliaryModel]:
-        """The networks, trained at each update; their loss moves the gate."""
-        learned = lambda metadata: self.update_gate(**metadata)  # noqa: E731
-        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, learned=learned)]
+        """The networks, trained at each update; their losses move the gate."""
+        gate = lambda metadata: self.update_gate(**metadata)  # noqa: E731
+        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, loss=self.model_loss, on_update=gate)]
 
     def system_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """How far predicted next states are off, by :meth:`system_errors`: reduced, and its mean ``system_loss``."""
+        """The reduced error of predicted next states (:meth:`system_errors`), and its mean ``system_loss``."""
         target = self._next(tensordict, self.tensor_keys.observation)
         prediction = _call(self.system_network, self.system_network_params, tensordict)
         errors = self.system_errors(prediction, target, tensordict)
@@ -207,7 +202,7 @@ class Fork(Enhancer):
         return clamped_smooth_l1(prediction, target, self.observed_low, self.observed_high)
 
     def reward_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Squared error of predicted rewards: reduced, and its mean ``reward_loss``."""
+        """The reduced squared error of predicted rewards, and its mean ``reward_loss``."""
         target = self._next(tensordict, self.tensor_keys.reward).reshape(tensordict.batch_size)
         prediction = _call(self.reward_network, self.reward_network_params, tensordict)
         errors = (prediction.reshape(tensordict.batch_size) - target).square()
@@ -215,40 +210,33 @@ class Fork(Enhancer):
 
     def model_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The sum of the models' losses, with ``system_loss`` and ``reward_loss`` as metadata."""
-        loss, metadata = self.system_loss(tensordict)
-        if not self.predicts_rewards:
-            return loss, metadata
-        reward_loss, more = self.reward_loss(tensordict)
-        return loss + reward_loss, metadata | more
+        losses, means = self._each_loss(tensordict)
+        first, *rest = losses.values()
+        return sum(rest, first), means
 
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """``loss_system`` and ``loss_reward``; the gate learns of them."""
-        loss, means = self.system_loss(tensordict)
-        losses = {"loss_system": loss}
-        if self.predicts_rewards:
-            losses["loss_reward"], more = self.reward_loss(tensordict)
-            means |= more
+        """``loss_system`` and ``loss_reward``; they move the gate."""
+        losses, means = self._each_loss(tensordict)
         self.update_gate(**means)
         return losses
 
-    def _next(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
-        return tensordict.get(unravel_key(("next", key)))
+    def _each_loss(self, tensordict: TensorDictBase) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        losses: dict[str, Tensor] = {}
+        means: dict[str, Tensor] = {}
+        for name in self._model_names:
+            losses[f"loss_{name}"], mean = getattr(self, f"{name}_loss")(tensordict)
+            means |= mean
+        return losses, means
 
-    def _reduced(self, errors: Tensor, tensordict: TensorDictBase) -> Tensor:
-        return self._reduce_loss(errors, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict))
+    def _next(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+        return tensordict.get(("next", key))
 
     def update_gate(self, system_loss: Tensor | float, reward_loss: Tensor | float = math.nan) -> None:
-        """Opens or closes the gate by the means of the models' losses.
-
-        :meth:`forward` calls it; a training loop of single losses calls it after each update of the models.
-        """
+        """Opens or closes the gate by the models' mean losses; call it after each update of the models."""
         self.gate.update(system_loss, reward_loss)
 
     def observe(self, episodes: TensorDictBase) -> None:
-        """Takes in new episodes: the range of the states, the returns, and so the weight.
-
-        Args:
-            episodes: ``[T]``, whole episodes end to end, split where ``("next", "done")`` is true.
+        """Updates the range of the states, the returns and the weight by whole episodes ``[T]``, end to end.
 
         Raises:
             ValueError: when the last step ends no episode, states have another width, or a value is not finite.
@@ -263,7 +251,7 @@ class Fork(Enhancer):
             low, high = (bound.to(self.observed_low) for bound in (states.amin(0), states.amax(0)))
             self.observed_low.copy_(torch.minimum(self.observed_low, low) if self.returns else low)
             self.observed_high.copy_(torch.maximum(self.observed_high, high) if self.returns else high)
-        counted = episodes.get(unravel_key(("next", keys.episode_reward)), None)
+        counted = episodes.get(("next", keys.episode_reward), None)
         self.returns.extend((episode_returns(rewards, done) if counted is None else counted[done]).flatten().tolist())
         returns = torch.tensor(self.returns, dtype=self.weight.dtype)
         self.weight.copy_(fork_weight(returns, self.max_reward, self.base_weight))
@@ -275,7 +263,7 @@ class Fork(Enhancer):
         return super().diagnostics() | own | {"system_loss": system_loss, "reward_loss": reward_loss}
 
     def get_extra_state(self) -> Tensor:
-        """What the state dict holds beside tensors: the gate, what diagnostics count, and the returns."""
+        """The gate and the returns, for ``state_dict``."""
         return torch.tensor([*self.gate.state.tolist(), *self.returns], dtype=torch.float64)
 
     def set_extra_state(self, state: Tensor) -> None:
@@ -286,7 +274,7 @@ class Fork(Enhancer):
 
 
 def _call(network: TensorDictModuleBase, params: TensorDictBase, inputs: TensorDictBase) -> Tensor:
-    """What a network with these parameters writes; the inputs are not modified."""
+    """The output of a network with these parameters; the inputs are not modified."""
     with params.to_module(network, preserve_module_state=False):
         return network(inputs.select(*network.in_keys)).get(network.out_keys[0])
 

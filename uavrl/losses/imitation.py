@@ -1,4 +1,4 @@
-"""Staying near what a guide would do, while learning from rewards."""
+"""Behaviour cloning towards a scripted controller, while learning from rewards."""
 
 from __future__ import annotations
 
@@ -25,37 +25,33 @@ def distance_to_guide(action: Tensor, guide_action: Tensor, limit: float) -> Ten
 
 
 class Imitation(Enhancer):
-    """What the actor does beside what a guide would have done in the same state costs.
+    """Adds the distance between the actor's action and that of a scripted controller g to the actor's objective.
 
-    The cost is ``weight · mean |objective| · ‖(μ(s) - g(s)) / limit‖² / A``, so that it keeps its share while values
-    grow. The guide's action is known in states that the policy has reached by itself, too, not only in the guide's
-    own flights.
+    The term is ``weight · mean |objective| · ‖(μ(s) - g(s)) / limit‖² / A``, so that its share stays while values grow.
+    The controller's action is recorded in the states that the policy reaches, too, not in its own episodes alone.
 
     Source: Fujimoto and Gu (2021), A Minimalist Approach to Offline Reinforcement Learning (arXiv:2106.06860), Eq. 3
-    and 5 with α = 1 / ``weight``, where the guide's action stands for that of the data; Ross, Gordon and Bagnell
+    and 5 with α = 1 / ``weight``, where the controller's action replaces that of the data; Ross, Gordon and Bagnell
     (2011), DAgger, for the states.
 
     Args:
         base: the loss to enhance.
         limit: the largest action.
-        weight: of the distance; Fujimoto and Gu have 1 / α = 0.4.
+        weight: weight of the distance; Fujimoto and Gu have 1 / α = 0.4.
 
     Raises:
-        KeyError: from ``actor_loss``, for a batch without the guide's actions.
+        KeyError: from ``actor_loss``, for a batch without the controller's actions.
 
     Examples:
         >>> import torch
         >>> from tensordict import TensorDict
-        >>> from tensordict.nn import TensorDictModule
-        >>> from torchrl.data import Bounded
-        >>> from uavrl.losses import Imitation, TD3Loss
+        >>> from tensordict.nn import TensorDictModule as Mod
+        >>> from uavrl.losses import DDPGLoss
         >>> from uavrl.models import Actor, Critic
-        >>> critics = [
-        ...     TensorDictModule(Critic(6, 2), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
-        >>> actor = TensorDictModule(Actor(6, 2), ["observation"], ["action"])
-        >>> loss = Imitation(TD3Loss(actor, critics, action_spec=Bounded(-2.0, 2.0, (2,))), limit=2.0)
-        >>> told = TensorDict({"observation": torch.zeros(5, 6), "guide_action": torch.ones(5, 2)}, [5])
-        >>> sorted(loss.actor_loss(told)[1])
+        >>> critic = Mod(Critic(6, 2), ["observation", "action"], ["state_action_value"])
+        >>> loss = Imitation(DDPGLoss(Mod(Actor(6, 2), ["observation"], ["action"]), critic), limit=2.0)
+        >>> batch = TensorDict({"observation": torch.zeros(5, 6), "guide_action": torch.ones(5, 2)}, [5])
+        >>> sorted(loss.actor_loss(batch)[1])
         ['guide_distance', 'state_action_value_actor']
     """
 
@@ -63,7 +59,7 @@ class Imitation(Enhancer):
 
     @dataclass
     class _AcceptedKeys(Enhancer._AcceptedKeys):
-        """``guide_action`` is what the guide would do in the state, ``action`` what the actor writes."""
+        """``guide_action`` is the scripted controller's action in the state, ``action`` the actor's."""
 
         guide_action: NestedKey = "guide_action"
         action: NestedKey = "action"
@@ -80,24 +76,24 @@ class Imitation(Enhancer):
         return [*self.base.in_keys, self.tensor_keys.guide_action]
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The base's action, and beside it the guide's, where it is known."""
-        acted, told = self.base.act(tensordict), tensordict.get(self.tensor_keys.guide_action, None)
-        return acted if told is None else acted.set(self.tensor_keys.guide_action, told)
+        """The base's action, and the scripted controller's if the batch has it."""
+        acted, scripted = self.base.act(tensordict), tensordict.get(self.tensor_keys.guide_action, None)
+        return acted if scripted is None else acted.set(self.tensor_keys.guide_action, scripted)
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """The base's objective and, in its size, the term."""
+        """The base's objective, and the term times the objective's mean absolute value."""
         objective, metadata = self.base.actor_objective(acted, target=target)
         term, own = self.actor_term(acted)
         return objective + objective.detach().abs().mean() * term, metadata | own
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """``weight`` times the distance to the guide, of each sample ``[*B]``."""
+        """``weight`` times the distance to the scripted controller, for each sample ``[*B]``."""
         key = self.tensor_keys.guide_action
-        told = acted.get(key, None)
-        if told is None:
+        scripted = acted.get(key, None)
+        if scripted is None:
             raise KeyError(
                 f"Imitation reads {key!r}, and the batch has only {sorted(map(str, acted.keys(True, True)))}: "
-                "write it where the states are flown, see uavrl.transforms.guidance.Guidance."
+                "write it while episodes are collected, see uavrl.transforms.guidance.Guidance."
             )
-        distance = distance_to_guide(acted.get(self.tensor_keys.action), told, self.limit)
+        distance = distance_to_guide(acted.get(self.tensor_keys.action), scripted, self.limit)
         return self.weight * distance, {"guide_distance": distance.detach()}

@@ -21,11 +21,10 @@ _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes 
 class LifeGuard(Enhancer):
     """Adds ``p_cp c(o, μ(s))`` to the actor's objective: c predicts that the action collides (Eq. 3.7-3.11).
 
-    Call :meth:`observe` and then :meth:`fit` once for each episode. The classifier reads the last
-    observation in the state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last
-    transition before each collision and from as many other transitions. The penalty is enabled after
-    ``min_evaluations`` evaluations, each before the training on the episode, while the true-negative rate is high
-    enough.
+    Call :meth:`observe` and then :meth:`fit` once for each episode. The classifier reads the last observation in the
+    state and the action, each scaled to (0, 1) by the range seen so far. It learns from the last transition before each
+    collision and from as many other transitions. Each episode evaluates it before it trains it; the penalty is active
+    after more than ``min_evaluations`` evaluations, while the true-negative rate is above ``min_true_negative_rate``.
 
     Args:
         base: the loss to enhance.
@@ -36,14 +35,14 @@ class LifeGuard(Enhancer):
         penalty: ``"probability"``, differentiable in the action, or ``"label"`` (1 if c > 0.5), a constant, as the
             author's published code has it: the actor's gradient is then exactly that of ``base``.
         penalty_weight: p_cp.
-        success_window: episodes over which the success rate runs that lowers the weight,
-            ``p_cp (1 - success)``; None keeps it at p_cp and never reads ``arrived``.
-        capacity: collisions kept; the oldest give way.
+        success_window: recent episodes whose success rate lowers the weight to ``p_cp (1 - success rate)``; None keeps
+            it at p_cp and never reads ``arrived``.
+        capacity: stored collisions; the oldest are replaced.
         batch_size: rows of a training batch, half of them collisions.
-        min_collisions: training starts with more than these.
-        min_evaluations: the penalty is enabled after more than these.
-        evaluation_window: evaluations over which the true-negative rate runs.
-        min_true_negative_rate: the penalty is enabled while the rate exceeds this.
+        min_collisions: training starts with more stored collisions than these.
+        min_evaluations: see above.
+        evaluation_window: recent evaluations that the true-negative rate covers.
+        min_true_negative_rate: see above.
         model_lr: Adam's step for a model with parameters.
         alpha: α of Eq. 3.8.
         stacked: observations that are stacked in the state.
@@ -70,10 +69,7 @@ class LifeGuard(Enhancer):
 
     @dataclass
     class _AcceptedKeys(Enhancer._AcceptedKeys):
-        """The keys that :meth:`set_keys` renames, besides those of the base.
-
-        ``collided``, ``arrived`` and ``done`` are read under ``"next"``.
-        """
+        """The keys that LifeGuard reads of a transition; ``collided``, ``arrived``, ``done`` under ``"next"``."""
 
         observation: NestedKey = "observation"
         action: NestedKey = "action"
@@ -111,17 +107,15 @@ class LifeGuard(Enhancer):
         super().__init__(base)
         self.observations, self.actions = observations // stacked, actions
         self.penalty: str = penalty
-        self.penalty_weight = penalty_weight
-        self.batch_size = batch_size
+        self.penalty_weight, self.batch_size, self.model_lr = penalty_weight, batch_size, model_lr
         self.min_collisions, self.min_evaluations = min_collisions, min_evaluations
         self.min_true_negative_rate = min_true_negative_rate
-        self.model_lr = model_lr
         self.classifier = CollisionClassifier(self.observations + actions, model, alpha)
         self.collisions = ReplayBuffer(storage=LazyTensorStorage(capacity, device="cpu"))
-        self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # saved whole, hence filled
+        self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # checkpoints save empty rows, too
         self.collisions.empty()
         self.evaluations: deque[list[int]] = deque(maxlen=evaluation_window)  # confusion counts of the last ones
-        self.evaluated = 0  # how many there ever were
+        self.evaluated = 0  # number of evaluations so far
         self.successes = None if success_window is None else deque[float](maxlen=success_window)
         self.register_buffer("weight", torch.tensor(float(penalty_weight)))
         self.out_keys = [*self.out_keys, "loss_lifeguard"]
@@ -134,24 +128,20 @@ class LifeGuard(Enhancer):
 
     @property
     def active(self) -> bool:
-        """Whether the penalty is enabled."""
+        """Whether the penalty is part of the actor's objective."""
         return self._active
 
     def _refresh(self) -> None:
-        """Computes the flag that the actor's loss branches on: reading it there would break a traced graph."""
+        """Computes :attr:`active`: to compute it within the actor's loss would break a traced graph."""
         rate = confusion_rates(self._counts()).true_negative
         self._active = self.evaluated > self.min_evaluations and rate > self.min_true_negative_rate
 
     def _counts(self) -> Tensor:
-        """``[E, 4]`` of the last evaluations."""
+        """The confusion counts ``[E, 4]`` of the last evaluations."""
         return torch.tensor([*self.evaluations], dtype=torch.int64).reshape(len(self.evaluations), 4)
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """Eq. 3.11: ``p_cp c(o, μ(s))``.
-
-        Args:
-            acted: ``[*B]`` with the state and the actor's action.
-        """
+        """``p_cp c(o, μ(s))`` (Eq. 3.11) of states with the actor's actions ``[*B]``."""
         term = self._charge(self._features(acted))
         return term, {"lifeguard_penalty": term.detach()}
 
@@ -168,9 +158,7 @@ class LifeGuard(Enhancer):
         state, action = (tensordict.get(key, None) for key in (keys.observation, keys.action))
         if state is None or action is None:
             missing = keys.observation if state is None else keys.action
-            raise KeyError(
-                f"Expected the entry {missing!r}, found none: name yours by set_keys(observation=, action=)."
-            )
+            raise KeyError(f"Expected the entry {missing!r}, found none: set it by set_keys(observation=, action=).")
         if state.shape[-1] < self.observations or action.shape[-1] != self.actions:
             raise ValueError(
                 f"Expected a state of at least {self.observations} and an action of {self.actions} numbers, got "
@@ -184,13 +172,11 @@ class LifeGuard(Enhancer):
         flag = tensordict.get(("next", key), None)
         if flag is None:
             hint = " (or pass success_window=None)" if name == "arrived" else ""
-            raise KeyError(
-                f'Expected the entry ("next", {key!r}), found none: name yours by set_keys({name}=...){hint}.'
-            )
+            raise KeyError(f'Expected the entry ("next", {key!r}), found none: set it by set_keys({name}=){hint}.')
         return flag.reshape(tensordict.batch_size).bool()
 
     def reset_parameters_recursive(self) -> None:
-        """As :meth:`Enhancer.reset_parameters_recursive`; nothing is known yet of how good the new classifier is."""
+        """As :meth:`Enhancer.reset_parameters_recursive`; the evaluations of the old classifier are forgotten."""
         super().reset_parameters_recursive()
         for module in reversed(list(self.classifier.modules())):  # the parts first, as TorchRL does
             reset = getattr(module, "reset_parameters", None)
@@ -202,10 +188,7 @@ class LifeGuard(Enhancer):
 
     @torch.no_grad()
     def observe(self, episodes: TensorDictBase) -> None:
-        """Learns the features' range, stores the last transition before each collision, counts successes.
-
-        Args:
-            episodes: whole episodes ``[T]``, end to end.
+        """Updates the features' range, the stored collisions and the success rate by whole episodes ``[T]``.
 
         Raises:
             ValueError: when they are not whole, or a number is not finite.
@@ -229,11 +212,10 @@ class LifeGuard(Enhancer):
         self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
         if self.successes is not None and arrived is not None:
             self.successes.extend(arrived.float().tolist())
-            rate = sum(self.successes) / len(self.successes)
-            self.weight.fill_(self.penalty_weight * (1.0 - rate))
+            self.weight.fill_(self.penalty_weight * (1.0 - sum(self.successes) / len(self.successes)))
 
     def _known(self, transitions: TensorDictBase) -> Tensor:
-        """The features of transitions, constant, where and of what type the classifier is."""
+        """The constant features of transitions, with the classifier's device and type."""
         return self._features(transitions).detach().to(self.classifier.scaler.low)
 
     def _draw_collisions(self, count: int) -> Tensor:
@@ -253,33 +235,29 @@ class LifeGuard(Enhancer):
             missing -= len(drawn[-1])
             if not missing:
                 return torch.cat(drawn)
-        raise ValueError(
-            f"Expected {count} transitions that did not collide, found {count - missing} after many draws."
-        )
+        raise ValueError(f"Expected {count} transitions that did not collide, found {count - missing} in many draws.")
 
     @property
     def model_params(self) -> list[Tensor]:
-        """The classifier's parameters; none for the linear one, which has a rule of its own."""
+        """The classifier's parameters; none for the linear one, which has its own rule (Eq. 3.10)."""
         return list(self.classifier.parameters())
 
     @property
     def models(self) -> list[AuxiliaryModel]:
         """The classifier, trained after each episode."""
-        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, fit=self.fit)]
+        return [AuxiliaryModel(parameters=self.model_params, lr=self.model_lr, on_episode=self.fit)]
 
     def make_optimizer(self) -> torch.optim.Optimizer | None:
-        """Adam for the classifier, or None where it needs none. Keep it, and save it in your checkpoints."""
+        """Adam for :attr:`model_params`, or None without any. Keep it, and save it in your checkpoints."""
         return torch.optim.Adam(self.model_params, lr=self.model_lr, fused=True) if self.model_params else None
 
     def fit(self, sample: Sample, steps: int, optimizer: torch.optim.Optimizer | None = None) -> None:
-        """Evaluates the classifier once, then trains it: call it once for each episode, after :meth:`observe`.
-
-        Nothing happens before there are collisions enough. Collisions are drawn from the store with replacement.
+        """Evaluates the classifier once, then trains it, if more than ``min_collisions`` collisions are stored.
 
         Args:
-            sample: gives n random transitions ``[n]`` of the replay buffer; those that collided are left out.
+            sample: draws n random transitions ``[n]`` of the replay buffer; those that collided are left out.
             steps: training steps, as many as the episode had.
-            optimizer: of :attr:`model_params`, for a model that has any.
+            optimizer: what :meth:`make_optimizer` returned.
 
         Raises:
             ValueError: when a model with parameters gets no optimiser, or nearly all transitions collided.
@@ -297,10 +275,7 @@ class LifeGuard(Enhancer):
         self.classifier.fit(rows.gather(1, order[..., None].expand_as(rows)), order < half, optimizer)
 
     def evaluate(self, others: TensorDictBase) -> None:
-        """Counts the classifier's answers to stored collisions, drawn at random, and to as many other transitions.
-
-        Args:
-            others: ``[batch_size / 2]`` transitions that did not collide.
+        """Counts right and wrong predictions for ``[batch_size / 2]`` other transitions and as many random collisions.
 
         Raises:
             ValueError: for another number of transitions, or without a stored collision.
@@ -318,26 +293,18 @@ class LifeGuard(Enhancer):
         self._refresh()
 
     def lifeguard_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The classifier's regularised training error (Eq. 3.8-3.9) on transitions; it reaches the classifier only.
-
-        Args:
-            tensordict: ``[*B]`` with the state, the action and ``("next", "collided")``.
-
-        Returns:
-            The reduced loss and detached metadata.
+        """The classifier's reduced training error (Eq. 3.8-3.9) on transitions ``[*B]``, and detached metadata.
 
         Raises:
             KeyError: when ``("next", "collided")`` is missing.
         """
         collided = self._next(tensordict, "collided")
         error = self.classifier.error(self._features(tensordict).detach(), collided)
-        weights = self._maybe_get_priority_weight(tensordict)
-        loss = self._reduce_loss(error, tensordict=tensordict, weights=weights)
-        return loss, {"lifeguard_collided": collided.float().mean()}
+        return self._reduced(error, tensordict), {"lifeguard_collided": collided.float().mean()}
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """The keys that :meth:`forward` reads."""
+        """What :meth:`forward` reads."""
         keys = self.tensor_keys
         return list(dict.fromkeys([*self.base.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
 
@@ -346,11 +313,11 @@ class LifeGuard(Enhancer):
         return {"loss_lifeguard": self.lifeguard_loss(tensordict)[0]}
 
     def diagnostics(self) -> dict[str, float]:
-        """The base's, and LifeGuard's: whether the penalty is enabled, how good the classifier is, and the penalty.
+        """The base's, and LifeGuard's.
 
-        The rates run over the last evaluations; a collision is positive. ``lifeguard_penalty`` is the mean of
-        ``p_cp c`` over the steps of the last episode observed, ``lifeguard_gradient`` the mean norm of its gradient
-        in the action; both are 0 while the penalty is disabled.
+        The rates cover the last evaluations; a collision is positive. ``lifeguard_penalty`` is the mean of ``p_cp c``
+        over the steps of the last episode observed, ``lifeguard_gradient`` the mean norm of its gradient in the action;
+        both are 0 while the penalty is not active.
         """
         rates = confusion_rates(self._counts())
         penalty, gradient = self._last_charge()
@@ -376,7 +343,7 @@ class LifeGuard(Enhancer):
         return mean, float(gradient[:, -self.actions :].norm(dim=-1).mean())
 
     def get_extra_state(self) -> dict[str, Any]:
-        """The part of the state dict beside the classifier: the collisions, evaluations and successes."""
+        """The collisions, evaluations and successes, for ``state_dict``."""
         return {
             "collisions": self.collisions.state_dict(),
             "evaluations": self._counts(),

@@ -1,9 +1,10 @@
 """SAC (Haarnoja et al. 2018, arXiv 1812.05905) behind the interface of the other losses, on TorchRL's loss."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Literal
 
-from tensordict import TensorDict, TensorDictBase, TensorDictParams
+from tensordict import TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded, TensorSpec
@@ -29,8 +30,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         qvalue_networks: the two critics; each reads the state and ``action``, writes ``state_action_value``.
         action_spec: the spec of one action, for the target entropy.
         gamma: discount γ.
-        target_entropy: what the temperature steers the policy's entropy to; ``"auto"`` is minus the width of the
-            action.
+        target_entropy: the entropy of the policy to which the temperature leads; ``"auto"``: minus the action's width.
         loss_function: ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
         reduction: ``"mean"``, ``"sum"`` or ``"none"``.
         **kwargs: as in :class:`torchrl.objectives.SACLoss`.
@@ -43,28 +43,14 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule as Mod
         >>> from torchrl.data import Bounded
-        >>> from torchrl.modules import ProbabilisticActor, TanhNormal
         >>> from uavrl.models import Critic, GaussianActor
         >>> spec = Bounded(-2.0, 2.0, (4,))
-        >>> actor = ProbabilisticActor(
-        ...     Mod(GaussianActor(6, 4), ["observation"], ["loc", "scale"]), in_keys=["loc", "scale"], spec=spec,
-        ...     distribution_class=TanhNormal, distribution_kwargs={"low": -2.0, "high": 2.0}, return_log_prob=True)
         >>> critics = [Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
-        >>> loss = SACLoss(actor, critics, action_spec=spec)
+        >>> loss = SACLoss(SACLoss.policy_of(GaussianActor(6, 4), spec), critics, action_spec=spec)
         >>> actor_loss, metadata = loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))
         >>> loss.alpha_loss(metadata["log_prob"]).shape
         torch.Size([])
     """
-
-    actor_network: TensorDictModule
-    qvalue_network: TensorDictModule
-    value_network: TensorDictModule | None
-    actor_network_params: TensorDictParams
-    qvalue_network_params: TensorDictParams
-    value_network_params: TensorDictParams | None
-    target_actor_network_params: TensorDictParams
-    target_qvalue_network_params: TensorDictParams
-    target_value_network_params: TensorDictParams | None
 
     def __init__(
         self,
@@ -81,15 +67,8 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         if len(qvalue_networks) != 2:
             raise ValueError(f"SAC takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
         kwargs.setdefault("scalar_output_mode", "exclude" if reduction == "none" else None)
-        super().__init__(
-            actor_network,
-            list(qvalue_networks),
-            action_spec=action_spec,
-            target_entropy=target_entropy,
-            loss_function=loss_function,
-            reduction=reduction,
-            **kwargs,
-        )
+        kwargs |= {"target_entropy": target_entropy, "loss_function": loss_function, "reduction": reduction}
+        super().__init__(actor_network, list(qvalue_networks), action_spec=action_spec, **kwargs)
         self.out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy"]
         _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an enhancer
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
@@ -109,49 +88,28 @@ class SACLoss(ActorCriticLoss, _SACLoss):
     def _make_vmap(self) -> None:
         super()._make_vmap()
         if is_stackable(self.qvalue_network):
-            self._vmap_qnetworkN0 = self._stacked_critics
+            self._vmap_qnetworkN0 = partial(stacked_values, self.qvalue_network)
 
-    def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:
-        """Values ``[2, *B, 1]`` of states and actions ``[*B]``."""
-        batch = (params.batch_size[0], *tensordict.batch_size)
-        inputs = (tensordict.get(key) for key in self.qvalue_network.in_keys)
-        value = stacked_values(self.qvalue_network, params, *(x.expand(*batch, x.shape[-1]) for x in inputs))
-        return TensorDict({self.tensor_keys.state_action_value: value}, batch)
-
-    def _values(self, tensordict: TensorDictBase, params: TensorDictParams) -> Tensor:
+    def _values(self, tensordict: TensorDictBase, params: TensorDictBase) -> Tensor:
         """Values ``[2, *B]`` of states and actions ``[*B]``."""
         inputs = tensordict.select(*self.qvalue_network.in_keys)
         return self._vmap_qnetworkN0(inputs, params).get(self.tensor_keys.state_action_value).squeeze(-1)
 
     @property
-    def critic_network_params(self) -> TensorDictParams:
-        """The parameters that the critic's optimiser moves."""
-        return self.qvalue_network_params
-
-    @property
     def alpha_params(self) -> list[Tensor]:
-        """The parameters that the temperature's optimiser moves, its logarithm, or nothing if it is fixed."""
+        """The logarithm of the temperature; none if the temperature is fixed."""
         return [self.log_alpha] if isinstance(self.log_alpha, nn.Parameter) else []
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The squared error of both critics against ``r + γ (1 - d) (min_j Q'_j(s', a') - α log π(a'|s'))``.
+        """The squared error of both critics against ``r + γ (1 - d) (min_j Q'_j(s', a') - α log π(a'|s'))``, reduced.
 
-        Args:
-            tensordict: ``[*B]`` with state, action and ``"next"``.
-
-        Returns:
-            The reduced loss and detached metadata, ``td_error`` (squared, ``[2, *B]``) among them.
+        The metadata of transitions ``[*B]`` are detached, ``td_error`` (squared, ``[2, *B]``) among them.
         """
-        weights = self._maybe_get_priority_weight(tensordict)
         target = self._compute_target_v2(tensordict)
         value = self._values(tensordict, self.qvalue_network_params)
         errors = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
-        metadata = {
-            "td_error": (value - target).square().detach(),
-            "pred_value": value.detach(),
-            "target_value": target.detach(),
-        }
-        return self._reduce_loss(errors, tensordict=tensordict, weights=weights), metadata
+        metadata = {"td_error": (value - target).square(), "pred_value": value, "target_value": target}
+        return self._reduced(errors, tensordict), {name: number.detach() for name, number in metadata.items()}
 
     def qvalue_v2_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """TorchRL's name of :meth:`value_loss`; its ``td_error`` is the larger of the absolute errors."""
@@ -160,26 +118,21 @@ class SACLoss(ActorCriticLoss, _SACLoss):
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The state with a sampled action, differentiable in the actor, and its log-probability."""
-        acted = tensordict.select(*self.actor_network.in_keys, *self.qvalue_network.in_keys, strict=False)
+        acted = self._actor_inputs(tensordict)
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
             action, log_prob = rsample_and_log_prob(self.actor_network.get_dist(acted))
         return acted.set(self.tensor_keys.action, action).set(self.tensor_keys.log_prob, log_prob)
 
     def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
         """``min_j Q_j(s, a)``, of constant critics."""
-        critics = self.target_qvalue_network_params if target else self._cached_detached_qvalue_params
-        return self._values(acted, critics).amin(0)
+        return self._values(acted, self._constant_critics(target)).amin(0)
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """What the actor minimises for each sample, ``[*B]``: ``α log π(a|s) - min_j Q_j(s, a)``."""
+        """What the actor minimises for each sample ``[*B]``: ``α log π(a|s) - min_j Q_j(s, a)``, and metadata."""
         objective, metadata = super().actor_objective(acted, target=target)
         log_prob = acted.get(self.tensor_keys.log_prob)
         return self._alpha * log_prob + objective, metadata | {"log_prob": log_prob.detach()}
 
     def alpha_loss(self, log_prob: Tensor) -> Tensor:
-        """The temperature's loss, reduced: ``-log α (log π + target entropy)``.
-
-        Args:
-            log_prob: ``[*B]``, of the metadata of :meth:`actor_loss`.
-        """
+        """The temperature's reduced loss: ``-log α (log π + target entropy)``."""
         return self._reduce_loss(self._alpha_loss(log_prob.detach()))

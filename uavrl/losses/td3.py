@@ -1,11 +1,10 @@
 """TD3 (Fujimoto et al. 2018) as the thesis uses it, on TorchRL's loss."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
-from tensordict import TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule
-from torch import Tensor
 from torchrl.data import Bounded
 from torchrl.objectives import TD3Loss as _TD3Loss
 from torchrl.objectives import ValueEstimators
@@ -45,20 +44,9 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
         >>> spec = Bounded(-2.0, 2.0, (4,))
         >>> critics = [Mod(Critic(6, 4), ["observation", "action"], ["state_action_value"]) for _ in range(2)]
         >>> loss = TD3Loss(Mod(Actor(6, 4), ["observation"], ["action"]), critics, action_spec=spec)
-        >>> data = TensorDict({"observation": torch.zeros(5, 6), "action": torch.zeros(5, 4), "next": {
-        ...     "observation": torch.zeros(5, 6), "reward": torch.ones(5, 1),
-        ...     "done": torch.zeros(5, 1, dtype=torch.bool), "terminated": torch.zeros(5, 1, dtype=torch.bool)}}, [5])
-        >>> value, metadata = loss.value_loss(data)
-        >>> sorted(metadata)
-        ['next_state_value', 'pred_value', 'target_value', 'td_error']
+        >>> loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))[0].shape
+        torch.Size([])
     """
-
-    actor_network: TensorDictModule
-    qvalue_network: TensorDictModule
-    actor_network_params: TensorDictParams
-    qvalue_network_params: TensorDictParams
-    target_actor_network_params: TensorDictParams
-    target_qvalue_network_params: TensorDictParams
 
     def __init__(
         self,
@@ -75,14 +63,8 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
     ) -> None:
         if len(qvalue_networks) != 2:
             raise ValueError(f"TD3 takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
-        super().__init__(
-            actor_network,
-            list(qvalue_networks),
-            action_spec=action_spec,
-            loss_function=loss_function,
-            reduction=reduction,
-            **kwargs,
-        )
+        kwargs |= {"loss_function": loss_function, "reduction": reduction}
+        super().__init__(actor_network, list(qvalue_networks), action_spec=action_spec, **kwargs)
         values = ["pred_value", "state_action_value_actor", "next_state_value", "target_value"]
         self.out_keys = ["loss_actor", "loss_qvalue", *values]
         half_range = (self.max_action - self.min_action) / 2
@@ -94,28 +76,4 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
     def _make_vmap(self) -> None:
         super()._make_vmap()
         if is_stackable(self.qvalue_network):
-            self._vmap_qvalue_network00 = self._stacked_critics
-
-    def _stacked_critics(self, tensordict: TensorDictBase, params: TensorDictParams) -> TensorDictBase:
-        """Values ``[2, *B, 1]`` of states and actions ``[2, *B]``."""
-        inputs = (tensordict.get(key) for key in self.qvalue_network.in_keys)
-        value = stacked_values(self.qvalue_network, params, *inputs)
-        return tensordict.empty().set(self.tensor_keys.state_action_value, value)
-
-    @property
-    def critic_network_params(self) -> TensorDictParams:
-        """The parameters that the critic's optimiser moves."""
-        return self.qvalue_network_params
-
-    def act(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The state with the action μ(s)."""
-        acted = tensordict.select(*self.actor_network.in_keys, *self.qvalue_network.in_keys, strict=False)
-        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
-            return self.actor_network(acted)
-
-    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
-        """``Q_1(s, a)``, of constant critics."""
-        critics = self.target_qvalue_network_params if target else self._cached_detach_qvalue_network_params
-        with critics[0].to_module(self.qvalue_network, preserve_module_state=False):
-            value = self.qvalue_network(acted.select(*self.qvalue_network.in_keys))
-        return value.get(self.tensor_keys.state_action_value).squeeze(-1)
+            self._vmap_qvalue_network00 = partial(stacked_values, self.qvalue_network, repeated=True)

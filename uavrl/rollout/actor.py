@@ -35,7 +35,7 @@ def make_actor(settings: TrainConfig, sizes: NetworkSizes, device: torch.device 
 def loss_class(settings: TrainConfig) -> type[ActorCriticLoss]:
     """The class of the algorithm's loss."""
     name = str(settings.algo._target_)
-    return find_class(name, ActorCriticLoss, settings.packages)  # type: ignore[type-abstract]
+    return find_class(name, ActorCriticLoss, settings.packages)
 
 
 def make_network(role: Literal["actor", "critic"], settings: TrainConfig, sizes: NetworkSizes) -> nn.Module:

@@ -1,5 +1,6 @@
 """One optimisation step of an actor–critic."""
 
+from functools import partial
 from typing import Annotated, Any
 
 import torch
@@ -56,14 +57,15 @@ class ActorCriticStepper(OptimizationStepper):
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
         models = [model for enhancer in loss.enhancers for model in enhancer.models]
         self.models = [
-            (GradientStep(model.loss, model.parameters, model.lr, execution), model.learned)
+            (GradientStep(model.loss, model.parameters, model.lr, execution), model.on_update)
             for model in models
             if model.loss is not None
         ]
+        adam = partial(torch.optim.Adam, fused=True)
         self.fits = [
-            (model.fit, torch.optim.Adam(model.parameters, lr=model.lr, fused=True) if model.parameters else None)
+            (model.on_episode, adam(model.parameters, lr=model.lr) if model.parameters else None)
             for model in models
-            if model.fit is not None
+            if model.on_episode is not None
         ]
         self.actor_learns = True
         self.updates = 0
@@ -73,8 +75,8 @@ class ActorCriticStepper(OptimizationStepper):
         """Updates on one batch, which gets the new priorities; returns detached losses and the batch's mean value."""
         value = self.critic(sub_batch)
         sub_batch.set(self.loss.unwrapped.tensor_keys.priority, value.metadata["priority"])
-        for model, learned in self.models:
-            learned(model(sub_batch).metadata)
+        for model, on_update in self.models:
+            on_update(model(sub_batch).metadata)
         self.updates += 1
         if self.actor_learns and self.updates % self.policy_delay == 0:
             actor = self.actor(sub_batch)
@@ -100,8 +102,8 @@ class ActorCriticStepper(OptimizationStepper):
     def observe(self, episodes: TensorDictBase, sample: Sample) -> None:
         """Shows whole new episodes ``[T]`` to the enhancers, and trains the models that learn after each episode."""
         self.loss.observe(episodes)
-        for fit, optimizer in self.fits:
-            fit(sample, len(episodes), optimizer)
+        for on_episode, optimizer in self.fits:
+            on_episode(sample, len(episodes), optimizer)
 
     def diagnostics(self) -> dict[str, float]:
         """What the enhancers have to say of themselves."""

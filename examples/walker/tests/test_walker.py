@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import pytest
 import torch
+from omegaconf import DictConfig
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv, check_env_specs
 from walker.buffer import FailureBias
@@ -23,10 +24,9 @@ from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.finished import finished_run
 from tests.helpers.losses import Scale, small_td3, states, td3
 from tests.helpers.runs import assert_same_run
-from tests.helpers.walker import CONFIG_DIR, EXAMPLE, SMALL, TRUSTED, walker_config
 from uavrl.cli import evaluate, replay
 from uavrl.cli import train as train_command
-from uavrl.config import learner_name, validate
+from uavrl.config import compose, learner_name, validate
 from uavrl.errors import UavrlError
 from uavrl.models import SystemNet
 from uavrl.reporting.report import make_report
@@ -35,7 +35,23 @@ from uavrl.runs.episodes import read_episodes
 from uavrl.training.run import create_run, train
 from uavrl.training.update import ActorCriticStepper
 
+EXAMPLE = Path(__file__).resolve().parents[1]
+CONFIG_DIR, TRUSTED = ["--config-dir", str(EXAMPLE / "conf")], "packages=[walker]"
+SMALL = [
+    "env=bipedal_hardcore",
+    "env.max_steps=90",  # some fall before, some do not
+    "algo.batch_size=8",
+    "buffer.capacity=400",
+    "trainer.progress=false",
+    "trainer.matmul=mkl",  # `auto` could turn with the machine's load
+    "trainer.execution=captured",
+]
 LEARNERS = sorted(path.stem for path in (EXAMPLE / "conf/learner").glob("*.yaml"))
+
+
+def walker_config(*overrides: str) -> DictConfig:
+    return compose(TRUSTED, *overrides, own=[EXAMPLE / "conf"])
+
 
 # ---------------------------------------------------------------------- environment and reward
 
