@@ -16,7 +16,7 @@ from uavrl.config import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.losses import Imitation, TD3Loss
 from uavrl.models import Actor
-from uavrl.ranges import Count, Discount, Fraction, NonNegative, Pairs, Positive, Share, Whole, Widths
+from uavrl.ranges import Count, Discount, Folder, Fraction, NonNegative, Pairs, Positive, Share, Text, Whole, Widths
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "signatures.py"
 
@@ -72,6 +72,15 @@ def test_what_has_no_range_stays_a_type(shown: Any) -> None:
 def test_a_class_is_shown_by_its_own_constructor(kind: type, begins: str, shown: Any) -> None:
     assert str(shown.signature_of(kind)).startswith(begins)
     assert list(shown.signature_of(kind).parameters) == list(inspect.signature(kind.__init__).parameters)[1:]  # type: ignore[misc]
+
+
+def test_what_only_a_configuration_needs_is_left_out(shown: Any) -> None:
+    def made(name: Text, folder: Folder | None = None) -> Text:
+        return name
+
+    assert str(shown.signature_of(made)) == "(name: str, folder: str | None = None) -> str"
+    table = shown.ranges_in_words().splitlines()
+    assert "| `Discount` | float in [0, 1) |" in table and not any("Text" in row or "Folder" in row for row in table)
 
 
 def test_a_protocol_has_no_arguments_and_what_is_made_anew_is_three_dots(shown: Any) -> None:
