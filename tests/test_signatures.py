@@ -78,7 +78,9 @@ def test_what_only_a_configuration_needs_is_left_out(shown: Any) -> None:
     def made(name: Text, folder: Folder | None = None) -> Text:
         return name
 
-    assert str(shown.signature_of(made)) == "(name: str, folder: str | None = None) -> str"
+    signature = shown.signature_of(made)
+    assert [each.annotation for each in signature.parameters.values()] == [str, str | None]
+    assert signature.return_annotation is str
     table = shown.ranges_in_words().splitlines()
     assert "| `Discount` | float in [0, 1) |" in table and not any("Text" in row or "Folder" in row for row in table)
 
