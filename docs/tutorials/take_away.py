@@ -108,5 +108,5 @@ for name, ours, flown in zip(("forward", "left", "up", "yaw rate"), command, fli
 
 # %% [markdown]
 # The same command. What you need for another vehicle: clouds in metres in the frame of the sensor, the altitude above the ground of the start, the two
-# angles to the goal, and something that follows velocities. [The table of what the policy wants to see](../elsewhere.md#what-it-wants-to-see).
+# angles to the goal, and something that follows velocities. [The table of its inputs](../elsewhere.md#its-inputs).
 # A real sensor is noisier than the simulated one, which no policy here has met: try `perception.lidar.range_noise=0.02` in `uavrl-evaluate` first.
