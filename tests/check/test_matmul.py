@@ -40,10 +40,10 @@ import sys
 from pathlib import Path
 from tests.helpers.runs import small_config
 from uavrl.training.run import create_run, train
-folder, products = sys.argv[1:]
+folder, backend = sys.argv[1:]
 for name in ("one", "other"):
     wide = ["algo.hidden=[64,48]", "algo.batch_size=32", "trainer.episodes=8"]
-    config = small_config(Path(folder) / name, *wide, f"trainer.matmul={products}")
+    config = small_config(Path(folder) / name, *wide, f"trainer.matmul={backend}")
     train(config, create_run(config))
 """
 
@@ -100,11 +100,11 @@ def test_the_process_that_flies_multiplies_as_the_learner() -> None:
     assert python(script, function.hex()).stdout.split() == ["none", "ieee"]
 
 
-@pytest.mark.parametrize("matmul", ["onednn", pytest.param("mkl", marks=pytest.mark.slow)])
-def test_the_same_run_twice_is_the_same_bit_by_bit(products: str, tmp_path: Path) -> None:
-    result = python(TWICE, str(tmp_path), products)
+@pytest.mark.parametrize("backend", ["onednn", pytest.param("mkl", marks=pytest.mark.slow)])
+def test_the_same_run_twice_is_the_same_bit_by_bit(backend: str, tmp_path: Path) -> None:
+    result = python(TWICE, str(tmp_path), backend)
     if "is not possible here" in result.stderr:
         pytest.skip(result.stderr.splitlines()[-1])
     assert result.returncode == 0, result.stderr
-    assert OmegaConf.load(tmp_path / "one" / "config.yaml").trainer.matmul == products
+    assert OmegaConf.load(tmp_path / "one" / "config.yaml").trainer.matmul == backend
     assert_same_run(tmp_path / "one", tmp_path / "other")

@@ -25,7 +25,7 @@ def gradients(turn: int) -> list[Tensor]:
 def descend(optimizer: torch.optim.Adam, turns: range) -> None:
     for turn in turns:
         if isinstance(optimizer, FusedAdam):
-            optimizer.descend(gradients(turn))
+            optimizer.apply(gradients(turn))
             continue
         for parameter, gradient in zip(optimizer.param_groups[0]["params"], gradients(turn), strict=True):
             parameter.grad = gradient
@@ -46,7 +46,7 @@ def test_gradients_of_other_strides_move_the_right_entries() -> None:
         expected = gradients(turn)
         transposed = [g.t().contiguous().t() if g.ndim == 2 else g for g in expected]
         assert transposed[0].stride() == (1, 4)
-        optimizers[0].descend(transposed)
+        optimizers[0].apply(transposed)
         for parameter, gradient in zip(theirs, expected, strict=True):
             parameter.grad = gradient
         optimizers[1].step()
@@ -60,16 +60,16 @@ def test_a_transposed_parameter_goes_on_from_what_was_saved_contiguous() -> None
     straight, transposed = nn.Parameter(values[20].clone()), nn.Parameter(values[20].t().contiguous().t())
     reference, first = FusedAdam([straight], lr=0.01), FusedAdam([transposed], lr=0.01)
     for gradient in values[:10]:
-        reference.descend([gradient])
-        first.descend([gradient])
+        reference.apply([gradient])
+        first.apply([gradient])
     saved = first.state_dict()
     for name in ("exp_avg", "exp_avg_sq"):
         saved["state"][0][name] = saved["state"][0][name].contiguous()
     second = FusedAdam([transposed], lr=0.01)
     second.load_state_dict(saved)
     for gradient in values[10:20]:
-        reference.descend([gradient])
-        second.descend([gradient])
+        reference.apply([gradient])
+        second.apply([gradient])
     torch.testing.assert_close(transposed, straight, rtol=1e-6, atol=1e-6)
 
 

@@ -45,7 +45,7 @@ def recorded(run_dir: Path, **values: str) -> Path:
 @pytest.mark.usefixtures("without_onednn")
 def test_products_that_this_machine_has_not_become_its_own(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    run_dir = recorded(tmp_path / "run", trainer__products="onednn")
+    run_dir = recorded(tmp_path / "run", trainer__matmul="onednn")
     config = resume_config(run_dir, small_config(run_dir), [])
     assert config.trainer.matmul == "mkl"
     assert caplog.messages == [
@@ -54,7 +54,7 @@ def test_products_that_this_machine_has_not_become_its_own(tmp_path: Path, caplo
 
 
 def test_products_that_there_are_no_longer_may_be_changed(tmp_path: Path) -> None:
-    run_dir = recorded(tmp_path / "run", trainer__products="bf16")
+    run_dir = recorded(tmp_path / "run", trainer__matmul="bf16")
     with pytest.raises(UavrlError, match="one of auto, mkl, onednn"):
         resume_config(run_dir, small_config(run_dir), [])
     assert resume_config(run_dir, small_config(run_dir), ["trainer.matmul"]).trainer.matmul == "mkl"

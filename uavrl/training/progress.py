@@ -45,7 +45,12 @@ class Progress:
         last_step: int | None = None,
         until_success: float | None = None,
     ) -> None:
-        self._window, self._episodes, self._max_steps, self._random_steps = window, episodes, max_steps, learning_starts
+        self._window, self._episodes, self._max_steps, self._learning_starts = (
+            window,
+            episodes,
+            max_steps,
+            learning_starts,
+        )
         self._first = "the scripted controller acts" if guided else "acting at random"
         self._by_steps = last_step is not None
         self._last_step = math.inf if last_step is None else last_step
@@ -83,8 +88,8 @@ class Progress:
         return min(steps if self._by_steps else episodes, self._total)
 
     def _left(self, episodes: int, steps: int) -> str:
-        if steps <= self._random_steps:
-            return f"{self._first} until step {self._random_steps:,}"
+        if steps <= self._learning_starts:
+            return f"{self._first} until step {self._learning_starts:,}"
         if self._compiled:  # the first updates are compiled meanwhile
             now = time.monotonic()
             self._times.append((now, steps))

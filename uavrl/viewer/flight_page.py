@@ -99,7 +99,9 @@ def make_page(recording: Recording) -> str:
     """The page, with its data, its programs and plotly's inside."""
     data = json.dumps(page_data(recording), separators=(",", ":")).replace("<", "\\u003c")
     assets = resources.files("uavrl.viewer") / "assets"
-    page, *texts = ((assets / f"flight{end}").read_text("utf-8") for end in (".html", ".css", "_charts.js", ".js"))
+    page, *texts = (
+        (assets / f"flight{end}").read_text(encoding="utf-8") for end in (".html", ".css", "_charts.js", ".js")
+    )
     marks = ("flight.css", "flight_charts.js", "flight.js", "plotly.js", "data.json")
     # No fragment holds another one's mark, so the order of the replacements does not matter.
     for mark, text in zip(marks, [*texts, needs_plotly(), data], strict=True):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field
 from tensordict import TensorDictBase
 
 from uavrl.buffers import EpisodeBuffer
-from uavrl.ranges import Count, Fraction, Whole
+from uavrl.ranges import Count, Fraction
 
 
 class FailureBias:
@@ -74,8 +75,8 @@ class FailureBiasedBuffer(EpisodeBuffer):
         capacity: Count = 1_000_000,
         success_return: float = 250.0,
         probability: Fraction = 0.5,
-        falls_per_success: Whole = 10,
-        updates_when_left_out: Whole = 100,
+        falls_per_success: Annotated[int, Field(ge=0, le=1_000_000_000)] = 10,
+        updates_when_left_out: Annotated[int, Field(ge=0, le=10_000)] = 100,
         seed: int = 0,
         **kwargs: Any,
     ) -> None:
