@@ -29,6 +29,16 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert not heading or heading in anchors(found), target
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_a_page_includes_is_there(page: Path) -> None:
+    for target, name in re.findall(
+        r"^```\{literalinclude\} (\S+)\n(?::pyobject: (\w+))?", page.read_text(), re.MULTILINE
+    ):
+        assert re.search(rf"^(class|def) {name}\b" if name else "", (page.parent / target).read_text(), re.MULTILINE), (
+            name
+        )
+
+
 def tracked(folder: str) -> list[Path]:
     """The files below a folder that git keeps."""
     if not (ROOT / ".git").exists():

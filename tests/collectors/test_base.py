@@ -42,7 +42,7 @@ class Mine(Collector):
             self.flown += 1
             yield flight
 
-    def restart(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, episodes: int) -> None:
         self.set_seed(seed, static_seed=True)
         self.reset()
 

@@ -20,8 +20,6 @@ from uavrl.errors import UavrlError
     [
         (["buffer.mirror=true", "perception.angles=raw"], r"buffer\.mirror must be false, but with uavrl"),
         (["buffer.mirror=true", "perception.angles=turns"], r"buffer\.mirror must be false, but with uavrl"),
-        (["fork=on", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
-        (["lifeguard=mlp", "algo.n_steps=3"], r"algo\.n_steps must be 1 with FORK or LifeGuard"),
         (["trainer.until_success=80"], r"trainer\.until_success must be in \(0, 1\], got 80"),
         (["env.airframe.mass=-1"], r"env\.airframe: Mass, inertia"),
     ],

@@ -9,16 +9,18 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import check_env_specs
 
+from tests.helpers.configs import composed
 from tests.helpers.own_parts import CHOSEN, OWN, TRUSTED
 from tests.helpers.runs import small_config
 from uavrl.config import compose
 from uavrl.config.validation import validate
 from uavrl.errors import UavrlError
 from uavrl.losses import Enhancer
+from uavrl.rollout.actor import make_actor
 from uavrl.rollout.baselines import VectorFieldHistogram
-from uavrl.rollout.environment import inner_transforms, network_sizes
+from uavrl.rollout.environment import NetworkSizes, inner_transforms, network_sizes
 from uavrl.runs.episodes import read_episodes
-from uavrl.training.build import make_buffer, make_training_env
+from uavrl.training.build import make_buffer, make_loss, make_training_env
 from uavrl.training.progress import warn_of_late_learning
 from uavrl.training.run import create_run, train
 from uavrl.transforms import Mirror
@@ -116,3 +118,14 @@ def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_pat
     calm.packages, calm.actor_penalty = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
     with pytest.raises(UavrlError, match=r"n_steps must be 1: tests.transforms.test_guidance.Calm learns from single"):
         train(calm, create_run(calm))
+
+
+@pytest.mark.parametrize(("group", "kind"), [("fork", "fork.Fork"), ("lifeguard", "lifeguard.LifeGuard")])
+def test_so_do_ours_and_a_variant_says_if_it_does_not(group: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = validate(composed("config", f"{group}={'on' if group == 'fork' else 'linear'}", "algo.n_steps=3"))
+    sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
+    actor = make_actor(settings, sizes)
+    with pytest.raises(UavrlError, match=rf"algo.n_steps must be 1: uavrl.losses.{kind} learns from single steps"):
+        make_loss(settings, actor, sizes, cpu)
+    monkeypatch.setattr(Enhancer, "learns_from_single_steps", False)
+    assert type(make_loss(settings, actor, sizes, cpu)).__name__ == kind.partition(".")[2]

@@ -17,7 +17,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.errors import command_process, configure_logging, one_sentence
-from uavrl.cli.help import show
+from uavrl.cli.help import ABOUT, EXAMPLES, show
 from uavrl.cli.keys import check_choices, choices_with, known_keys
 from uavrl.command_line import override
 from uavrl.config import conf_dir
@@ -25,6 +25,7 @@ from uavrl.config.parts import PARTS, names_taken
 from uavrl.config.sentences import did_you_mean
 from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
+from uavrl.runs.config import today
 
 SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
@@ -56,6 +57,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
             with command_process():
                 if show(name):
                     return
+                _refuse_options(name)
                 configure_logging()
                 with _explaining(name, lambda: begun):
                     by_hydra()
@@ -88,7 +90,7 @@ def explained(error: Exception, name: str) -> str:
     """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``."""
     first = next(iter(str(error).splitlines()), type(error).__name__)
     if isinstance(error, OverrideParseException):
-        return f"The override {error.override!r} cannot be read: {_readable(str(error.override))}."
+        return f"The override {error.override!r} cannot be read: {_readable(str(error.override), name)}."
     if isinstance(error, BrokenProcessPool):
         return (
             "A process of the sweep was killed, often for want of memory: start the same command again, which goes on "
@@ -116,9 +118,18 @@ def explained(error: Exception, name: str) -> str:
     return f"{first}: {reason}" if reason and reason not in first else first
 
 
-def _readable(given: str) -> str:
+def _refuse_options(name: str) -> None:
+    """Refuses ``--output FILE``, at which Hydra would print all options of its own."""
+    for option, _, value in (argument[2:].partition("=") for argument in sys.argv[1:] if argument.startswith("--")):
+        if option in known_keys(name):
+            raise UavrlError(f"{ABOUT[name][0]} has no option --{option}: write {option}={value or 'VALUE'}.")
+
+
+def _readable(given: str, name: str) -> str:
     """How to write an override that Hydra cannot read."""
     key, equals, value = given.partition("=")
+    if not equals:
+        return f"write KEY=VALUE, as in {ABOUT[name][0]} {EXAMPLES[name][0]}"
     if equals and key and value and not set(value) & set("\"'[]{}(),"):
         return f"if the value is a text, type {shlex.quote(override(key, value))}"
     return "write KEY=VALUE, and quotes around special characters"
@@ -129,6 +140,8 @@ def _no_such_key(key: str, name: str) -> str:
     folders, overrides = _command_line()
     group, _, below = key.partition(".")
     known = known_keys(name, folders)
+    if key not in known and (now := today(key)) in known:
+        return f"There is no key {key!r}: it is called {now} now."
     if key not in known and (near := did_you_mean(key, known, ": ", cutoff=SLIP)) != ".":
         return f"There is no key {key!r}{near}"
     values = [override for override in overrides if override.partition("=")[0] == key]

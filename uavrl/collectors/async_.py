@@ -71,7 +71,7 @@ class AsyncCollector(MultiAsyncCollector):
         with _worker_errors():
             super().reset(*args, **kwargs)
 
-    def restart(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, episodes: int) -> None:
         """Starts new episodes from a seed, another one in each process; open ones go on. All count."""
         if not self.running:
             self.set_seed(seed)

@@ -22,8 +22,8 @@ class EpisodeCollector(Protocol):
     def __iter__(self) -> Iterator[TensorDictBase]:
         """The episodes that count."""
 
-    def restart(self, seed: int, flights: int) -> None:
-        """Drops what is open, unless it goes on, and begins from a seed; the first ``flights`` from then on count."""
+    def restart(self, seed: int, episodes: int) -> None:
+        """Drops what is open, unless it goes on, and begins from a seed; the first ``episodes`` from then on count."""
 
     def drain(self) -> bool:
         """Begins no episode that counts; returns whether all that count have ended."""

@@ -130,7 +130,7 @@ class RayCollector(TorchRLRayCollector):
         updated = worker.update_policy_weights_.remote(TensorDict.from_module(self._learned).data.cpu())
         return worker.next.remote(), (worker, updated)
 
-    def restart(self, seed: int, flights: int) -> None:
+    def restart(self, seed: int, episodes: int) -> None:
         """Starts new episodes from a seed, another one in each worker; open ones go on. All count."""
         if not self._running:
             seeds = np.random.SeedSequence(seed).generate_state(self.num_collectors)

@@ -23,9 +23,9 @@ class SyncCollector(Collector):
         self._counted: float = math.inf
         self._ended = 0
 
-    def restart(self, seed: int, flights: int) -> None:
-        """Builds the environment anew from a seed and drops what is open; the first ``flights`` from here on count."""
-        self._counted, self._ended = flights, 0
+    def restart(self, seed: int, episodes: int) -> None:
+        """Builds the environment anew from a seed and drops what is open; the first ``episodes`` from here on count."""
+        self._counted, self._ended = episodes, 0
         self.set_seed(seed, static_seed=True)
         self.reset()
 

@@ -73,9 +73,6 @@ class TrainConfig:
         """Checks what a range cannot say."""
         require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
         require(self.resume is None or bool(self.resume.strip()), "resume", "the folder of a run", self.resume)
-        single = all(part.get("_target_") is None for part in (self.fork, self.lifeguard))
-        steps = self.algo.get("n_steps", 1)
-        require(steps == 1 or single, "algo.n_steps", "1 with FORK or LifeGuard: they learn from single steps", steps)
         known = self.perception.get("angles") == "folded" and self.perception.get("_target_") == NAVIGATION_STATE
         mirrors = known or not self.buffer.get("mirror")
         require(mirrors, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from torchrl.data import Binary, Composite, Unbounded
 
+from uavrl.envs.simulation import Simulation
 from uavrl.envs.vlp16 import NUM_RAYS
 from uavrl.errors import UavrlError
 
@@ -29,6 +30,16 @@ def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[
     return Composite(observations, shape=(n,), device=device), ends
 
 
+def quantities(simulation: Simulation, goal: np.ndarray, *, clearance: bool) -> dict[str, np.ndarray]:
+    """What all vehicles emit of their motion and their goals ``[N, 3]``; the specs above name each."""
+    position, yaw = simulation.position, simulation.yaw
+    found = {"position": position, "velocity": simulation.velocity, "goal": goal, "altitude": position[:, 2]}
+    found["distance"] = goal_distance(position, goal)
+    found["heading_deg"] = goal_heading_deg(position, yaw, goal)
+    found["elevation_deg"] = goal_elevation_deg(position, goal)
+    return found | ({"clearance": simulation.closest_distance()} if clearance else {})
+
+
 def checked_action(action: object, vehicles: int) -> np.ndarray:
     """The action of a policy as ``float64 [N, 4]``, or what it should have been."""
     if not isinstance(action, torch.Tensor) or action.shape != (vehicles, 4):
@@ -46,6 +57,11 @@ def wrap_degrees(angle: np.ndarray) -> np.ndarray:
     """An angle in radians as degrees in [0, 360), in float32."""
     degrees = (np.degrees(angle) % 360.0).astype(np.float32)
     return np.where(degrees < 360.0, degrees, np.float32(0.0))  # float32 rounds 360 - 1e-12 up to 360
+
+
+def goal_distance(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """The straight way to the goal, m."""
+    return np.sqrt(((goal - position) ** 2).sum(1))
 
 
 def goal_heading_deg(position: np.ndarray, yaw: np.ndarray, goal: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
-from uavrl.envs.interface import checked_action, goal_elevation_deg, goal_heading_deg, navigation_specs
+from uavrl.envs.interface import checked_action, goal_distance, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
@@ -195,7 +195,7 @@ class NavigationEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self._require_open()
         action = checked_action(tensordict.get("action", None), self.num_uavs)
-        distance_tm1 = self._distance()
+        distance_tm1 = goal_distance(self.simulation.position, self._goal)
         path = self.traffic.advance(TICKS, 1 / PHYSICS_RATE) if len(self.traffic.positions) else None
         collided = self.simulation.step(action, path)
         collided |= self.world.out_of_bounds(self.simulation.position, self._valley)
@@ -207,21 +207,11 @@ class NavigationEnv(EnvBase):
         ends = {"done": terminated | truncated, "terminated": terminated, "truncated": truncated}
         return self._pack({**data, "reward": distance_tm1 - data["distance"], **ends})
 
-    def _distance(self) -> np.ndarray:
-        return np.sqrt(((self._goal - self.simulation.position) ** 2).sum(1))
-
     def _observe(self, index: np.ndarray, arrived: np.ndarray, collided: np.ndarray) -> dict[str, np.ndarray]:
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
-        simulation, goal = self.simulation, self._goal
-        position = simulation.position
-        data = {"point_cloud": self._scan(index), "position": position, "velocity": simulation.velocity, "goal": goal}
-        data |= {"altitude": position[:, 2], "distance": self._distance(), "arrived": arrived, "collided": collided}
+        data = {"point_cloud": self._scan(index), "arrived": arrived, "collided": collided}
         data |= {"world_seed": self._world_seed, "task": self._task}
-        data["heading_deg"] = goal_heading_deg(position, simulation.yaw, goal)
-        data["elevation_deg"] = goal_elevation_deg(position, goal)
-        if self.measure_clearance:
-            data["clearance"] = simulation.closest_distance()
-        return data
+        return data | quantities(self.simulation, self._goal, clearance=self.measure_clearance)
 
     def _built(self, made: _Made | None) -> _Made:
         self._require_open()

@@ -33,6 +33,20 @@ HOW_IT_RUNS = (*FREE_KEYS, *MACHINE_KEYS, "trainer.window", *OF_OLDER_RUNS)
 _MOST_BYTES = 1_000_000  # a configuration is of some 4,000
 
 
+def today(key: str) -> str:
+    """What a key is called today.
+
+    Examples:
+        >>> today("algo.random_steps"), today("scheme"), today("enhancer.weight"), today("algo.gamma")
+        ('algo.learning_starts', 'reward_preset', 'actor_penalty.weight', 'algo.gamma')
+    """
+    for recorded in RENAMED:
+        before, now = (name.removeprefix("choices.") for name in (recorded, RENAMED[recorded]))
+        if f"{key}.".startswith(f"{before}."):
+            return now + key[len(before) :]
+    return key
+
+
 def fingerprint(config: DictConfig, without: Iterable[str] = (*FREE_KEYS, *MACHINE_KEYS)) -> str:
     """A hash of everything in a resolved configuration that changes what is learned."""
     plain = OmegaConf.create(OmegaConf.to_container(config, resolve=True))

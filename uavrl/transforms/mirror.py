@@ -8,13 +8,12 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
+from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
 from uavrl.transforms.state import REDUCTIONS, Reduction
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
 ACTION_SIGNS = (1.0, -1.0, 1.0, -1.0)  # forward, left, up, yaw rate
-BESIDE_SIGNS = (1.0, -1.0, 1.0)  # altitude, heading, elevation
-HEADING = -2  # its place, counted from the elevation's end
 
 
 @lru_cache(maxsize=8)

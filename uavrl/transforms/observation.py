@@ -10,6 +10,9 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import ObservationTransform, Transform
 
 Angles = Literal["folded", "turns", "raw"]
+# Beside the cells stand, in this order: altitude, heading, elevation
+BESIDE_SIGNS = (1.0, -1.0, 1.0)  # what a mirror that exchanges left and right multiplies each by
+HEADING = -2  # the heading's place, counted from their end
 
 
 def navigation_observation(
