@@ -18,8 +18,6 @@ from uavrl.errors import UavrlError
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
-        (["buffer.mirror=true", "perception.angles=raw"], r"buffer\.mirror must be false, but with uavrl"),
-        (["buffer.mirror=true", "perception.angles=turns"], r"buffer\.mirror must be false, but with uavrl"),
         (["trainer.until_success=80"], r"trainer\.until_success must be in \(0, 1\], got 80"),
         (["env.airframe.mass=-1"], r"env\.airframe: Mass, inertia"),
     ],

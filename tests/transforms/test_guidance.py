@@ -102,6 +102,14 @@ def test_the_guides_action_is_mirrored_with_the_policys_as_it_sees(tmp_path: Pat
     env.close()
 
 
+@pytest.mark.parametrize("overrides", [["perception.angles=raw"], ["perception.angles=turns"], ["perception=none"]])
+def test_a_state_whose_mirror_image_is_unknown_is_not_mirrored(overrides: list[str], tmp_path: Path) -> None:
+    settings = validate(small_config(tmp_path / "run", "buffer.mirror=true", *overrides))
+    sizes = NetworkSizes(state=105, frames=3, actions=4, limit=2.0)
+    with pytest.raises(UavrlError, match=r"^buffer\.mirror must be false, but with uavrl's perception"):
+        make_buffer(settings, None, sizes, torch.device("cpu"))  # type: ignore[arg-type]  # it is not looked at
+
+
 def test_a_guides_costs_can_be_given(tmp_path: Path) -> None:
     costs = "{obstacle: 2, goal: 1, level: 0.3, turn: 0.2, width: 6, nearness: 2, caution: 0.5}"
     config = small_config(tmp_path / "run", "guide=vfh", f"guide.costs={costs}")

@@ -9,7 +9,6 @@ from uavrl.config.parts import Part
 from uavrl.config.sentences import require
 from uavrl.ranges import Count, Folder, Rule, Seed, Share, Text
 
-NAVIGATION_STATE = "uavrl.transforms.state.NavigationState"  # whose mirror image is known
 Execution = Literal["eager", "captured", "compiled", "auto"]
 MatmulBackend = Literal["mkl", "onednn", "auto"]
 Threads = Annotated[int, Field(ge=1, le=256)]
@@ -73,9 +72,6 @@ class TrainConfig:
         """Checks what a range cannot say."""
         require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
         require(self.resume is None or bool(self.resume.strip()), "resume", "the folder of a run", self.resume)
-        known = self.perception.get("angles") == "folded" and self.perception.get("_target_") == NAVIGATION_STATE
-        mirrors = known or not self.buffer.get("mirror")
-        require(mirrors, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
 
 
 @dataclass

@@ -37,7 +37,7 @@ from uavrl.training.matmul import with_matmul_backend
 from uavrl.training.replay import EpisodeReplay
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 from uavrl.training.update import ActorCriticStepper
-from uavrl.transforms import Mirror
+from uavrl.transforms import Mirror, NavigationState
 from uavrl.transforms.guidance import GUIDE_ACTION, Guidance, GuidedEnv
 from uavrl.transforms.rewards import terms_of
 
@@ -160,6 +160,16 @@ def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path)
     )
 
 
+def _make_mirror(settings: TrainConfig) -> Mirror:
+    """Shows half of what is sampled in a mirror: of our perception with folded angles alone the image is known."""
+    seen = settings.perception
+    ours = seen._target_ is not None and find_class(seen._target_, object, settings.packages) is NavigationState
+    known = ours and seen.get("angles", "folded") == "folded"
+    require(known, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
+    actions = ["action", GUIDE_ACTION] if settings.guided else ["action"]
+    return Mirror(actions=actions, **{key: seen[key] for key in ("last_action", "reduction") if key in seen})
+
+
 def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device: torch.device) -> EpisodeBuffer:
     """The replay buffer of states that stacked frames make.
 
@@ -168,9 +178,7 @@ def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device
     algo = settings.algo
     move = (lambda batch: batch.to(device)) if device.type != "cpu" else None
     multi_step = MultiStep(algo.n_steps, algo.gamma) if algo.n_steps > 1 else None
-    seen = {key: settings.perception[key] for key in ("last_action", "reduction") if key in settings.perception}
-    actions = ["action", GUIDE_ACTION] if settings.guided else ["action"]
-    mirror = Mirror(actions=actions, **seen) if settings.buffer.get("mirror") else None
+    mirror = _make_mirror(settings) if settings.buffer.get("mirror") else None
     chain = (multi_step, mirror, move)  # writes pass from the right, samples from the left
     transforms = [transform for transform in chain if transform is not None]
     buffer = build(
