@@ -5,7 +5,7 @@ batch 100, float32, Adam for critics and actor, actor and targets every second s
 batch; Stable-Baselines3's row also draws its batch, as its `train` does. "matrix products" times the products of an
 update alone, which no implementation can do without. "torch.compile" compiles `value_loss` and `actor_loss` of a loss,
 with PyTorch's fused Adam and TorchRL's SoftUpdate. The library's rows, those and the products alone are multiplied by
-what `--products` says, the others by PyTorch's default. Rows are interleaved and repeated; medians count.
+what `--matmul` says, the others by PyTorch's default. Rows are interleaved and repeated; medians count.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20, help="updates of each row in a round")
     parser.add_argument("--skip-compiled", action="store_true", help="leave out the row that needs a C++ compiler")
     choices = ("mkl", "onednn", "auto")
-    parser.add_argument("--products", choices=choices, default="auto", help="what multiplies in uavrl's rows")
+    parser.add_argument("--matmul", choices=choices, default="auto", help="what multiplies in uavrl's rows")
     args = parser.parse_args()
     about = machine()
     torch.set_num_threads(1)
@@ -257,7 +257,7 @@ def main() -> None:
         "TorchRL's TD3Loss": with_stock_tools(stock_loss(), compiled=False),
         "Stable-Baselines3": stable_baselines(),
     }
-    with matmul_backend(args.products) as products:
+    with matmul_backend(args.matmul) as products:
         rows = {f"uavrl, {name}": multiplied(products, ours(name)) for name in names}
         if not args.skip_compiled:
             rows["uavrl's TD3Loss, torch.compile"] = multiplied(products, with_stock_tools(our_loss(), compiled=True))
