@@ -1,6 +1,6 @@
 """Chooses the costs of `policy=vfh` in training valleys: which are best there, and nothing else, is asked.
 
-    python studies/tune_vfh.py [perception.key=value …] [--settings 32] [--tasks 64] [--json FILE]
+    python studies/tune_vfh.py [perception=NAME perception.key=value …] [--settings 32] [--tasks 64] [--json FILE]
 
 Settings are drawn at random; the present ones take part, too. All fly the same tasks in valleys 200 to
 209, which no evaluation uses, half of them with the default's obstacles and half with twice as many. The better quarter

@@ -225,7 +225,7 @@ def test_the_setting_that_solves_most_is_left_and_flown_most(
 
     monkeypatch.setattr(tune_vfh, "fly", fly)
     monkeypatch.setattr(tune_vfh, "make_env", lambda *parts, **more: SimpleNamespace(set_seed=lambda seed: None))
-    arguments = f"tune_vfh.py perception.reduction=range_image --settings 16 --tasks 4 --json {tmp_path}/t.json"
+    arguments = f"tune_vfh.py perception=range_image --settings 16 --tasks 4 --json {tmp_path}/t.json"
     monkeypatch.setattr(sys, "argv", arguments.split())
     tune_vfh.main()
     rounds = json.loads((tmp_path / "t.json").read_text())["rounds"]

@@ -18,7 +18,7 @@ class StallNotice:
         self._over = threading.Event()
 
     def reset(self) -> None:
-        """Begins the next stall_notice."""
+        """Starts the clock again."""
         self._last = time.monotonic()
 
     def __enter__(self) -> StallNotice:
