@@ -17,7 +17,7 @@ from uavrl.cli import main as main_command
 from uavrl.cli import train as train_command
 from uavrl.cli.command import explained
 from uavrl.cli.errors import SAFE_PATH, command_process, one_sentence, sentence
-from uavrl.cli.suite import machine_processors
+from uavrl.machine import processors
 
 
 @pytest.mark.parametrize("before", [None, "", "1"])
@@ -97,7 +97,7 @@ def test_a_sweep_says_where_it_cannot_write(
 
 def test_as_many_processors_as_the_process_may_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(6)), raising=False)
-    assert machine_processors(tmp_path / "none") == 6
+    assert processors(tmp_path / "none") == 6
     for text, allowed in {"max 100000": 6, "250000 100000": 3, "50000 100000": 1, "900000 100000": 6}.items():
         (tmp_path / "cpu.max").write_text(text)
-        assert machine_processors(tmp_path / "cpu.max") == allowed
+        assert processors(tmp_path / "cpu.max") == allowed

@@ -21,6 +21,7 @@ from uavrl.cli.errors import configure_logging
 from uavrl.config import EvaluateConfig
 from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError, was_interrupted
+from uavrl.machine import processors
 from uavrl.rollout.policies import file_of_policy, output_name, policy_folder, result_overrides
 from uavrl.runs.episodes import outcomes_of
 from uavrl.runs.files import replacing, writable
@@ -30,7 +31,6 @@ from uavrl.runs.weights import POLICY
 
 log = logging.getLogger(__name__)
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
-CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")  # of a container, on Linux: microseconds of processor time in each period
 Evaluate = Callable[[DictConfig, list[str], Path], dict[str, Any]]
 
 
@@ -78,7 +78,7 @@ def _config(changes: list[str]) -> DictConfig:
 def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]]) -> dict[str, Any]:
     """The results of some scenarios, each in a process of its own."""
     results = {}
-    with _processes(min(machine_processors(), max(len(scenarios), 1))) as pool:
+    with _processes(min(processors(), max(len(scenarios), 1))) as pool:
         with interrupts_held_back():
             futures = {name: pool.submit(evaluate, *scenario) for name, scenario in scenarios.items()}
         for name, each in futures.items():
@@ -93,16 +93,6 @@ def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, lis
                 raise UavrlError(f"{name}: {error}") from error
             log.info("%s is evaluated", name)
     return results
-
-
-def machine_processors(quota: Path = CPU_QUOTA) -> int:
-    """The processors that this process may use, which can be fewer than the machine has."""
-    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if quota.is_file():
-        share, _, period = quota.read_text(encoding="utf-8").partition(" ")
-        if share.isdigit():
-            allowed = min(allowed, math.ceil(int(share) / int(period)))
-    return max(allowed, 1)
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The world: valleys of terrain and obstacles, and the tasks to fly in them."""
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from itertools import cycle
 
@@ -13,6 +14,7 @@ from uavrl.envs.routes import plan_routes
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
 from uavrl.errors import UavrlError
+from uavrl.machine import processors
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 ROUTES = 12  # ways of planes through a valley
@@ -213,9 +215,12 @@ class World:
         pitch = np.array(config.size) + VALLEY_GAP
         counts = [count for _, count in zip(config.seeds, cycle(in_turn(config.obstacles)), strict=False)]
         self.built = sorted(set(range(len(config.seeds)) if needed is None else needed))
-        self.valleys = [
-            build_valley(config, config.seeds[i], pitch * divmod(i, columns), counts[i]) for i in self.built
-        ]
+
+        def build(i: int) -> Valley:
+            return build_valley(config, config.seeds[i], pitch * divmod(i, columns), counts[i])
+
+        with ThreadPoolExecutor(processors()) as threads:  # NumPy and SciPy let each other run
+            self.valleys = list(threads.map(build, self.built))
         self.meshes = [mesh for valley in self.valleys for mesh in valley.meshes()]
         self._origins = np.stack([valley.origin for valley in self.valleys])
         self._heights = np.stack([valley.ground.heights for valley in self.valleys])
