@@ -28,7 +28,8 @@ PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
 DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
 SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
-GUIDED = ["guide=vfh", "actor_penalty=imitation", "algo.learning_starts=60", *SEEN]
+DECAY = ["actor_penalty.final_weight=0.2", "actor_penalty.decay_steps=400", "smoothness=action_rate"]
+GUIDED = ["guide=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 

@@ -52,6 +52,7 @@ GROUPS = {
     "logger": ["csv", "tensorboard", "mlflow"],
     "collector": ["sync", "threads"],
     "actor_penalty": ["none", "own"],
+    "smoothness": ["none", "action_rate"],
     "preset": ["thesis", "slow", "null"],
 }
 WILD = [

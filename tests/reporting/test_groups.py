@@ -41,7 +41,9 @@ def test_labels_say_what_differs(tmp_path: Path) -> None:
 
 def test_a_part_of_somebody_elses_is_called_by_its_yaml() -> None:
     assert (
-        label({"algo": "ppo", "actor_penalty": "mine", "reward": "hover", "backward_reward": "none"})
+        label(
+            {"algo": "ppo", "actor_penalty": "mine", "smoothness": "none", "reward": "hover", "backward_reward": "none"}
+        )
         == "PPO-mine, hover"
     )
 

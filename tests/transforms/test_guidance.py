@@ -15,7 +15,7 @@ from tests.helpers.runs import small_config
 from uavrl.config import compose
 from uavrl.config.validation import validate
 from uavrl.errors import UavrlError
-from uavrl.losses import Enhancer
+from uavrl.losses import ActionRate, Enhancer
 from uavrl.rollout.actor import make_actor
 from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.rollout.environment import NetworkSizes, inner_transforms, network_sizes
@@ -137,3 +137,14 @@ def test_so_do_ours_and_a_variant_says_if_it_does_not(group: str, kind: str, mon
         make_loss(settings, actor, sizes, cpu)
     monkeypatch.setattr(Enhancer, "learns_from_single_steps", False)
     assert type(make_loss(settings, actor, sizes, cpu)).__name__ == kind.partition(".")[2]
+
+
+def test_the_action_rate_asks_for_states_that_end_with_the_last_action() -> None:
+    sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
+    smooth = validate(composed("config", "smoothness=action_rate"))
+    wanted = r"perception\.last_action must be true: uavrl\.losses\.action_rate\.ActionRate compares"
+    with pytest.raises(UavrlError, match=wanted):
+        make_loss(smooth, make_actor(smooth, sizes), sizes, cpu)
+    seen = validate(composed("config", "smoothness=action_rate", "perception.last_action=true"))
+    loss = make_loss(seen, make_actor(seen, sizes), sizes, cpu)
+    assert isinstance(loss, ActionRate) and (loss.actions, loss.limit) == (4, 2.0)

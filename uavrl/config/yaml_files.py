@@ -75,6 +75,7 @@ def learner_name(choices: Mapping[str, str]) -> str:
         "fork": ("fork", "on"),
         "lifeguard": ("lg", "linear"),
         "actor_penalty": ("", ""),
+        "smoothness": ("", ""),
         "backward_reward": ("", ""),
     }
     parts = [choices["algo"]]

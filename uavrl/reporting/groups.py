@@ -46,7 +46,8 @@ def label(choices: Mapping[str, str]) -> str:
         choice = choices.get(group, NONE)
         return [] if choice == NONE else [_NAMES.get(group, {}).get(choice, choice)]
 
-    learner = "-".join([choices["algo"].upper(), *named("fork"), *named("lifeguard"), *named("actor_penalty")])
+    enhancers = [name for group in ("fork", "lifeguard", "actor_penalty", "smoothness") for name in named(group)]
+    learner = "-".join([choices["algo"].upper(), *enhancers])
     return ", ".join([" + ".join([learner, *named("backward_reward")]), *named("reward")])
 
 
