@@ -134,7 +134,7 @@ class Plant:
         """The rotation ``[3, 3]`` from the LiDAR's axes to the body's: first the tilt, then the yaw."""
         cos, sin = math.cos(self.mount_yaw), math.sin(self.mount_yaw)
         axis = np.array([math.cos(self.mount_axis), math.sin(self.mount_axis), 0.0])
-        cross = np.cross(np.eye(3), -axis)  # the matrix of v → axis x v
+        cross = np.cross(np.eye(3), axis)  # the matrix of v → axis x v
         tilt = np.eye(3) + math.sin(self.mount_tilt) * cross + (1 - math.cos(self.mount_tilt)) * cross @ cross
         return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ tilt
 
