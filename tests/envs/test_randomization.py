@@ -10,6 +10,7 @@ import pytest
 
 from tests.helpers.vehicles import world
 from uavrl.envs.bullet import pybullet
+from uavrl.envs.controller import most_load
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
@@ -258,6 +259,20 @@ def test_each_quantity_is_uniform_in_its_range_and_independent_of_the_others() -
         np.testing.assert_allclose(np.quantile(share, [0.1, 0.5, 0.9]), [0.1, 0.5, 0.9], atol=0.03, err_msg=name)
     correlation = np.corrcoef(list(shares.values()))
     assert np.abs(correlation - np.eye(len(shares))).max() < 0.08
+
+
+def test_a_vehicle_is_no_heavier_than_its_rotors_carry_and_the_heaviest_climbs() -> None:
+    heavy = Randomization(mass=(1.2, 1.2), thrust=(0.85, 0.85))
+    plant = draw_plant(heavy, np.random.default_rng(0), most_load(Airframe()))
+    lift = 0.9 * 38.0 * np.cos(0.5)
+    assert plant.thrust == 0.85 and plant.mass == pytest.approx(0.85 * lift / (MASS * 10.31))
+    assert draw_plant(Randomization(thrust=(0.5, 0.5)), np.random.default_rng(0), 1.2).mass == 1.0
+    with world() as simulation:
+        begin(simulation, plant)
+        fly(simulation, 30)
+        assert simulation.velocity[0, 2] == pytest.approx(0.0, abs=0.02) and simulation.position[0, 2] > 3.0
+        fly(simulation, 30, 0.0, 0.0, 1.0, 0.0)
+        assert simulation.velocity[0, 2] == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_quantity_that_is_switched_off_changes_none_of_the_others() -> None:

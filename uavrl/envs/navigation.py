@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
+from uavrl.envs.controller import most_load
 from uavrl.envs.interface import checked_action, goal_distance, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
@@ -192,7 +193,7 @@ class NavigationEnv(EnvBase):
     def _draw_plant(self, task: int) -> Plant:
         """The vehicle of a task, from a stream beside that of :meth:`_task_rng`."""
         stream = np.random.SeedSequence((self._seed, task), spawn_key=(1,))
-        return draw_plant(self.randomize or Randomization(), np.random.default_rng(stream))
+        return draw_plant(self.randomize or Randomization(), np.random.default_rng(stream), most_load(self.airframe))
 
     def _place(self, index: np.ndarray) -> None:
         first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))
