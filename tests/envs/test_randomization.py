@@ -129,7 +129,7 @@ def places(simulation: Simulation, commands: list[tuple[float, ...]]) -> np.ndar
     seen = []
     for command in commands:
         fly(simulation, 1, *command)
-        seen += [state[:, :3] for state in simulation._past[1:]]
+        seen += [state[:, :3] for state in simulation._past._states[1:]]
     return np.array(seen)
 
 
@@ -151,25 +151,23 @@ def test_an_action_that_comes_late_flies_the_same_path_later() -> None:
 
 @pytest.mark.parametrize("distorted", [False, True])
 def test_a_scan_that_is_late_shows_what_was_seen_then(distorted: bool) -> None:
-    lidar = Lidar(
-        [BOX], Mesh([[0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]]), LidarConfig(motion_distortion=distorted)
-    )
-    delays = [0, 5, 24]
-    with world(3, plane_mesh=FLOOR, plane_count=1) as simulation, world(1) as alone:
-        begin(simulation, *(Plant(scan_delay=delay / 240) for delay in delays))
+    sail = Mesh([[0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]])
+    lidar, rng = Lidar([BOX], sail, LidarConfig(motion_distortion=distorted)), np.random.default_rng(0)
+    planes = np.array([[2.0, 0.0, 3.5, 1.0]])
+    path = planes + np.arange(25)[:, None, None] * [0.02, 0.0, 0.0, 0.0]
+    with world(3, plane_mesh=sail, plane_count=1) as simulation, world(1) as alone:
+        begin(simulation, *(Plant(scan_delay=delay / 240) for delay in (0, 5, 24)))
         begin(alone, Plant())
-        planes = np.array([[2.0, 0.0, 3.5, 1.0]])
-        rng = np.random.default_rng(0)
+        simulation.place_planes(planes)
         first = simulation.scan(lidar, np.arange(3), planes, rng)
         for row in range(3):  # there was nothing before
             np.testing.assert_array_equal(first[row], alone.scan(lidar, np.array([0]), planes, rng)[0])
-        path = planes + np.arange(1, 25)[:, None, None] * [0.02, 0.0, 0.0, 0.0]
         fly(simulation, 1, 2.0, 1.0, 0.0, 2.0)
-        simulation.step(np.tile([2.0, 1.0, 0.0, 2.0], (3, 1)), path)
-        late = simulation.scan(lidar, np.array([2, 1]), path[-1], rng)
-        for cloud, delay in zip(late, [24, 5], strict=True):
-            alone_at(alone, simulation._past[-1 - delay][0])
-            expected = alone.scan(lidar, np.array([0]), simulation._plane_past[-1 - delay], rng)[0]
+        simulation.step(np.tile([2.0, 1.0, 0.0, 2.0], (3, 1)), path[1:])
+        late = simulation.scan(lidar, np.array([2, 1, 0]), path[-1], rng)
+        for cloud, delay in zip(late, [24, 5, 0], strict=True):
+            alone_at(alone, simulation._past._states[-1 - delay][0])
+            expected = alone.scan(lidar, np.array([0]), path[-1 - delay], rng)[0]
             np.testing.assert_allclose(cloud, expected, atol=2e-3)
 
 
