@@ -6,6 +6,7 @@ robotic control with dynamics randomization", for masses, gains, delays and nois
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -161,3 +162,9 @@ def draw_plant(randomization: Randomization, rng: np.random.Generator, most_load
     speed = found.pop("wind", 0.0)
     along = (speed * math.cos(wind), speed * math.sin(wind))
     return Plant(**found, wind=along, mount_axis=tilt, blind_azimuth=blind)
+
+
+def draw_plants(randomization: Randomization, seed: int, tasks: Iterable[int], most_load: float) -> list[Plant]:
+    """The vehicles of tasks: each depends on the seed and its task alone, by a stream beside that of start and goal."""
+    streams = [np.random.SeedSequence((seed, task), spawn_key=(1,)) for task in tasks]
+    return [draw_plant(randomization, np.random.default_rng(stream), most_load) for stream in streams]

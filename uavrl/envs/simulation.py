@@ -83,13 +83,10 @@ class Simulation:
             )
         if plane_count and plane_mesh is None:
             raise ValueError(f"{plane_count} planes need a shape: pass plane_mesh.")
-        if self.aerodynamics.gust_intensity and rng is None:
-            raise ValueError("Gusts need a source of randomness: pass rng.")
         self.count, self.substeps, self._dt = count, physics_rate // control_rate, 1 / physics_rate
         self._control_rate = control_rate
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
-        self.motors_on = True
-        self._rng = rng
+        self.motors_on, self._rng = True, rng
         self._past = Past(count, plane_count)
         self._prepare_model()
         self._build(meshes, plane_mesh, plane_count)
@@ -132,6 +129,8 @@ class Simulation:
         """
         if plants is not None:
             self._rebuild(index, plants)
+        if self.plants.gusty and self._rng is None:
+            raise ValueError("Gusts need a source of randomness: pass rng.")
         for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
             body, attitude = self._vehicles[row], (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
             pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)
@@ -149,8 +148,6 @@ class Simulation:
             mass, inertia = float(self.plants.mass[row]), self.plants.inertia[row].tolist()
             changed = {"mass": mass, "localInertiaDiagonal": inertia, "physicsClientId": self._client}
             pybullet.changeDynamics(self._vehicles[row], -1, **changed)
-        if self.plants.gusty and self._rng is None:
-            raise ValueError("Gusts need a source of randomness: pass rng.")
 
     def place_planes(self, poses: np.ndarray) -> None:
         """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad."""
