@@ -27,6 +27,7 @@ from uavrl.training.run import create_run, train
 PRIORITIZED = ["buffer=prioritized"]
 DDPG = ["algo=ddpg"]
 DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
+RANDOMIZED = [*DEFAULT_VALLEY, "randomize=real", "env.max_steps=30"]  # longer than any delay
 SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
 DECAY = ["actor_penalty.final_weight=0.2", "actor_penalty.decay_steps=400", "smoothness=action_rate"]
 GUIDED = ["guide=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
@@ -106,7 +107,7 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
 @pytest.mark.parametrize(
     "overrides",
     [
-        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, GUIDED),
+        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED),
         *(pytest.param(o, marks=pytest.mark.slow) for o in (DDPG, SAC)),
     ],
 )

@@ -70,6 +70,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         (["scheme=tr"], "There is no key 'scheme': it is called reward_preset now."),
         (["enhancer.weight=1"], "There is no key 'enhancer.weight': it is called actor_penalty.weight now."),
         (["trainer.products=mkl"], "There is no key 'trainer.products': it is called trainer.matmul now."),
+        (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
         (["--seed", "1"], "uavrl-train has no option --seed: write seed=VALUE."),
         (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
     ],

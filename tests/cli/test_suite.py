@@ -13,10 +13,27 @@ from tests.helpers.configs import composed
 from tests.helpers.folders import evaluation
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.config import EvaluateConfig, validate
+from uavrl.config.values import to_plain
 from uavrl.errors import UavrlError
 from uavrl.rollout.summary import scenarios
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
+
+REAL = {
+    "real_vehicle": {"mass", "inertia", "thrust", "motor_time_constant", "drag"},
+    "real_delay": {"action_delay", "scan_delay"},
+    "real_sensor": {
+        "mount_yaw",
+        "mount_tilt",
+        "range_noise",
+        "dropout",
+        "blind_sector",
+        "altitude_bias",
+        "heading_bias",
+    },
+    "real_wind": {"wind", "gust_intensity"},
+}
+REAL["real"] = set().union(*REAL.values())
 
 
 @pytest.mark.parametrize("name", scenarios("all"))
@@ -33,8 +50,17 @@ def test_every_scenario_is_an_evaluation(name: str) -> None:
         "busy": (45, 6, 1, (0.0, 0.0, 0.0), 0.0),
         "windy": (45, 0, 1, (3.0, 0.0, 0.0), 0.0),
         "sensor": (45, 0, 1, (0.0, 0.0, 0.0), 0.1),
+        **dict.fromkeys(REAL, (45, 0, 10, (0.0, 0.0, 0.0), 0.0)),
     }[name]
     assert (*seen[:3], tuple(seen[3]), seen[4]) == expected
+
+
+@pytest.mark.parametrize("name", scenarios("all"))
+def test_a_scenario_randomizes_what_it_is_called_after_and_real_everything(name: str) -> None:
+    settings = validate(composed("evaluate", "policy=straight", *scenarios([name])[name]), EvaluateConfig)
+    drawn = {key for key, value in to_plain(settings.env.randomize).items() if value is not None}
+    assert drawn == REAL.get(name, set())
+    assert settings.env.randomize.is_on == bool(drawn)
 
 
 def test_unknown_scenarios_are_refused_with_the_nearest() -> None:
@@ -73,7 +99,7 @@ def test_a_file_from_before_there_were_outcomes_is_taken_and_its_row_has_them(tm
     assert row["outcomes"] == "SC" and "flights" not in row and "versions" not in row
 
 
-@pytest.mark.parametrize("more", ["env=dynamic", "valleys=[3]", "env.world.obstacles=5"])
+@pytest.mark.parametrize("more", ["env=dynamic", "valleys=[3]", "env.world.obstacles=5", "randomize=wind"])
 def test_the_suite_chooses_the_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str) -> None:
     assert in_process(evaluate_command.main, *LITTLE, more, f"output={tmp_path}") == 1
     assert f"'{more}' contradicts it" in capsys.readouterr().err

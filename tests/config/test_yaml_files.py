@@ -188,3 +188,41 @@ def test_only_the_runs_name_is_worked_out_by_code_of_ours() -> None:
     ours = r"\$\{(?!now:)(?!\w+:\w+\})\w+:"  # a call: ${run_name:}, ${where:a,b}
     called = {call for path in YAML_FILES for call in re.findall(ours, path.read_text())}
     assert called == {"${run_name:"}
+
+
+# ---------------------------------------------------------------------- randomized vehicles
+
+
+@pytest.mark.parametrize("name", ["config", "evaluate", "replay"])
+def test_one_word_randomizes_everything_and_one_quantity_can_be_switched_off(name: str) -> None:
+    config = compose(
+        "randomize=real", "env.randomize.mass=null", *([] if name == "config" else ["policy=best"]), name=name
+    )
+    drawn = OmegaConf.to_container(config.env.randomize)
+    assert [key for key, value in drawn.items() if value is None] == ["mass"]
+    assert drawn["thrust"] == [0.85, 1.15] and drawn["blind_sector"] == [0.0, 1.0472]
+
+
+@pytest.mark.parametrize("preset", [path.stem for path in (conf_dir() / "preset").glob("*.yaml")])
+def test_a_preset_randomizes_nothing_unless_it_says_so(preset: str) -> None:
+    randomize = settings(f"preset={preset}").env.randomize
+    assert randomize.is_on == ("randomize" in (conf_dir() / f"preset/{preset}.yaml").read_text())
+    assert not settings("preset=thesis").env.randomize.is_on and not settings().env.randomize.is_on
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        (
+            "env.randomize.mass=[1.2,0.8]",
+            r"env\.randomize\.mass must be two numbers in \[0\.1, 10\], the lower one first",
+        ),
+        ("env.randomize.thrust=[-1,1]", r"env\.randomize\.thrust must be two numbers"),
+        ("env.randomize.drag=0.5", r"env\.randomize\.drag must be a list"),
+        ("env.randomize.wind=[1]", r"env\.randomize\.wind must be a list of 2"),
+        ("+env.randomize.wnd=[1,2]", r"did you mean env\.randomize\.wind\?"),
+    ],
+)
+def test_what_is_no_range_is_refused_by_its_key(override: str, told: str) -> None:
+    with pytest.raises(UavrlError, match=told):
+        settings(override)

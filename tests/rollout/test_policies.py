@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,8 +14,11 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 
 from tests.helpers.recorded import SCANS, as_evaluated, evaluation, recorded, reduction, states
+from uavrl.config import compose, validate_run
+from uavrl.config.values import to_plain
+from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import PACKAGED, packaged_policies
+from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import fly
 from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
@@ -45,6 +49,20 @@ def test_it_acts_as_it_did_in_recorded_states(name: str) -> None:
         action = policy(TensorDict({"observation": kept["observation"]}, [len(kept["observation"])]))["action"]
     assert len(action) > 150 and action.std(0).min() > 0.1
     assert_close(action, kept["action"], atol=1e-4, rtol=0)
+
+
+def test_a_packaged_policy_is_evaluated_in_randomized_vehicles_and_without_again() -> None:
+    def randomized(*overrides: str) -> dict[str, Any]:
+        config = load_policy(PACKAGED / "best", None, torch.device("cpu"))[0]
+        config.env.randomize = {"mass": [0.5, 0.6]}
+        run = validate_run(with_overrides(config, compose(*overrides, name="evaluate"), list(overrides)))
+        return {key: value for key, value in to_plain(run.env.randomize).items() if value is not None}
+
+    assert randomized("policy=best") == {"mass": [0.5, 0.6]}  # the run's own
+    assert randomized("policy=best", "randomize=delay") == {"action_delay": [0.0, 0.1], "scan_delay": [0.0, 0.1]}
+    assert randomized("policy=best", "randomize=none") == randomized("policy=best", "env=static") == {}
+    given = ("policy=best", "env=dynamic", "randomize=wind", "env.randomize.wind=null")
+    assert randomized(*given) == {"gust_intensity": [0.0, 0.5]}
 
 
 @pytest.mark.parametrize("name", packaged_policies())

@@ -94,11 +94,11 @@ def keys(path: Path, prefix: str = "") -> list[Key]:
 
 
 def _keys_of_groups(groups: dict[str, list[str]], chosen: dict[str, str]) -> Iterator[Key]:
-    """The keys of all choices of all groups, those of the defaults first; rows of choices have none."""
+    """The keys of all choices of all groups, those of the defaults first; what has its place elsewhere has none."""
     for group, found in groups.items():
         for choice in sorted(found, key=lambda choice: choice != chosen[group]):
             path = conf_dir() / group / f"{choice}.yaml"
-            if "@package _global_" not in path.read_text(encoding="utf-8"):
+            if "# @package" not in path.read_text(encoding="utf-8"):
                 yield from keys(path, f"{group}.")
 
 

@@ -1,6 +1,8 @@
 """Which choices and keys there are on the command line, and which of them contradict each other."""
 
+import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:
     for folder in (conf_dir(), *own):
         for path in folder.glob("*/*.yaml"):
             if (group := path.parent.name) in groups:
-                keys |= {group, *(f"{group}.{key}" for key in _dotted(_of_group(path)))}
+                keys |= {group, *(f"{_place(path)}.{key}" for key in _dotted(_of_group(path)))}
     return sorted(keys)
 
 
@@ -48,6 +50,14 @@ def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -
                         f"{row}={choices[row]} stands for {group}={chosen}, and {group}={choices.get(group)} was "
                         f"chosen: leave one of the two out."
                     )
+
+
+def _place(path: Path) -> str:
+    """The key under which the keys of a file stand: its group, unless it says ``# @package KEY``."""
+    with suppress(OSError, ValueError):
+        if match := re.match(r"# @package (?!_global_)(\S+)", path.read_text(encoding="utf-8")):
+            return match[1]
+    return path.parent.name
 
 
 def _of_group(path: Path) -> Any:

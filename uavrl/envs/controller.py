@@ -7,6 +7,7 @@ import numpy as np
 from uavrl.envs.quadrotor import GRAVITY, ROTOR_SPINS, Aerodynamics, Airframe, drag, mixing_matrix
 
 THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
+CLIMB_RESERVE = 0.5  # m/s², least acceleration upwards of a vehicle that is not too heavy
 VELOCITY_GAIN = np.array([2.6, 2.6, 4.0])  # 1/s, acceleration per velocity error along x, y, z
 RATE_GAIN = np.array([24.0, 24.0, 6.0])  # 1/s, angular acceleration per rate error about x, y, z
 ATTITUDE_GAIN = 7.0  # 1/s, rate per tilt error
@@ -53,10 +54,24 @@ def to_world(command: np.ndarray, rotation: np.ndarray, yaw_rate: np.ndarray) ->
     return velocity, acceleration
 
 
+def most_lift(airframe: Airframe) -> float:
+    """The greatest vertical force in N that the controller asks of the rotors."""
+    return (1 - THRUST_RESERVE) * airframe.max_total_thrust * math.cos(airframe.tilt_limit)
+
+
+def most_load(airframe: Airframe) -> float:
+    """How many times as heavy as believed a vehicle may be, and still be flown: it hovers and can climb.
+
+    Examples:
+        >>> round(most_load(Airframe()), 2)
+        1.26
+    """
+    return most_lift(airframe) / (airframe.total_mass * (GRAVITY + CLIMB_RESERVE))
+
+
 def limit_force(force: np.ndarray, airframe: Airframe) -> np.ndarray:
     """Keeps forces ``[N, 3]`` (N, world axes) within what the rotors give: first the vertical part, then the tilt."""
-    most = (1 - THRUST_RESERVE) * airframe.max_total_thrust * math.cos(airframe.tilt_limit)
-    vertical = np.minimum(np.maximum(force[:, 2:], 0.3 * airframe.total_mass * GRAVITY), most)
+    vertical = np.minimum(np.maximum(force[:, 2:], 0.3 * airframe.total_mass * GRAVITY), most_lift(airframe))
     horizontal = force[:, :2]
     size = np.sqrt(np.add.reduce(horizontal * horizontal, axis=1, keepdims=True))
     scale = np.minimum(1.0, math.tan(airframe.tilt_limit) * vertical / np.maximum(size, 1e-9))

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from uavrl.envs.lidar_flaws import add_noise, hide_sector
 from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.randomization import Plant
@@ -161,7 +162,7 @@ class Lidar:
         Raises:
             ValueError: if an argument is missing, has a wrong shape, or holds NaN or infinite values.
         """
-        positions = _checked("positions", positions, (-1, 3))
+        config, positions = self.config, _checked("positions", positions, (-1, 3))
         rotations = _checked("rotations", rotations, (len(positions), 3, 3))
         if np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) > 1e-3:
             raise ValueError("rotations must be rotation matrices, got one whose rows are not orthonormal.")
@@ -172,10 +173,11 @@ class Lidar:
         if poses.size and self._moving_scene is None:
             raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
         flaws = [Plant()] * len(positions) if flaws is None else flaws
-        noise, dropout = _noise_and_dropout(self.config, flaws)
-        if rng is None and (noise.any() or dropout.any()):
+        noise = [config.range_noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
+        dropout = [config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
+        if rng is None and (any(noise) or any(dropout)):
             raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
-        moved = self.config.motion_distortion
+        moved = config.motion_distortion
         if moved:
             velocities = _checked("velocities", velocities, positions.shape)
             angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
@@ -194,11 +196,12 @@ class Lidar:
             for pose in poses[vehicle]:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
         for seen, flaw in zip(ranges, flaws, strict=True):
-            _blind(seen, flaw.blind_azimuth, flaw.blind_sector)
+            if flaw.blind_sector:
+                hide_sector(seen, flaw.blind_azimuth, flaw.blind_sector)
         if rng is not None:
-            _add_noise(ranges, noise, dropout, rng)
-        if self.config.min_range > 0.0:
-            np.putmask(ranges, ranges < self.config.min_range, np.nan)
+            add_noise(ranges, noise, dropout, rng)
+        if config.min_range > 0.0:
+            np.putmask(ranges, ranges < config.min_range, np.nan)
         return (self._columns[:, None] * ranges).transpose(1, 2, 0)
 
     def _cast_body(
@@ -244,38 +247,6 @@ def _cast(
     if lengths.size:
         scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, lengths, query="DISTANCE")
     ranges[slice(None) if rays is None else rays] = np.where(lengths < reach, lengths, np.float32(np.nan))
-
-
-def _noise_and_dropout(config: LidarConfig, flaws: Sequence[Plant]) -> tuple[np.ndarray, np.ndarray]:
-    """The noise in metres and the dropout of each sensor, ``[N]``: its own, or those of the configuration."""
-    noise = [config.range_noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
-    dropout = [config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
-    return np.array(noise, dtype=np.float32), np.array(dropout, dtype=np.float64)
-
-
-def _add_noise(ranges: np.ndarray, noise: np.ndarray, dropout: np.ndarray, rng: np.random.Generator) -> None:
-    """Applies noise and dropout ``[N]`` to ``ranges [N, R]``."""
-    if not (noise.any() or dropout.any()):
-        return
-    hit = ~np.isnan(ranges)
-    measured, counts = ranges[hit], hit.sum(axis=1)
-    if noise.any():
-        error = np.repeat(noise, counts) * rng.standard_normal(len(measured), dtype=np.float32)
-        measured = np.maximum(measured + error, 0.0)
-    if dropout.any():
-        measured[rng.random(len(measured)) < np.repeat(dropout, counts)] = np.nan
-    ranges[hit] = measured
-
-
-def _blind(ranges: np.ndarray, azimuth: float, width: float) -> None:
-    """Takes the returns from a sector of ``ranges [R]``, around an azimuth and of a width in rad."""
-    if not width:
-        return
-    cycles = ranges.reshape(AZIMUTH_STEPS, -1)  # which turn clockwise, from straight ahead
-    begin = (-azimuth - width / 2) % (2 * math.pi)
-    for at in (begin, begin - 2 * math.pi):
-        first, last = math.ceil(at / AZIMUTH_STEP), math.floor((at + width) / AZIMUTH_STEP)
-        cycles[max(first, 0) : max(last + 1, 0)] = np.nan
 
 
 def _turned(directions: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:

@@ -12,12 +12,13 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
+from uavrl.envs.controller import most_load
 from uavrl.envs.interface import checked_action, goal_distance, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
-from uavrl.envs.randomization import Plant, Randomization, draw_plant
+from uavrl.envs.randomization import Plant, Randomization, draw_plants
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
@@ -189,11 +190,6 @@ class NavigationEnv(EnvBase):
         """What draws a task."""
         return np.random.default_rng((self._seed, task))
 
-    def _draw_plant(self, task: int) -> Plant:
-        """The vehicle of a task, from a stream beside that of :meth:`_task_rng`."""
-        stream = np.random.SeedSequence((self._seed, task), spawn_key=(1,))
-        return draw_plant(self.randomize or Randomization(), np.random.default_rng(stream))
-
     def _place(self, index: np.ndarray) -> None:
         first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
@@ -203,7 +199,8 @@ class NavigationEnv(EnvBase):
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
             self._next_task += 1
         self._steps[index] = 0
-        drawn = None if self.randomize is None else [self._draw_plant(first + row) for row in range(len(index))]
+        tasks, most = range(first, self._next_task), most_load(self.airframe)
+        drawn = None if self.randomize is None else draw_plants(self.randomize, self._seed, tasks, most)
         self.simulation.reset(index, starts, yaws, drawn)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:

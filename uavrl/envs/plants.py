@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.quadrotor import GRAVITY, Aerodynamics, Airframe
 from uavrl.envs.randomization import Plant
 
 
@@ -25,6 +25,7 @@ class Plants:
         thrust: ``[N, 1]``, factor on the thrust coefficient.
         motor_gain: ``[N, 1]``, share of the way to the wanted rotor speed in a physics step.
         hover_speed: ``[N, 1]`` in rad/s.
+        hover_force: ``[N]`` in N, the vertical force that the controller sees in hovering and cannot explain.
         drag: ``[N, 2, 3]``, see :attr:`Aerodynamics.coefficients`.
         drag_limit: ``[N, 2, 3]``, see :func:`uavrl.envs.quadrotor.drag`.
         wind: ``[N, 3]`` in m/s, world axes.
@@ -62,6 +63,7 @@ class Plants:
         mass, inertia, self.thrust = self._column("mass"), self._column("inertia"), self._column("thrust")
         self.mass, self.inertia = airframe.total_mass * mass[:, 0], airframe.combined_inertia * inertia
         self.hover_speed = airframe.hover_speed * np.sqrt(mass / self.thrust)
+        self.hover_force = airframe.total_mass * GRAVITY * (1 - mass / self.thrust)[:, 0]
         lag = airframe.motor_time_constant * self._column("motor_time_constant")
         self.motor_gain = 1 - np.exp(-self._dt / lag)
         self.drag = air.coefficients * self._column("drag")[:, None]

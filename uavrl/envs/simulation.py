@@ -9,6 +9,7 @@ import numpy as np
 from uavrl.envs.bullet import PLANE, STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.mesh import Mesh
+from uavrl.envs.past import Past
 from uavrl.envs.plants import Plants
 from uavrl.envs.quadrotor import (
     GRAVITY,
@@ -82,13 +83,11 @@ class Simulation:
             )
         if plane_count and plane_mesh is None:
             raise ValueError(f"{plane_count} planes need a shape: pass plane_mesh.")
-        if self.aerodynamics.gust_intensity and rng is None:
-            raise ValueError("Gusts need a source of randomness: pass rng.")
         self.count, self.substeps, self._dt = count, physics_rate // control_rate, 1 / physics_rate
         self._control_rate = control_rate
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
-        self.motors_on = True
-        self._rng = rng
+        self.motors_on, self._rng = True, rng
+        self._past = Past(count, plane_count)
         self._prepare_model()
         self._build(meshes, plane_mesh, plane_count)
         self.reset(np.arange(count), np.zeros((count, 3)), np.zeros(count))
@@ -103,9 +102,6 @@ class Simulation:
         self._lidar_offset = np.array(airframe.lidar_position)
         self._gust = np.zeros((self.count, 3))
         self._target = np.zeros((self.count, 4))
-        self._age = np.zeros(self.count, dtype=np.int64)  # physics steps since the reset
-        self._past: list[np.ndarray] = []  # the states before the last control period and after each of its steps
-        self._plane_past: np.ndarray | None = None  # the planes' poses then
         self.rotor_speed = np.full((self.count, 4), airframe.hover_speed)
 
     def _build(self, meshes: Sequence[Mesh], plane_mesh: Mesh | None, plane_count: int) -> None:
@@ -133,16 +129,16 @@ class Simulation:
         """
         if plants is not None:
             self._rebuild(index, plants)
+        if self.plants.gusty and self._rng is None:
+            raise ValueError("Gusts need a source of randomness: pass rng.")
         for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
             body, attitude = self._vehicles[row], (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
             pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)
             pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self._client)
         self.rotor_speed[index] = self.plants.hover_speed[index]
         self._gust[index] = self._target[index] = 0.0
-        self._age[index] = 0
-        self._controller.reset(index)
-        self._read()
-        self._past[-1:] = [self._state]
+        self._controller.reset(index, self.plants.hover_force[index])
+        self._past.reset(index, self._read())
         self._publish()
 
     def _rebuild(self, index: np.ndarray, plants: "Sequence[Plant]") -> None:
@@ -152,12 +148,11 @@ class Simulation:
             mass, inertia = float(self.plants.mass[row]), self.plants.inertia[row].tolist()
             changed = {"mass": mass, "localInertiaDiagonal": inertia, "physicsClientId": self._client}
             pybullet.changeDynamics(self._vehicles[row], -1, **changed)
-        if self.plants.gusty and self._rng is None:
-            raise ValueError("Gusts need a source of randomness: pass rng.")
 
     def place_planes(self, poses: np.ndarray) -> None:
         """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad."""
         self._move_planes(self._checked_poses(poses, (len(self._planes), 4)).tolist())
+        self._past.place_planes(poses)
 
     def step(self, commands: np.ndarray, plane_path: np.ndarray | None = None) -> np.ndarray:
         """Runs one control period; returns which vehicles touched anything in any of its physics steps, ``bool [N]``.
@@ -170,14 +165,10 @@ class Simulation:
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
         shape = (self.substeps, len(self._planes), 4)
         path = [] if plane_path is None else self._checked_poses(plane_path, shape).tolist()
-        if plane_path is not None:
-            before = plane_path[:1] if self._plane_past is None else self._plane_past[-1:]
-            self._plane_past = np.concatenate([before, plane_path])
+        self._past.begin_period(plane_path)
         touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
         target_tm1, self._target = self._target, target
-        delay = self.plants.action_delay
-        longest = delay.max()
-        del self._past[:-1]
+        delay, longest = self.plants.action_delay, self.plants.action_delay.max()
         for substep in range(self.substeps):
             if path:
                 self._move_planes(path[substep])
@@ -188,12 +179,10 @@ class Simulation:
                 self._controller.track(command, self.rotation, velocity, self._twist, lift, period)
             self._push()
             pybullet.stepSimulation(physicsClientId=self._client)
-            self._read()
-            self._past.append(self._state)
+            self._past.add(self._read())
             for contact in pybullet.getContactPoints(physicsClientId=self._client):
                 if contact[8] <= CONTACT_DISTANCE:
                     touched[[self._row[body] for body in contact[1:3] if body in self._row]] = True
-        self._age += self.substeps
         self._publish()
         return touched
 
@@ -219,8 +208,8 @@ class Simulation:
         for body, (x, y, z, sin, cos) in zip(self._planes, poses, strict=True):
             pybullet.resetBasePositionAndOrientation(body, (x, y, z), (0.0, 0.0, sin, cos), physicsClientId=client)
 
-    def _read(self) -> None:
-        """Reads all states; Bullet gives the centre of mass, and velocities in world axes."""
+    def _read(self) -> np.ndarray:
+        """Reads all states ``[N, 13]``; Bullet gives the centre of mass, and velocities in world axes."""
         client = self._client
         entries: list[float] = []
         for body in self._vehicles:
@@ -228,10 +217,11 @@ class Simulation:
             linear, angular = pybullet.getBaseVelocity(body, client)
             entries += position + attitude + linear + angular
         state = np.array(entries).reshape(-1, 13)
-        self._state, self._centre = state, state[:, :3]
+        self._centre = state[:, :3]
         self._twist_world = state[:, 7:].reshape(-1, 2, 3)
         self.rotation = rotation_from_quaternion(state[:, 3:7])
         self._twist = np.matmul(self._twist_world, self.rotation)  # rows times R = Rᵀ times columns: body axes
+        return state
 
     def _push(self) -> None:
         """Runs the inner loop and the rotors, and applies thrust, drag and moments at the centres of mass."""
@@ -280,11 +270,10 @@ class Simulation:
         """Returns the newest scans of the vehicles ``int [M]``, as :meth:`uavrl.envs.Lidar.scan` gives them."""
         position, rotation, velocity = self.lidar_position[index], self.rotation[index], self.velocity[index]
         spin = (rotation @ self.angular_velocity[index][:, :, None])[:, :, 0]
-        delay = np.minimum(self.plants.scan_delay[index], self._age[index])
+        delay = self._past.since_reset(self.plants.scan_delay[index], index)
         if delay.any():
-            position, rotation, velocity, spin = self._ago(delay, index)
-            if planes is not None and self._plane_past is not None:
-                planes = self._plane_past[-1 - delay]
+            position, rotation, velocity, spin = self._at_lidar(self._past.states(delay, index))
+            planes = None if planes is None else self._past.planes(delay)
         if lidar.config.motion_distortion:  # the scan is the spin that ends now
             from scipy.spatial.transform import Rotation  # here, so that it is PyBullet that is missed first
 
@@ -296,9 +285,8 @@ class Simulation:
         motion = {"velocities": velocity, "angular_velocities": spin}
         return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws)
 
-    def _ago(self, delay: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Where the LiDARs were, how they stood, and how they moved, ``delay [M]`` physics steps ago."""
-        state = np.stack(self._past)[-1 - delay, index]
+    def _at_lidar(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where LiDARs are in states ``[M, 13]``, how they stand and move: as :meth:`_publish` says it of now."""
         rotation, linear, angular = rotation_from_quaternion(state[:, 3:7]), state[:, 7:10], state[:, 10:]
         arm = rotation @ self._centre_of_mass
         position = state[:, :3] - arm + rotation @ self._lidar_offset

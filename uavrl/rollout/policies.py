@@ -99,8 +99,9 @@ def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str)
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
     """The run's configuration with what the command line says about environment and sensor.
 
-    ``env=NAME`` replaces the environment; ``env.key=value``, ``perception.lidar.key=value``, ``perception.blind=value``
-    and ``perception.blind_to=value`` change one value, and ``randomize=NAME`` all of ``env.randomize``. The rest of perception makes the policy's input: it stays.
+    ``env=NAME`` replaces the environment, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
+    ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value`` change one value. The
+    rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says

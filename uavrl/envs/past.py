@@ -1,0 +1,49 @@
+"""What vehicles and planes did during the last control period, for sensors that report late."""
+
+import numpy as np
+
+
+class Past:
+    """States before the last control period and after each of its physics steps; planes likewise.
+
+    Args:
+        count: Number of vehicles N.
+        planes: Number of planes K.
+    """
+
+    def __init__(self, count: int, planes: int) -> None:
+        self._states: list[np.ndarray] = []
+        self._planes = np.zeros((1, planes, 4))
+        self._age = np.zeros(count, dtype=np.int64)  # physics steps since the reset
+
+    def reset(self, index: np.ndarray, states: np.ndarray) -> None:
+        """Takes ``states [N, 13]`` as those of now, before which the vehicles in ``index`` were not."""
+        self._states[-1:] = [states]
+        self._age[index] = 0
+
+    def place_planes(self, poses: np.ndarray) -> None:
+        """Takes ``poses [K, 4]`` as those of now."""
+        self._planes = np.array(poses)[None]
+
+    def begin_period(self, plane_path: np.ndarray | None) -> None:
+        """Forgets the period before; the planes will fly ``plane_path [T, K, 4]``, or stay where they are."""
+        del self._states[:-1]
+        now = self._planes[-1:]
+        self._planes = now if plane_path is None else np.concatenate([now, plane_path])
+
+    def add(self, states: np.ndarray) -> None:
+        """Adds the states ``[N, 13]`` after a physics step."""
+        self._states.append(states)
+        self._age += 1
+
+    def since_reset(self, delay: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """The delays ``[M]`` of the vehicles in ``index``, in physics steps, but not beyond their resets."""
+        return np.minimum(delay, self._age[index])
+
+    def states(self, delay: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """The states ``[M, 13]`` of the vehicles in ``index``, ``delay [M]`` physics steps ago."""
+        return np.stack(self._states)[-1 - delay, index]
+
+    def planes(self, delay: np.ndarray) -> np.ndarray:
+        """Where the planes were ``delay [M]`` physics steps ago, ``[M, K, 4]``."""
+        return self._planes[np.maximum(len(self._planes) - 1 - delay, 0)]
