@@ -12,7 +12,7 @@ VELOCITY_GAIN = np.array([2.6, 2.6, 4.0])  # 1/s, acceleration per velocity erro
 RATE_GAIN = np.array([24.0, 24.0, 6.0])  # 1/s, angular acceleration per rate error about x, y, z
 ATTITUDE_GAIN = 7.0  # 1/s, rate per tilt error
 DISTURBANCE_RATE = 2.0  # 1/s, at which the estimate of unknown forces (wind) follows them
-DISTURBANCE_LIMIT = 6.0  # N, most that it can be along each axis
+DISTURBANCE_LIMIT = np.array([6.0, 6.0, 12.0])  # N, most that it can be along x, y, z: the last also bears weight
 _QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])  # row (x, y) → (-y, x)
 
 
