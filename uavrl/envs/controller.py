@@ -144,9 +144,13 @@ class VelocityController:
         self._wrench = np.zeros((count, 4))
         self._rates = np.zeros((count, 3))
 
-    def reset(self, index: np.ndarray) -> None:
-        """Forgets the past of the vehicles in ``index``; they are at rest."""
+    def reset(self, index: np.ndarray, hover_force: np.ndarray | float = 0.0) -> None:
+        """Forgets the past of the vehicles in ``index``, but for the vertical force ``[M]`` in N that hovering showed.
+
+        They are at rest. A vehicle that hovers carries its weight, whatever its controller believes that to be.
+        """
         self.disturbance[index] = 0.0
+        self.disturbance[index, 2] = hover_force
         self._velocity_tm1[index] = 0.0
 
     def track(
