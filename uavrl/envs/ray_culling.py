@@ -1,6 +1,7 @@
 """Which rays of a short-range scan can hit anything at all: most cannot, and need no ray casting."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -9,6 +10,8 @@ from uavrl.envs.mesh import Mesh, cut_up
 __all__ = ["RayCuller"]
 
 _SPHERE = 0.27  # m: triangles that need a larger bounding sphere are cut up
+_BAND = 20.0  # m, along y: a vehicle looks at the spheres of one band or two
+_NONE = np.empty(0, np.int64)
 
 
 class RayCuller:
@@ -26,11 +29,13 @@ class RayCuller:
             raise ValueError(f"cycles must be a multiple of {self._BIN}, got {cycles}.")
         corners = mesh.vertices[mesh.faces].astype(np.float64)
         centres, radii = _spheres(cut_up(corners, lambda pieces: _spheres(pieces)[1] <= _SPHERE))
-        by_x = np.argsort(centres[:, 0], kind="stable")
-        # [3, S], by x, so that a range of x is a slice
-        self._centres = np.ascontiguousarray(centres[by_x].T, dtype=np.float32)
+        bands = np.floor(centres[:, 1] / _BAND).astype(np.int64)
+        order = np.lexsort((centres[:, 0], bands))
+        # [3, S], by band and then by x, so that a range of x in a band is a slice
+        self._centres = np.ascontiguousarray(centres[order].T, dtype=np.float32)
+        self._bands = {int(b): slice(*np.searchsorted(bands[order], [b, b + 1])) for b in np.unique(bands)}
         margin = max(1e-4, 1e-6 * float(np.abs(centres).max(initial=0.0)))  # float32 rounding stays within
-        self._radii = (radii[by_x] * 1.001 + margin).astype(np.float32)
+        self._radii = (radii[order] * 1.001 + margin).astype(np.float32)
         window = max_range + self._radii.max(initial=0.0)
         self._window = np.array([-window, window], np.float32)
         self._reach = (max_range + self._radii) ** 2
@@ -70,11 +75,9 @@ class RayCuller:
         """
         found = [np.empty((6, 0), np.float32)]
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
-            window = slice(*np.searchsorted(self._centres[0], position[0] + self._window))
-            x, y, z = (at - here for at, here in zip(self._centres[:, window], position, strict=True))
-            near = np.flatnonzero(x * x + y * y + z * z < self._reach[window])
-            x, y, z = rotation.T @ np.stack([at.take(near) for at in (x, y, z)])
-            radii = self._radii[window].take(near)
+            near = np.concatenate([_NONE, *(self._within(window, position) for window in self._windows(position))])
+            x, y, z = rotation.T @ (self._centres.take(near, axis=1) - position[:, None])
+            radii = self._radii.take(near)
             flat = np.sqrt(x * x + y * y)
             over = math.cos(self._highest) * z - math.sin(self._highest) * flat  # m above the highest laser's cone
             under = math.sin(self._lowest) * flat - math.cos(self._lowest) * z
@@ -82,6 +85,18 @@ class RayCuller:
             found.append(np.stack([np.full_like(x, vehicle), x, y, z, flat, radii]).take(seen, axis=1))
         spheres = np.concatenate(found, axis=1)
         return spheres[0].astype(np.int64), spheres[1:4], spheres[4], spheres[5]
+
+    def _windows(self, position: np.ndarray) -> Iterator[slice]:
+        """The spheres that may be in range: in each band along y, a range of x."""
+        for band in range(*np.floor((position[1] + self._window) / _BAND).astype(np.int64) + (0, 1)):
+            if (inside := self._bands.get(band)) is not None:
+                first, last = np.searchsorted(self._centres[0, inside], position[0] + self._window)
+                yield slice(inside.start + first, inside.start + last)
+
+    def _within(self, window: slice, position: np.ndarray) -> np.ndarray:
+        """The places of those spheres of a window that are in range."""
+        x, y, z = (at - here for at, here in zip(self._centres[:, window], position, strict=True))
+        return window.start + np.flatnonzero(x * x + y * y + z * z < self._reach[window])
 
     def _painted(
         self, num: int, vehicles: np.ndarray, left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray
