@@ -73,6 +73,8 @@ def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
     )
     assert panels == ["Reward", "Distance to goal", "Clearance", "Altitude", "Speed"], "what was not recorded is absent"
     assert "0.00" not in browser.find_element("id", "facts").text or flight.summary.outcome == "collided"
+    smooth = browser.find_element("id", "smoothness").get_attribute("textContent")
+    assert "m/s" in smooth and "rad/s" in smooth and smooth.endswith(" %")
     errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert not errors, errors
 

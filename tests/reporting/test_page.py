@@ -133,7 +133,12 @@ def test_evaluations_with_missing_or_strange_values_and_with_positions(tmp_path:
     evaluation(folder, 1, 2, "evaluation_valleys=7.json", valleys=[7], whereabouts=WHEREABOUTS)
     text = Reader(page(make_report([tmp_path], window=2))).text
     row = "evaluation_valleys=7.json 2.0 / 3.5 / 4.9 1.1 / 6.2 / 13.3 12.5 % 25.0 % 50.0 % 12.5 %"
-    assert row in text[text.index("Positions: altitude") :]
+    assert row in text[text.index("Positions: altitude") :] and "Smoothness" not in text
+    evaluation(folder, 1, 2, "evaluation_valleys=8.json", action_change=[0.21, 0.05, 0.02, 0.4], yaw_reversals=0.06)
+    evaluation(folder, 1, 2, "evaluation_env=other.json", env="other", action_change=[0.1, 0.2])
+    text = Reader(page(make_report([tmp_path], window=2))).text
+    row = "evaluation_valleys=8.json 0.21 / 0.05 / 0.02 m/s, 0.40 rad/s 6.0 %"
+    assert row in text[text.index("Smoothness:") :] and "evaluation_env=other.json 0.10 / 0.20 –" in text
 
 
 def test_more_groups_than_colours(tmp_path: Path) -> None:

@@ -126,6 +126,10 @@ def test_evaluations_are_read_without_their_episodes(tmp_path: Path) -> None:
     assert run.evaluations[0]["success"] == pytest.approx({"rate": 0.8, "low": 0.4902, "high": 0.9433}, abs=1e-4)
     assert run.evaluations[0]["whereabouts"]["altitude"]["p50"] == 3.46
     assert "flights" not in run.evaluations[0]
+    assert (run.evaluations[0]["action_change"], run.evaluations[0]["yaw_reversals"]) == (None, None)
+    evaluation(folder, 8, 10, action_change=[0.21, 0.05, 0, 0.4], yaw_reversals=0.06)
+    measured = only(folder).evaluations[0]
+    assert (measured["action_change"], measured["yaw_reversals"]) == ([0.21, 0.05, 0.0, 0.4], 0.06)
     assert run.notes == ["evaluation_bad.json cannot be read and is left out."]
 
 
@@ -138,6 +142,9 @@ def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path) -> None:
         {"collision": {"rate": float("inf")}},
         {"whereabouts": {**WHEREABOUTS, "height_quarters": [0.5, 0.5]}},
         {"whereabouts": {**WHEREABOUTS, "altitude": {"p5": 1.0, "p50": 2.0}}},
+        {"action_change": [0.1, 0.2], "yaw_reversals": 0.1},
+        {"action_change": [0.1, float("nan")]},
+        {"action_change": 0.1},
     ]
     for damage in damages:
         evaluation(folder, 8, 10, **damage)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 from dataclasses import fields, replace
 from pathlib import Path
@@ -163,6 +164,29 @@ def test_the_file_gives_the_flights_back_without_pickles(tmp_path: Path) -> None
     for seed, scenery in replay.sceneries.items():
         same(loaded.sceneries[seed], scenery)
     assert [path.name for path in tmp_path.iterdir()] == ["flights.npz"]
+
+
+def rewritten(path: Path, **summary: Any) -> None:
+    """The first flight's summary in a file, with other values; None takes one out."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    about = json.loads(str(arrays["about"]))
+    kept = {**about["items"]["flight0"]["summary"], **summary}
+    about["items"]["flight0"]["summary"] = {key: value for key, value in kept.items() if value is not None}
+    np.savez(path, **{**arrays, "about": np.array(json.dumps(about))})
+
+
+def test_a_file_from_before_smoothness_was_measured_is_read_and_a_damaged_measure_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "flights.npz"
+    save_recording(small_recording(), path)
+    rewritten(path, action_change=None, yaw_reversals=None)
+    summary = load_recording(path).flights[0].summary
+    assert summary.action_change is summary.yaw_reversals is None
+    for damage in ({"action_change": [1.0, 2.0, 3.0]}, {"action_change": ["<b>"] * 4}, {"yaw_reversals": "<b>"}):
+        save_recording(small_recording(), path)
+        rewritten(path, **damage)
+        with pytest.raises(UavrlError, match="is damaged"):
+            load_recording(path)
 
 
 def archive(**arrays: np.ndarray) -> bytes:

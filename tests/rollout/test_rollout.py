@@ -20,7 +20,7 @@ from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.rollout.baselines import StraightPolicy
 from uavrl.rollout.rollout import Flight, fly
-from uavrl.rollout.summary import summarize, table
+from uavrl.rollout.summary import suite_table, summarize, table
 from uavrl.runs.provenance import processor, versions
 
 OUTCOMES = ("arrived", "collided", "timed_out")
@@ -188,6 +188,34 @@ def test_summary_takes_path_and_clearance_over_arrivals_alone() -> None:
     assert result["steps_per_episode"] == 112.0
 
 
+def test_the_actions_of_each_task_are_measured_alone_and_within_their_limits() -> None:
+    """One vehicle flies three tasks of 4, 1 and 3 steps; the first asks for more than 2 m/s can give."""
+    rows = [[0.0, 0.5, 0.0, 1.0], [1.0, 0.5, 0.0, -1.0], [9.0, 0.5, 0.3, -1.0], [2.0, 0.5, 0.0, 1.0]]  # task 0
+    rows += [[-2.0, 0.0, 0.0, -1.0]]  # task 1
+    rows += [[1.0, 0.0, 0.0, 0.06], [1.0, 0.0, 0.0, -0.04], [1.0, 0.0, 0.0, -0.06]]  # task 2
+    asked = iter(rows)
+    flights = fly(StubEnv([4, 1, 3], 1), lambda state: state.set("action", torch.tensor([next(asked)])), 3)
+    assert flights[0].action_change == pytest.approx([2 / 3, 0.0, 0.2, 4 / 3])
+    assert flights[0].yaw_reversals == pytest.approx(2 / 3)
+    assert flights[1].action_change is flights[1].yaw_reversals is None, "one step changes nothing"
+    assert flights[2].action_change == pytest.approx([0.0, 0.0, 0.0, 0.06]) and flights[2].yaw_reversals == 0.0
+    result = summarize(flights)
+    assert result["action_change"] == pytest.approx([0.4, 0.0, 0.12, 0.824])  # of five changes
+    assert result["yaw_reversals"] == pytest.approx(0.4)
+
+
+def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> None:
+    flights = [Flight(0, "arrived", 11, 0, 5.0, 10.0, 0.5, action_change=[0.21, 0.05, 0.02, 0.4], yaw_reversals=0.1)]
+    known, older = summarize(flights), summarize(flights_of(1, 0, 0))
+    assert table(known).splitlines()[-2:] == [
+        "mean change of the action per step              0.21 / 0.05 / 0.02 m/s, 0.40 rad/s",
+        "steps that reverse the yaw rate                 10.0 %",
+    ]
+    assert not {"action_change", "yaw_reversals"} & older.keys() and "yaw rate" not in table(older)
+    head, first, second = (line.split()[-2:] for line in suite_table({"static": known, "dense": older}).splitlines())
+    assert (first, second) == (["0.40", "10.0%"], ["–", "–"]) and head == ["change", "reversals"]
+
+
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
     result = summarize(flights_of(0, 1, 1))
     assert result["path_efficiency"] is result["median_clearance"] is result["min_clearance"] is None
@@ -247,6 +275,8 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
     letters = {"arrived": "S", "collided": "C", "timed_out": "T"}
     assert results[0]["outcomes"] == "".join(letters[f["outcome"]] for f in results[0]["flights"])
     assert results[0]["versions"] == versions() and results[0]["processor"] == processor()
+    assert [len(f["action_change"]) for f in results[0]["flights"]] == [4] * 6 == [len(results[0]["action_change"])] * 6
+    assert all(0 <= f["yaw_reversals"] <= 1 for f in results[0]["flights"])
     went = results[0]["whereabouts"]
     assert went["steps"] == sum(f["steps"] for f in results[0]["flights"])
     assert 3.3 < went["altitude"]["p5"] <= went["altitude"]["p95"] < 3.7, "it starts at 3.5 m and keeps that height"
@@ -255,10 +285,13 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
 
 def test_an_environment_of_one_without_places_tells_its_returns() -> None:
     env = TransformedEnv(Corridor(max_steps=30), HurryReward())
-    flights = fly(env, lambda state: state.set("action", torch.zeros(2)), 3)
+    asked = iter([[0.05, 0.02], [-0.05, 0.0]] * 45)
+    flights = fly(env, lambda state: state.set("action", torch.tensor(next(asked))), 3)
     assert [flight.task for flight in flights] == [0, 1, 2]
     assert {flight.steps for flight in flights} == {30} and {flight.outcome for flight in flights} == {"timed_out"}
     assert [flight.episode_return for flight in flights] == pytest.approx([-3.0] * 3)
     result = summarize(flights)
     assert result["median_return"] == pytest.approx(-3.0)
     assert "path_efficiency" not in result and "return, mean" in table(result)
+    assert result["action_change"] == pytest.approx([0.1, 0.02]) and "yaw_reversals" not in result
+    assert table(result).splitlines()[-1] == "mean change of the action per step              0.10 / 0.02"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,17 @@ def test_the_numbers_in_the_page_are_those_of_the_flight(page: Page) -> None:
         assert (shown["task"], shown["outcome"]) == (flight.summary.task, flight.summary.outcome)
         assert shown["path_efficiency"] == flight.summary.path_efficiency
         assert shown["reward_names"] == list(flight.reward_names)
+        forward, left, up, yaw_rate = np.abs(np.diff(flight.actions, axis=0)).mean(0)
+        change = f"{forward:.2f} / {left:.2f} / {up:.2f} m/s, {yaw_rate:.2f} rad/s"
+        reversals = f"{100 * (flight.summary.yaw_reversals or 0):.1f} %"
+        assert list(shown["smoothness"].values()) == [change, reversals]
+
+
+def test_a_flight_from_before_smoothness_was_measured_shows_none() -> None:
+    replay = small_recording()
+    old = replace(replay.flights[0].summary, action_change=None, yaw_reversals=None)
+    page = page_data(replace(replay, flights=(replace(replay.flights[0], summary=old),)))
+    assert page["flights"][0]["smoothness"] == {}
 
 
 def test_a_page_of_many_flights_stays_small_and_one_of_none_has_data() -> None:

@@ -70,6 +70,7 @@ def main(config: DictConfig) -> None:
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.rollout.position_stats import whereabouts_lines
     from uavrl.rollout.recording import load_recording, save_recording
+    from uavrl.rollout.smoothness import smoothness_lines
     from uavrl.training.matmul import matmul_backend
     from uavrl.viewer.flight_page import needs_plotly, write_page
 
@@ -84,7 +85,11 @@ def main(config: DictConfig) -> None:
         ended = f"{summary.outcome.replace('_', ' ')} after {summary.steps} steps"
         lengths = f"path efficiency {summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
         print(f"task {summary.task}: {ended}, {lengths}")
-        print("\n".join(f"  {line}" for line in whereabouts_lines(flight.whereabouts)))
+        lines = [
+            *whereabouts_lines(flight.whereabouts),
+            *smoothness_lines(summary.action_change, summary.yaw_reversals),
+        ]
+        print("\n".join(f"  {line}" for line in lines))
     write_page(shown, outputs["output"])
     if settings.data:
         save_recording(shown, outputs["data"])

@@ -8,6 +8,7 @@ from omegaconf import OmegaConf
 
 from uavrl.errors import UavrlError
 from uavrl.reporting.report import Report
+from uavrl.rollout.smoothness import change_text
 
 # Okabe and Ito (2008): the colour-blind can tell them apart; its yellow and black fade on white and on dark pages.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#808080")
@@ -88,6 +89,7 @@ _FILTERS: dict[str, Callable[..., str]] = {
     "number": lambda value, digits=0: f"{value:,.{digits}f}" if isinstance(value, int | float) else "–",
     "reached": lambda steps: " / ".join("not reached" if value is None else f"{value:,}" for value in steps),
     "made_by": _made_by,
+    "change": change_text,
     "config_text": lambda config: OmegaConf.to_yaml(OmegaConf.create(config)),
 }
 

@@ -201,8 +201,8 @@ def _evaluation(path: Path) -> dict[str, Any]:
     tasks = int(content["episodes"])
     rates = {name: wilson(round(float(content[name]["rate"]) * tasks), tasks) for name in RATES}
     copied = {key: content.get(key) for key in _COPIED}
-    places = _whereabouts(content.get("whereabouts"))
-    return {"file": path.name, "flown": _tasks(content), "episodes": tasks, **copied, **rates, "whereabouts": places}
+    measured = {"whereabouts": _whereabouts(content.get("whereabouts")), **_smoothness(content)}
+    return {"file": path.name, "flown": _tasks(content), "episodes": tasks, **copied, **rates, **measured}
 
 
 def _tasks(content: dict[str, Any]) -> str:
@@ -217,6 +217,18 @@ def _tasks(content: dict[str, Any]) -> str:
         *sorted(changes),
     ]
     return ", ".join(part for part in parts if part)
+
+
+def _smoothness(content: dict[str, Any]) -> dict[str, Any]:
+    """How smooth the actions were, None where an evaluation does not say it."""
+    change, reversals = content.get("action_change"), content.get("yaw_reversals")
+    if change is None:
+        return {"action_change": None, "yaw_reversals": None}
+    components = [float(component) for component in change]
+    share = None if reversals is None else float(reversals)
+    if not all(map(isfinite, components)) or (share is not None and len(components) != 4):
+        raise ValueError("Expected the change of each component of the action, forward, left, up and the yaw rate.")
+    return {"action_change": components, "yaw_reversals": share}
 
 
 def _whereabouts(places: Any) -> dict[str, Any] | None:

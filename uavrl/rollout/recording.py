@@ -146,9 +146,10 @@ def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> 
     plain = about["items"][name]
     summary = Flight(**plain["summary"])
     counts = (summary.task, summary.steps, summary.world_seed)
-    lengths = (summary.straight, summary.flown, summary.clearance)
+    lengths = [summary.straight, summary.flown, summary.clearance, summary.yaw_reversals or 0.0]
+    lengths += [0.0] * 4 if summary.action_change is None else summary.action_change
     numbers = all(isinstance(c, int) for c in counts) and all(isinstance(m, int | float) for m in lengths)
-    if summary.outcome not in OUTCOMES or not numbers or summary.episode_return is not None:
+    if summary.outcome not in OUTCOMES or not numbers or len(lengths) != 8 or summary.episode_return is not None:
         raise ValueError(f"its summary is {summary}")
     plain |= {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
     return RecordedFlight(**plain, **_of(arrays, name))

@@ -10,7 +10,9 @@ from torchrl.envs import EnvBase, step_mdp
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
+from uavrl.rollout.smoothness import action_change, yaw_reversals
 from uavrl.runs.episodes import outcome
+from uavrl.transforms.state import ACTION_LIMIT
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
@@ -27,6 +29,10 @@ class Flight:
     flown: float | None = None  #: the path between them
     clearance: float | None = None  #: the least distance between the hull and the nearest thing
     episode_return: float | None = None  #: as the environment gives it, where lengths are None
+    #: mean absolute change of each component of the action per step: of forward, left and up in m/s and of the yaw rate
+    #: in rad/s, within the limits of the action; of other environments in their units. None in an episode of one step
+    action_change: list[float] | None = None
+    yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
 
     @property
     def path_efficiency(self) -> float:
@@ -55,6 +61,7 @@ class FlightMeter:
         self._steps = np.zeros(count, dtype=int)
         self._return, self._flown = np.zeros(count), np.zeros(count)
         self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
+        self._actions: list[list[np.ndarray]] = [[] for _ in range(count)]
 
     def step(self, stepped: TensorDictBase) -> list[Flight]:
         """Takes in one step of all vehicles; returns the episodes that it ended."""
@@ -64,9 +71,14 @@ class FlightMeter:
         new = self._steps == 0
         self._return = np.where(new, 0.0, self._return) + after["reward"].double().numpy()[:, 0]
         self._steps += 1
+        actions = before["action"].double().numpy().reshape(len(self._actions), -1)
+        for kept, action in zip(self._actions, actions, strict=True):
+            kept.append(action)
         ended = np.flatnonzero(after["done"].numpy()[:, 0]).tolist()
         flights = [self._flight(i, after[i]) for i in ended]
         self._steps[ended] = 0
+        for i in ended:
+            self._actions[i] = []
         return flights
 
     def _measure(self, before: TensorDictBase, after: TensorDictBase) -> None:
@@ -78,11 +90,18 @@ class FlightMeter:
         self._flown = np.where(new, 0.0, self._flown) + np.linalg.norm(next_position - position, axis=1)
 
     def _flight(self, i: int, last: TensorDictBase) -> Flight:
-        flight = Flight(int(last["task"].item()), outcome(last), int(self._steps[i]))
+        flight, actions = (
+            Flight(int(last["task"].item()), outcome(last), int(self._steps[i])),
+            np.stack(self._actions[i]),
+        )
         if last.get("clearance", None) is None:
-            return replace(flight, episode_return=float(last.get("episode_reward", self._return[i])))
+            paid = float(last.get("episode_reward", self._return[i]))
+            return replace(flight, episode_return=paid, action_change=action_change(actions))
+        actions = actions.clip(-ACTION_LIMIT, ACTION_LIMIT)  # as the vehicle takes them
         return replace(
             flight,
+            action_change=action_change(actions),
+            yaw_reversals=yaw_reversals(actions),
             world_seed=int(last["world_seed"].item()),
             straight=float(np.linalg.norm(last["position"].double().numpy() - self._start[i])),
             flown=float(self._flown[i]),

@@ -11,6 +11,7 @@ from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
 from uavrl.rollout.position_stats import whereabouts_lines
 from uavrl.rollout.rollout import Flight
+from uavrl.rollout.smoothness import smoothness_lines, summarize_smoothness
 from uavrl.runs.episodes import LETTERS, RATES, wilson
 
 LABELS = {
@@ -31,6 +32,7 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
     Path efficiency is the mean over successes; the minimum clearance (hull to nearest thing) is given as the median
     over successes and as the least of them; what has no value without them is ``None``. Several valleys are also
     counted one by one, by their seed. ``outcomes`` has a letter for each episode: success, collision or time-out.
+    ``action_change`` and ``yaw_reversals`` are over all steps (:mod:`uavrl.rollout.smoothness`).
 
     Examples:
         >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
@@ -60,7 +62,8 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
         result["min_clearance"] = min(clearances) if arrived else None
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
     result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
-    return result
+    smoothness = [(flight.steps, flight.action_change, flight.yaw_reversals) for flight in flights]
+    return result | summarize_smoothness(*zip(*smoothness, strict=True))
 
 
 def _success_in(valley: int, flights: Sequence[Flight]) -> dict[str, float]:
@@ -87,6 +90,7 @@ def table(result: Mapping[str, Any]) -> str:
         rate = result[name]
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
     lines += [f"{label:<46}{_number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
+    lines += smoothness_lines(result.get("action_change"), result.get("yaw_reversals"))
     for valley, success in result.get("success_by_valley", {}).items():
         interval = f"{success['low']:.1%} – {success['high']:.1%}, {success['episodes']} episodes"
         lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
@@ -107,8 +111,12 @@ def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
 
 
 def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rates of each scenario with their Wilson 95 % intervals, and steps and clearance of successes."""
+    """The rates of each scenario with their Wilson 95 % intervals, steps and clearance of successes, and smoothness.
+
+    The yaw change is the mean absolute change of the yaw rate per step in rad/s, reversals are of the yaw rate.
+    """
     heads = f"{'collision':>12}{'time-out':>10}{'steps per success':>19}{'clearance':>11}"
+    heads += f"{'yaw change':>12}{'reversals':>11}"
     lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
     for name, result in results.items():
         success, collision, time_out = (result[key] for key in RATES)
@@ -116,5 +124,7 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
         steps = _number(result["steps_per_arrival"], ".0f")
         clearance = _number(result["median_clearance"], ".2f")
         rates = f"{success['rate']:>11.1%}  {interval:<11}{collision['rate']:>12.1%}{time_out['rate']:>10.1%}"
-        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}")
+        change = _number((result.get("action_change") or [None])[-1], ".2f")
+        reversals = _number(result.get("yaw_reversals"), ".1%")
+        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}{change:>12}{reversals:>11}")
     return "\n".join(lines)

@@ -12,6 +12,7 @@ import numpy as np
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
+from uavrl.rollout.smoothness import smoothness_texts
 from uavrl.runs.files import replacing
 from uavrl.viewer.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, shell, vehicle
 
@@ -92,6 +93,7 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
         "reward_names": list(flight.reward_names),
         **{name: getattr(flight.summary, name) for name in shown},
         "whereabouts": flight.whereabouts,
+        "smoothness": smoothness_texts(flight.summary.action_change, flight.summary.yaw_reversals),
     }
 
 

@@ -337,6 +337,7 @@ function choose(index) {
   list($("facts"), { task: flight.task, valley: flight.world_seed, time: `${number(flight.steps / 10, 1)} s`,
     "path efficiency": number(flight.path_efficiency), "least clearance": `${number(flight.clearance)} m` });
   list($("whereabouts"), went(flight.whereabouts));
+  list($("smoothness"), flight.smoothness);
   $("flight").value = index;
   $("slider").max = flight.moments - 1;
   drawCharts();
