@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
+COMMANDS = tuple(f".venv/bin/uavrl-{name} " for name in ("train", "evaluate", "replay"))
 
 
 def make(folder: Path, pythons: dict[str, int], *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -57,6 +60,19 @@ def test_one_sentence_where_none_fits(tmp_path: Path) -> None:
     sentence = result.stdout.splitlines()[1 if "directory" in result.stdout.splitlines()[0] else 0]
     assert sentence.startswith("uavrl needs Python 3.11, 3.12 or 3.13 with its venv module"), result
     assert not (tmp_path / ".venv").exists()
+
+
+@needs_make
+@pytest.mark.parametrize(("asked", "flown_in"), [("seed=1", "env=static"), ("env=dynamic seed=1", "env=dynamic")])
+def test_make_train_evaluates_and_shows_what_it_trained_in_valleys_that_it_never_saw(
+    asked: str, flown_in: str, tmp_path: Path
+) -> None:
+    result = make(tmp_path, {"python3.12": 0}, "--dry-run", "train", "RUN=runs/a", f"ARGS={asked}")
+    train, evaluate, replay = [shlex.split(line) for line in result.stdout.splitlines() if line.startswith(COMMANDS)]
+    assert train[1:] == ["preset=best", "run_dir=runs/a", *asked.split()]
+    held_out = yaml.safe_load((ROOT / "conf/suite.yaml").read_text())["held_out"]
+    assert evaluate[1:] == ["run=runs/a", flown_in, held_out[1], "episodes=100"]
+    assert replay[1:] == ["run=runs/a", flown_in, "valleys=[100]", "episodes=4", "output=runs/a/replay.html"]
 
 
 def test_the_makefile_asks_for_what_the_package_asks_for() -> None:

@@ -9,7 +9,7 @@ import torch
 from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import small_config
 from uavrl.config.validation import validate
-from uavrl.losses.imitation import distance_to_guide
+from uavrl.losses.imitation import action_distance
 from uavrl.rollout.actor import load_policy
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_training_env
@@ -48,6 +48,6 @@ def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> Non
         policy = load_policy(tmp_path / f"run{weight}", None, torch.device("cpu"), ())[1]
         env = make_training_env(validate(config), seed=0)
         states = env.rollout(20, policy=policy, break_when_any_done=False)
-        far[weight] = distance_to_guide(states["action"], states["guide_action"], 2.0).mean().item()
+        far[weight] = action_distance(states["action"], states["guide_action"], 2.0).mean().item()
         env.close()
     assert far[100.0] < 0.5 * far[0.0]

@@ -65,12 +65,13 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         ),
         (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
         (["preset=bst"], "got 'bst': did you mean best?"),
+        (["preset=fast"], "preset must be one of best, thesis, got 'fast'."),
         (["algo.random_steps=5"], "There is no key 'algo.random_steps': it is called algo.learning_starts now."),
         (["scheme=tr"], "There is no key 'scheme': it is called reward_preset now."),
         (["enhancer.weight=1"], "There is no key 'enhancer.weight': it is called actor_penalty.weight now."),
         (["trainer.products=mkl"], "There is no key 'trainer.products': it is called trainer.matmul now."),
         (["--seed", "1"], "uavrl-train has no option --seed: write seed=VALUE."),
-        (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=fast."),
+        (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
     ],
 )
 def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str]) -> None:

@@ -9,13 +9,15 @@ import pytest
 from omegaconf import DictConfig, OmegaConf
 
 from tests.helpers.configs import changed
-from tests.helpers.folders import ROOT
+from tests.helpers.folders import ROOT, run_folder
 from uavrl.config import resolve, validate, validate_run
 from uavrl.config.build import TARGET, find_class
 from uavrl.config.recorded import GONE, MOVED, renewed
 from uavrl.errors import UavrlError
+from uavrl.reporting.runs import read_run
 from uavrl.rollout.policies import PACKAGED, packaged_policies
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, fingerprints, load_config
+from uavrl.training.run import resume_config
 
 
 @pytest.mark.parametrize(("before", "now"), MOVED.items())
@@ -107,3 +109,11 @@ def test_keys_that_had_other_names_are_read_and_their_checkpoints_known(tmp_path
 )
 def test_the_runs_that_the_docs_show_are_read(path: Path) -> None:
     validate_run(load_config(path))
+
+
+def test_a_run_of_a_preset_that_there_is_no_longer_is_read_reported_and_resumed(tmp_path: Path) -> None:
+    run = run_folder(tmp_path / "run", "aac", {"preset": "fast"})
+    assert read_run(run, "run").choices["preset"] == "fast"
+    more = resume_config(run, changed(["trainer.episodes=9"]), ["trainer.episodes"])
+    assert (more.trainer.episodes, more.choices.preset) == (9, "fast")
+    assert validate_run(more).choices["preset"] == "fast"

@@ -35,7 +35,7 @@ SMALL = [
     "trainer.execution=captured",
     "trainer.matmul=mkl",
 ]
-# The asynchronous collector (and so preset=fast) and wandb start processes of their own, and an experiment is a sweep:
+# The asynchronous collector and wandb start processes of their own, and an experiment is a sweep:
 # each takes longer than the rest together.
 GROUPS = {
     "env": ["static", "dynamic"],

@@ -13,7 +13,8 @@ from torchrl.modules import MLP
 from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.losses import SPEC, fork, td3
 from uavrl.losses import DDPGLoss, Imitation, SACLoss, TD3Loss
-from uavrl.losses.imitation import distance_to_guide
+from uavrl.losses.imitation import action_distance
+from uavrl.training.update import ActorCriticStepper
 
 
 class MLPCritic(torch.nn.Module):
@@ -38,19 +39,45 @@ class TestContract(ActorCriticLossContract):
 
 def test_the_distance_by_hand() -> None:
     """Differences 1 and -3 of actions up to 2: (0.5² + 1.5²) / 2 = 1.25."""
-    distance = distance_to_guide(torch.tensor([[1.0, -1.0]]), torch.tensor([[0.0, 2.0]]), 2.0)
+    distance = action_distance(torch.tensor([[1.0, -1.0]]), torch.tensor([[0.0, 2.0]]), 2.0)
     assert distance.tolist() == [1.25]
 
 
 def test_the_term_has_the_size_of_the_objective() -> None:
     data = TestContract().make_data()
     loss = TestContract().seeded_loss(reduction="none")
-    loss.weight = 0.7
+    loss.weight.fill_(0.7)
     plain, metadata = loss.base.actor_loss(data)
-    distance = distance_to_guide(loss.act(data)["action"], data["guide_action"], 2.0)
+    distance = action_distance(loss.act(data)["action"], data["guide_action"], 2.0)
     torch.testing.assert_close(loss.actor_loss(data)[0], plain + 0.7 * plain.abs().mean() * distance)
     torch.testing.assert_close(loss.actor_loss(data)[1]["guide_distance"], distance)
     assert set(metadata) < set(loss.actor_loss(data)[1])
+
+
+def test_the_weight_decays_by_the_steps_of_whole_episodes() -> None:
+    """From 4 to 0.25 in 100 steps, hence 1 after 50; a loss that is restored goes on from there."""
+    loss = Imitation(td3(), limit=2.0, weight=4.0, final_weight=0.25, decay_steps=100)
+    episode = TensorDict({}, [50])
+    loss.observe(episode)
+    assert loss.weight.item() == pytest.approx(1.0)
+    restored = Imitation(td3(), limit=2.0, weight=4.0, final_weight=0.25, decay_steps=100)
+    restored.load_state_dict(loss.state_dict())
+    assert restored.weight.item() == pytest.approx(1.0)
+    for _ in range(3):
+        restored.observe(episode)
+    assert restored.weight.item() == pytest.approx(0.25)
+    assert restored.diagnostics()["imitation_weight"] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("execution", ["eager", "captured", "compiled"])
+def test_an_update_takes_the_weight_of_now(execution: Any) -> None:
+    loss = Imitation(td3(), limit=2.0, weight=1.0, final_weight=100.0, decay_steps=10)
+    stepper = ActorCriticStepper(loss, policy_delay=1, execution=execution)
+    data = TestContract().make_data()
+    before = stepper.step(None, data.clone())["loss_actor"].item()
+    loss.observe(TensorDict({}, [10]))
+    after = stepper.step(None, data.clone())["loss_actor"].item()
+    assert after > 10 * abs(before)
 
 
 def test_alone_it_leads_to_the_guide() -> None:

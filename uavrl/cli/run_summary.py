@@ -3,10 +3,12 @@
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from uavrl.cli.errors import command_process, configure_logging
 from uavrl.command_line import command_line
 from uavrl.errors import UavrlError
+from uavrl.runs.config import read_config
 from uavrl.runs.names import SUMMARY
 
 
@@ -27,15 +29,23 @@ def reached(folder: Path) -> str:
         files = (folder / SUMMARY, evaluations[-1])
         summary, evaluation = (json.loads(path.read_text(encoding="utf-8")) for path in files)
         success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
-        again = f"{evaluate} evaluates it again, uavrl-export keeps the policy on its own"
+        tasks = f"{evaluation['episodes']} fixed tasks{_unseen(folder, evaluation)}"
+        more = f"{command_line('uavrl-evaluate', run=folder, suite='all')} evaluates it in every scenario"
         return (
-            f"Reached: {success['rate']} % of fixed tasks without noise ({success['low']}-{success['high']} %), after "
+            f"Reached: {success['rate']} % of {tasks} without noise ({success['low']}-{success['high']} %), after "
             f"{summary['episodes']} episodes, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
-            f"Where:   {folder} ({again})\n"
+            f"Where:   {folder} ({more}, uavrl-export keeps the policy on its own)\n"
             f"Look:    open {folder / 'replay.html'} in a browser"
         )
     except (OSError, ValueError, KeyError) as error:
         raise UavrlError(f"Expected a run that has ended and was evaluated in {folder}: {error}.") from error
+
+
+def _unseen(folder: Path, evaluation: dict[str, Any]) -> str:
+    """Says of an evaluation that the run was not trained in any of its valleys."""
+    world = read_config(folder).env.get("world")
+    seen = world is None or set(evaluation["valleys"]) & set(world.seeds)
+    return "" if seen else " in valleys that it never saw"
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
 
     kept = result_overrides(overrides, OWN)
     for override in kept:
-        if override.split("=")[0] in ("valleys", "env") or override.startswith("env."):
+        if override.split("=")[0] in ("valleys", "env", "randomize") or override.startswith("env."):
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
     chosen = scenarios(settings.suite or "all")
     configs = {name: _config(changes) for name, changes in chosen.items()}

@@ -17,6 +17,7 @@ CONTEXT: Mapping[str, tuple[str, ...]] = {
     "fork": _ENHANCER,
     "lifeguard": _ENHANCER,
     "actor_penalty": _ENHANCER,
+    "smoothness": _ENHANCER,
     "buffer": ("frames", "seed", "transform"),
     "backward_reward": ("stacked", "observations", "perception", "kept"),
     "collector": (

@@ -19,6 +19,7 @@ PARTS = (
     "fork",
     "lifeguard",
     "actor_penalty",
+    "smoothness",
     "buffer",
     "backward_reward",
     "guide",

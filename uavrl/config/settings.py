@@ -56,6 +56,7 @@ class TrainConfig:
     logger: Part
     trainer: TrainerConfig
     guide: Part = field(default_factory=lambda: Part(_target_=None))
+    smoothness: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()
     seed: Seed = 0

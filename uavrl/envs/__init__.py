@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from uavrl.envs.lidar import Lidar, LidarConfig
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.envs.quadrotor import Aerodynamics, Airframe
+    from uavrl.envs.randomization import Plant, Randomization
     from uavrl.envs.world import World, WorldConfig
 
 _MODULES = {
@@ -15,10 +16,22 @@ _MODULES = {
     "Lidar": "lidar",
     "LidarConfig": "lidar",
     "NavigationEnv": "navigation",
+    "Plant": "randomization",
+    "Randomization": "randomization",
     "World": "world",
     "WorldConfig": "world",
 }
-__all__ = ["Aerodynamics", "Airframe", "Lidar", "LidarConfig", "NavigationEnv", "World", "WorldConfig"]
+__all__ = [
+    "Aerodynamics",
+    "Airframe",
+    "Lidar",
+    "LidarConfig",
+    "NavigationEnv",
+    "Plant",
+    "Randomization",
+    "World",
+    "WorldConfig",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -31,11 +31,15 @@ def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[
 
 
 def quantities(simulation: Simulation, goal: np.ndarray, *, clearance: bool) -> dict[str, np.ndarray]:
-    """What all vehicles emit of their motion and their goals ``[N, 3]``; the specs above name each."""
-    position, yaw = simulation.position, simulation.yaw
-    found = {"position": position, "velocity": simulation.velocity, "goal": goal, "altitude": position[:, 2]}
+    """What all vehicles emit of their motion and their goals ``[N, 3]``; the specs above name each.
+
+    Altitude and heading are as the vehicles measure them, with their biases.
+    """
+    position, plants = simulation.position, simulation.plants
+    found = {"position": position, "velocity": simulation.velocity, "goal": goal}
+    found["altitude"] = position[:, 2] + plants.altitude_bias
     found["distance"] = goal_distance(position, goal)
-    found["heading_deg"] = goal_heading_deg(position, yaw, goal)
+    found["heading_deg"] = goal_heading_deg(position, simulation.yaw + plants.heading_bias, goal)
     found["elevation_deg"] = goal_elevation_deg(position, goal)
     return found | ({"clearance": simulation.closest_distance()} if clearance else {})
 

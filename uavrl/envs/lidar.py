@@ -12,6 +12,7 @@ from pydantic import Field
 
 from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
+from uavrl.envs.randomization import Plant
 from uavrl.envs.ray_culling import RayCuller
 from uavrl.envs.vlp16 import (
     AZIMUTH_STEP,
@@ -134,6 +135,7 @@ class Lidar:
         velocities: np.ndarray | None = None,
         angular_velocities: np.ndarray | None = None,
         rng: np.random.Generator | None = None,
+        flaws: Sequence[Plant] | None = None,
     ) -> np.ndarray:
         """Casts one scan per vehicle.
 
@@ -144,10 +146,12 @@ class Lidar:
         Args:
             positions: ``[N, 3]``, sensor positions in the world in metres.
             rotations: ``[N, 3, 3]``, sensor-to-world rotation matrices.
-            moving_poses: ``[K, 4]``, (x, y, z, yaw) of the moving bodies in metres and radians.
+            moving_poses: ``[K, 4]``, (x, y, z, yaw) of the moving bodies in metres and radians, or ``[N, K, 4]``, as
+                each sensor meets them.
             velocities: ``[N, 3]``, world-frame velocities in m/s.
             angular_velocities: ``[N, 3]``, world-frame angular velocities in rad/s.
             rng: source of range noise and dropout, which need it.
+            flaws: N vehicles with a blind sector, or with noise and dropout in place of those of ``config``.
 
         Returns:
             ``float32 [N, 28928, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
@@ -161,10 +165,15 @@ class Lidar:
         rotations = _checked("rotations", rotations, (len(positions), 3, 3))
         if np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) > 1e-3:
             raise ValueError("rotations must be rotation matrices, got one whose rows are not orthonormal.")
-        poses = np.empty((0, 4)) if moving_poses is None else _checked("moving_poses", moving_poses, (-1, 4))
-        if len(poses) and self._moving_scene is None:
+        moving_poses = np.empty((0, 4)) if moving_poses is None else np.asarray(moving_poses)
+        shape = (-1, 4) if moving_poses.ndim < 3 else (len(positions), -1, 4)
+        poses = _checked("moving_poses", moving_poses, shape)
+        poses = np.broadcast_to(poses, (len(positions), *poses.shape[-2:]))
+        if poses.size and self._moving_scene is None:
             raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
-        if rng is None and (self.config.range_noise > 0.0 or self.config.dropout > 0.0):
+        flaws = [Plant()] * len(positions) if flaws is None else flaws
+        noise, dropout = _noise_and_dropout(self.config, flaws)
+        if rng is None and (noise.any() or dropout.any()):
             raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
         moved = self.config.motion_distortion
         if moved:
@@ -182,9 +191,14 @@ class Lidar:
             if self._static_scene is not None:
                 rays = None if near is None else np.flatnonzero(near[vehicle])
                 _cast(self._static_scene, origins, directions, rays, ranges[vehicle], self._reach)
-            for pose in poses:
+            for pose in poses[vehicle]:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
-        self._add_noise(ranges, rng)
+        for seen, flaw in zip(ranges, flaws, strict=True):
+            _blind(seen, flaw.blind_azimuth, flaw.blind_sector)
+        if rng is not None:
+            _add_noise(ranges, noise, dropout, rng)
+        if self.config.min_range > 0.0:
+            np.putmask(ranges, ranges < self.config.min_range, np.nan)
         return (self._columns[:, None] * ranges).transpose(1, 2, 0)
 
     def _cast_body(
@@ -210,22 +224,6 @@ class Lidar:
         from_body = to_body @ (origins - pose[:3, None].astype(np.float32))
         _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
 
-    def _add_noise(self, ranges: np.ndarray, rng: np.random.Generator | None) -> None:
-        """Applies noise, dropout and the minimum range."""
-        config = self.config
-        if config.range_noise > 0.0 or config.dropout > 0.0:
-            assert rng is not None
-            hits = np.flatnonzero(~np.isnan(ranges))
-            measured = ranges.reshape(-1)[hits]
-            if config.range_noise > 0.0:
-                noise = rng.standard_normal(len(hits), dtype=np.float32)
-                measured = np.maximum(measured + np.float32(config.range_noise) * noise, 0.0)
-            if config.dropout > 0.0:
-                measured[rng.random(len(hits)) < config.dropout] = np.nan
-            ranges.reshape(-1)[hits] = measured
-        if config.min_range > 0.0:
-            np.putmask(ranges, ranges < config.min_range, np.nan)
-
 
 def _cast(
     scene: EmbreeScene,
@@ -246,6 +244,38 @@ def _cast(
     if lengths.size:
         scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, lengths, query="DISTANCE")
     ranges[slice(None) if rays is None else rays] = np.where(lengths < reach, lengths, np.float32(np.nan))
+
+
+def _noise_and_dropout(config: LidarConfig, flaws: Sequence[Plant]) -> tuple[np.ndarray, np.ndarray]:
+    """The noise in metres and the dropout of each sensor, ``[N]``: its own, or those of the configuration."""
+    noise = [config.range_noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
+    dropout = [config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
+    return np.array(noise, dtype=np.float32), np.array(dropout, dtype=np.float64)
+
+
+def _add_noise(ranges: np.ndarray, noise: np.ndarray, dropout: np.ndarray, rng: np.random.Generator) -> None:
+    """Applies noise and dropout ``[N]`` to ``ranges [N, R]``."""
+    if not (noise.any() or dropout.any()):
+        return
+    hit = ~np.isnan(ranges)
+    measured, counts = ranges[hit], hit.sum(axis=1)
+    if noise.any():
+        error = np.repeat(noise, counts) * rng.standard_normal(len(measured), dtype=np.float32)
+        measured = np.maximum(measured + error, 0.0)
+    if dropout.any():
+        measured[rng.random(len(measured)) < np.repeat(dropout, counts)] = np.nan
+    ranges[hit] = measured
+
+
+def _blind(ranges: np.ndarray, azimuth: float, width: float) -> None:
+    """Takes the returns from a sector of ``ranges [R]``, around an azimuth and of a width in rad."""
+    if not width:
+        return
+    cycles = ranges.reshape(AZIMUTH_STEPS, -1)  # which turn clockwise, from straight ahead
+    begin = (-azimuth - width / 2) % (2 * math.pi)
+    for at in (begin, begin - 2 * math.pi):
+        first, last = math.ceil(at / AZIMUTH_STEP), math.floor((at + width) / AZIMUTH_STEP)
+        cycles[max(first, 0) : max(last + 1, 0)] = np.nan
 
 
 def _turned(directions: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.randomization import Plant, Randomization, draw_plant
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
@@ -46,12 +47,17 @@ class NavigationEnv(EnvBase):
     ``set_seed`` also rebuilds physics and traffic at the next full reset: what follows is bit-identical to a new
     environment with that seed. Partial resets before that draw the new seed's tasks already.
 
+    With ``randomize`` each task also has a vehicle of its own, which depends on ``(s, k)`` alone and leaves the rest of
+    the task as it is; the controller goes by ``airframe`` and ``aerodynamics``. Its biases reach what the policy reads,
+    ``altitude`` and ``heading_deg``, and with them the terms of Eq. 3.6 that are made of these; all else stays true.
+
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
         world: valley, goals and planes.
         lidar: the sensor and its noise.
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
+        randomize: what the vehicles have of their own in each episode; None: nothing.
         max_steps: steps until an episode is truncated (Table 4.1: 300).
         blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
@@ -76,6 +82,7 @@ class NavigationEnv(EnvBase):
         lidar: LidarConfig | None = None,
         airframe: Airframe | None = None,
         aerodynamics: Aerodynamics | None = None,
+        randomize: Randomization | None = None,
         max_steps: Annotated[int, Field(ge=1, le=10**6)] = 300,
         blind: bool = False,
         blind_to: Hidden | None = None,
@@ -98,6 +105,7 @@ class NavigationEnv(EnvBase):
         self._world_config = world or WorldConfig()
         self.airframe = airframe or Airframe()
         self.aerodynamics = aerodynamics or Aerodynamics()
+        self.randomize = randomize if randomize is not None and randomize.is_on else None
         world, hull = self._world_config, self.airframe
         check_hull(hull.collision_radius, hull.collision_height, max(world.min_clearance, world.uav_radius))
         self._lidar_config = lidar or LidarConfig()
@@ -181,8 +189,13 @@ class NavigationEnv(EnvBase):
         """What draws a task."""
         return np.random.default_rng((self._seed, task))
 
+    def _draw_plant(self, task: int) -> Plant:
+        """The vehicle of a task, from a stream beside that of :meth:`_task_rng`."""
+        stream = np.random.SeedSequence((self._seed, task), spawn_key=(1,))
+        return draw_plant(self.randomize or Randomization(), np.random.default_rng(stream))
+
     def _place(self, index: np.ndarray) -> None:
-        starts, yaws = np.zeros((len(index), 3)), np.zeros(len(index))
+        first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
             task = self.world.sample_task(self._task_rng(self._next_task), avoid=self.traffic.positions)
             starts[row], yaws[row] = task.start, task.yaw
@@ -190,7 +203,8 @@ class NavigationEnv(EnvBase):
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
             self._next_task += 1
         self._steps[index] = 0
-        self.simulation.reset(index, starts, yaws)
+        drawn = None if self.randomize is None else [self._draw_plant(first + row) for row in range(len(index))]
+        self.simulation.reset(index, starts, yaws, drawn)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         self._require_open()
@@ -223,6 +237,11 @@ class NavigationEnv(EnvBase):
     def simulation(self) -> Simulation:
         """The physics, with attitudes, sensor positions and more; there is none before the first reset."""
         return self._built(self._simulation)
+
+    @property
+    def plants(self) -> tuple[Plant, ...]:
+        """The N vehicles as they are in their episodes; there are none before the first reset."""
+        return tuple(self.simulation.plants.each)
 
     @property
     def traffic(self) -> Traffic:

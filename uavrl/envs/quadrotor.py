@@ -215,7 +215,7 @@ def drag(twist: np.ndarray, coefficients: np.ndarray, limit: np.ndarray | float 
 
 
 def gust_step(
-    gust: np.ndarray, intensity: float, time_constant: float, dt: float, rng: np.random.Generator
+    gust: np.ndarray, intensity: float | np.ndarray, time_constant: float, dt: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Gusts ``[N, 3]`` in m/s one time step later: first-order noise (Ornstein-Uhlenbeck), exact for any ``dt`` in s.
 

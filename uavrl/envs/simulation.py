@@ -9,6 +9,7 @@ import numpy as np
 from uavrl.envs.bullet import PLANE, STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.mesh import Mesh
+from uavrl.envs.plants import Plants
 from uavrl.envs.quadrotor import (
     GRAVITY,
     Aerodynamics,
@@ -22,6 +23,7 @@ from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
     from uavrl.envs.lidar import Lidar
+    from uavrl.envs.randomization import Plant
 
 CONTROL_RATE = 10  # Hz
 PHYSICS_RATE = 240  # Hz
@@ -56,6 +58,7 @@ class Simulation:
         lidar_position: ``[N, 3]``, the LiDAR's centre in m.
         rotor_speed: ``[N, 4]`` in rad/s.
         motors_on: Set it to False to stop all rotors at once.
+        plants: The vehicles as they are; the controller believes in ``airframe`` and ``aerodynamics``.
     """
 
     def __init__(
@@ -94,15 +97,15 @@ class Simulation:
         """Keeps what every physics step needs as arrays."""
         airframe, aerodynamics = self.airframe, self.aerodynamics
         self._controller = VelocityController(self.count, airframe, aerodynamics)
+        self.plants = Plants(self.count, airframe, aerodynamics, self._dt, self._tracking_period)
         self._mixing = np.ascontiguousarray(airframe.thrust_coefficient * mixing_matrix(airframe).T)
         self._centre_of_mass = np.array(airframe.centre_of_mass)
         self._lidar_offset = np.array(airframe.lidar_position)
-        self._motor_gain = 1 - np.exp(-self._dt / airframe.motor_time_constant)
-        self._coefficients = aerodynamics.coefficients
-        self._drag_limit = np.array([(airframe.total_mass,) * 3, airframe.combined_inertia]) / self._dt
-        self._wind = np.array(aerodynamics.wind)
         self._gust = np.zeros((self.count, 3))
-        self._still_air = not (self._wind.any() or aerodynamics.gust_intensity)
+        self._target = np.zeros((self.count, 4))
+        self._age = np.zeros(self.count, dtype=np.int64)  # physics steps since the reset
+        self._past: list[np.ndarray] = []  # the states before the last control period and after each of its steps
+        self._plane_past: np.ndarray | None = None  # the planes' poses then
         self.rotor_speed = np.full((self.count, 4), airframe.hover_speed)
 
     def _build(self, meshes: Sequence[Mesh], plane_mesh: Mesh | None, plane_count: int) -> None:
@@ -121,17 +124,36 @@ class Simulation:
         self._clearance = Clearance(self._client, meshes, self._statics + self._planes, self.airframe)
         self._row = {body: row for row, body in enumerate(self._vehicles)}
 
-    def reset(self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray) -> None:
-        """Places vehicles ``int [M]`` at ``[M, 3]`` m with yaws ``[M]`` rad: level, at rest, hovering, in still air."""
+    def reset(
+        self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray, plants: "Sequence[Plant] | None" = None
+    ) -> None:
+        """Places vehicles ``int [M]`` at ``[M, 3]`` m with yaws ``[M]`` rad: level, at rest, hovering, without gusts.
+
+        They are as the M ``plants`` say; None leaves them as they were.
+        """
+        if plants is not None:
+            self._rebuild(index, plants)
         for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
             body, attitude = self._vehicles[row], (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
             pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)
             pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self._client)
-        self.rotor_speed[index] = self.airframe.hover_speed
-        self._gust[index] = 0.0
+        self.rotor_speed[index] = self.plants.hover_speed[index]
+        self._gust[index] = self._target[index] = 0.0
+        self._age[index] = 0
         self._controller.reset(index)
         self._read()
+        self._past[-1:] = [self._state]
         self._publish()
+
+    def _rebuild(self, index: np.ndarray, plants: "Sequence[Plant]") -> None:
+        """Gives vehicles the masses of their plants, and keeps the rest."""
+        self.plants.put(index, plants)
+        for row in index:
+            mass, inertia = float(self.plants.mass[row]), self.plants.inertia[row].tolist()
+            changed = {"mass": mass, "localInertiaDiagonal": inertia, "physicsClientId": self._client}
+            pybullet.changeDynamics(self._vehicles[row], -1, **changed)
+        if self.plants.gusty and self._rng is None:
+            raise ValueError("Gusts need a source of randomness: pass rng.")
 
     def place_planes(self, poses: np.ndarray) -> None:
         """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad."""
@@ -148,20 +170,30 @@ class Simulation:
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
         shape = (self.substeps, len(self._planes), 4)
         path = [] if plane_path is None else self._checked_poses(plane_path, shape).tolist()
+        if plane_path is not None:
+            before = plane_path[:1] if self._plane_past is None else self._plane_past[-1:]
+            self._plane_past = np.concatenate([before, plane_path])
         touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
+        target_tm1, self._target = self._target, target
+        delay = self.plants.action_delay
+        longest = delay.max()
+        del self._past[:-1]
         for substep in range(self.substeps):
             if path:
                 self._move_planes(path[substep])
             if substep % self._tracking_period == 0:
                 lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
                 velocity = self._twist_world[:, 0]
-                self._controller.track(target, self.rotation, velocity, self._twist, lift, period)
+                command = target if substep >= longest else np.where(substep < delay, target_tm1, target)
+                self._controller.track(command, self.rotation, velocity, self._twist, lift, period)
             self._push()
             pybullet.stepSimulation(physicsClientId=self._client)
             self._read()
+            self._past.append(self._state)
             for contact in pybullet.getContactPoints(physicsClientId=self._client):
                 if contact[8] <= CONTACT_DISTANCE:
                     touched[[self._row[body] for body in contact[1:3] if body in self._row]] = True
+        self._age += self.substeps
         self._publish()
         return touched
 
@@ -196,7 +228,7 @@ class Simulation:
             linear, angular = pybullet.getBaseVelocity(body, client)
             entries += position + attitude + linear + angular
         state = np.array(entries).reshape(-1, 13)
-        self._centre = state[:, :3]
+        self._state, self._centre = state, state[:, :3]
         self._twist_world = state[:, 7:].reshape(-1, 2, 3)
         self.rotation = rotation_from_quaternion(state[:, 3:7])
         self._twist = np.matmul(self._twist_world, self.rotation)  # rows times R = Rᵀ times columns: body axes
@@ -205,11 +237,11 @@ class Simulation:
         """Runs the inner loop and the rotors, and applies thrust, drag and moments at the centres of mass."""
         if self.motors_on:
             wanted = np.sqrt(self._controller.thrusts(self.rotation, self._twist) / self.airframe.thrust_coefficient)
-            self.rotor_speed += self._motor_gain * (wanted - self.rotor_speed)
+            self.rotor_speed += self.plants.motor_gain * (wanted - self.rotor_speed)
         else:
             self.rotor_speed[:] = 0.0
-        wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing
-        loads = drag(self._air_twist(), self._coefficients, self._drag_limit)
+        wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing * self.plants.thrust
+        loads = drag(self._air_twist(), self.plants.drag, self.plants.drag_limit)
         loads[:, 0, 2] += wrench[:, 0]
         loads[:, 1] += wrench[:, 1:]
         # Both in world axes and at the centre of mass, where PyBullet's frames leave no doubt.
@@ -221,13 +253,14 @@ class Simulation:
 
     def _air_twist(self) -> np.ndarray:
         """Returns velocities relative to the air, and rates, ``[N, 2, 3]`` in body axes."""
-        if self._still_air:
+        plants = self.plants
+        if plants.still_air:
             return self._twist
-        air = self.aerodynamics
-        if air.gust_intensity and self._rng is not None:
-            self._gust = gust_step(self._gust, air.gust_intensity, air.gust_time_constant, self._dt, self._rng)
+        if plants.gusty and self._rng is not None:
+            time_constant = self.aerodynamics.gust_time_constant
+            self._gust = gust_step(self._gust, plants.gust_intensity, time_constant, self._dt, self._rng)
         twist = self._twist.copy()
-        twist[:, 0] -= np.matmul((self._wind + self._gust)[:, None], self.rotation)[:, 0]
+        twist[:, 0] -= np.matmul((plants.wind + self._gust)[:, None], self.rotation)[:, 0]
         return twist
 
     def _publish(self) -> None:
@@ -244,15 +277,32 @@ class Simulation:
     def scan(
         self, lidar: "Lidar", index: np.ndarray, planes: np.ndarray | None, rng: np.random.Generator
     ) -> np.ndarray:
-        """Returns what the LiDARs of the vehicles ``int [M]`` see now, as :meth:`uavrl.envs.Lidar.scan` gives it."""
+        """Returns the newest scans of the vehicles ``int [M]``, as :meth:`uavrl.envs.Lidar.scan` gives them."""
         position, rotation, velocity = self.lidar_position[index], self.rotation[index], self.velocity[index]
         spin = (rotation @ self.angular_velocity[index][:, :, None])[:, :, 0]
+        delay = np.minimum(self.plants.scan_delay[index], self._age[index])
+        if delay.any():
+            position, rotation, velocity, spin = self._ago(delay, index)
+            if planes is not None and self._plane_past is not None:
+                planes = self._plane_past[-1 - delay]
         if lidar.config.motion_distortion:  # the scan is the spin that ends now
             from scipy.spatial.transform import Rotation  # here, so that it is PyBullet that is missed first
 
             position = position - velocity / self._control_rate
             rotation = Rotation.from_rotvec(-spin / self._control_rate).as_matrix() @ rotation
-        return lidar.scan(position, rotation, planes, velocities=velocity, angular_velocities=spin, rng=rng)
+        if self.plants.mount is not None:
+            rotation = rotation @ self.plants.mount[index]
+        flaws = [self.plants.each[row] for row in index] if self.plants.flawed else None
+        motion = {"velocities": velocity, "angular_velocities": spin}
+        return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws)
+
+    def _ago(self, delay: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Where the LiDARs were, how they stood, and how they moved, ``delay [M]`` physics steps ago."""
+        state = np.stack(self._past)[-1 - delay, index]
+        rotation, linear, angular = rotation_from_quaternion(state[:, 3:7]), state[:, 7:10], state[:, 10:]
+        arm = rotation @ self._centre_of_mass
+        position = state[:, :3] - arm + rotation @ self._lidar_offset
+        return position, rotation, linear - np.cross(angular, arm), angular
 
     def closest_distance(self) -> np.ndarray:
         """Returns ``[N]``: m from each hull to the nearest geometry or plane, at most 5; below 0 inside."""

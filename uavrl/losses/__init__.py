@@ -1,5 +1,6 @@
 """Loss modules. They need torch, tensordict and torchrl only."""
 
+from uavrl.losses.action_rate import ActionRate
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.ddpg import DDPGLoss
 from uavrl.losses.enhancer import AuxiliaryModel, Enhancer
@@ -11,6 +12,7 @@ from uavrl.losses.sac import SACLoss
 from uavrl.losses.td3 import TD3Loss
 
 __all__ = [
+    "ActionRate",
     "ActorCriticLoss",
     "AuxiliaryModel",
     "DDPGLoss",

@@ -64,6 +64,12 @@ class Enhancer(ActorCriticLoss, LossModule):
     learns_from_single_steps: ClassVar[bool] = True
     """Whether its models need states that lie one step apart, so that n-step returns would mislead them."""
 
+    relative: ClassVar[bool] = False
+    """Whether the term counts as a share of the objective's mean absolute value, so that it stays while values grow."""
+
+    reads_last_action: ClassVar[bool] = False
+    """Whether its term needs states that end with the action that led to them."""
+
     def __init__(self, base: ActorCriticLoss) -> None:
         super().__init__()
         self.base = base
@@ -185,7 +191,8 @@ class Enhancer(ActorCriticLoss, LossModule):
         if not self.active:
             return objective, metadata
         term, own = self.actor_term(acted)
-        return objective + term, metadata | own
+        scale = objective.detach().abs().mean() if self.relative else 1.0
+        return objective + scale * term, metadata | own
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
         """The base's; the γ of FORK's predicted steps is an argument of FORK."""

@@ -4,24 +4,36 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer
-from uavrl.ranges import NonNegative, Positive
+from uavrl.ranges import Count, NonNegative, Positive
 
 
-def distance_to_guide(action: Tensor, guide_action: Tensor, limit: float) -> Tensor:
+def action_distance(action: Tensor, other: Tensor, limit: float) -> Tensor:
     """Mean squared difference ``[*B]`` of actions ``[*B, A]``, in units of the largest action.
 
     Examples:
         >>> import torch
-        >>> distance_to_guide(torch.tensor([2.0, 0.0]), torch.tensor([0.0, 0.0]), 2.0).item()
+        >>> action_distance(torch.tensor([2.0, 0.0]), torch.tensor([0.0, 0.0]), 2.0).item()
         0.5
     """
-    return ((action - guide_action) / limit).square().mean(-1)
+    return ((action - other) / limit).square().mean(-1)
+
+
+def decayed(first: float, final: float | None, share: float) -> float:
+    """A weight after a share of its geometric decay from ``first`` to ``final``; None: there is none.
+
+    Examples:
+        >>> [round(decayed(4.0, 0.25, share), 2) for share in (0.0, 0.5, 1.0, 2.0)]
+        [4.0, 1.0, 0.25, 0.25]
+    """
+    share = min(share, 1.0)
+    return first if final is None else first ** (1 - share) * final**share
 
 
 class Imitation(Enhancer):
@@ -29,6 +41,7 @@ class Imitation(Enhancer):
 
     The term is ``weight · mean |objective| · ‖(μ(s) - g(s)) / limit‖² / A``, so that its share stays while values grow.
     The controller's action is recorded in the states that the policy reaches, too, not in its own episodes alone.
+    The weight may decay, geometrically, so that the actor first clones and then leaves the controller behind.
 
     Source: Fujimoto and Gu (2021), A Minimalist Approach to Offline Reinforcement Learning (arXiv:2106.06860), Eq. 3
     and 5 with α = 1 / ``weight``, where the controller's action replaces that of the data; Ross, Gordon and Bagnell
@@ -37,7 +50,9 @@ class Imitation(Enhancer):
     Args:
         base: the loss to enhance.
         limit: the largest action.
-        weight: weight of the distance; Fujimoto and Gu have 1 / α = 0.4.
+        weight: weight of the distance at first; Fujimoto and Gu have 1 / α = 0.4.
+        final_weight: weight after ``decay_steps``, reached geometrically; None: it stays.
+        decay_steps: environment steps that the decay takes.
 
     Raises:
         KeyError: from ``actor_loss``, for a batch without the controller's actions.
@@ -56,6 +71,7 @@ class Imitation(Enhancer):
     """
 
     learns_from_single_steps = False
+    relative = True
 
     @dataclass
     class _AcceptedKeys(Enhancer._AcceptedKeys):
@@ -66,9 +82,32 @@ class Imitation(Enhancer):
 
     default_keys = _AcceptedKeys
 
-    def __init__(self, base: ActorCriticLoss, *, limit: Positive = 1.0, weight: NonNegative = 1.0) -> None:
+    def __init__(
+        self,
+        base: ActorCriticLoss,
+        *,
+        limit: Positive = 1.0,
+        weight: NonNegative = 1.0,
+        final_weight: Positive | None = None,
+        decay_steps: Count = 60_000,
+    ) -> None:
         super().__init__(base)
-        self.limit, self.weight = limit, weight
+        self.limit, self.first_weight, self.final_weight, self.decay_steps = limit, weight, final_weight, decay_steps
+        self.weight: Tensor
+        self.steps: Tensor
+        self.register_buffer("weight", torch.tensor(float(weight)))
+        self.register_buffer("steps", torch.tensor(0))
+
+    @torch.no_grad()
+    def observe(self, episodes: TensorDictBase) -> None:
+        """Lets the weight decay by the steps of whole new episodes ``[T]``."""
+        super().observe(episodes)
+        self.steps += len(episodes)
+        self.weight.fill_(decayed(self.first_weight, self.final_weight, self.steps.item() / self.decay_steps))
+
+    def diagnostics(self) -> dict[str, float]:
+        """The base's, and the weight of now."""
+        return super().diagnostics() | {"imitation_weight": float(self.weight)}
 
     @property
     def in_keys(self) -> list[NestedKey]:
@@ -80,12 +119,6 @@ class Imitation(Enhancer):
         acted, scripted = self.base.act(tensordict), tensordict.get(self.tensor_keys.guide_action, None)
         return acted if scripted is None else acted.set(self.tensor_keys.guide_action, scripted)
 
-    def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """The base's objective, and the term times the objective's mean absolute value."""
-        objective, metadata = self.base.actor_objective(acted, target=target)
-        term, own = self.actor_term(acted)
-        return objective + objective.detach().abs().mean() * term, metadata | own
-
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """``weight`` times the distance to the scripted controller, for each sample ``[*B]``."""
         key = self.tensor_keys.guide_action
@@ -95,5 +128,5 @@ class Imitation(Enhancer):
                 f"Imitation reads {key!r}, and the batch has only {sorted(map(str, acted.keys(True, True)))}: "
                 "write it while episodes are collected, see uavrl.transforms.guidance.Guidance."
             )
-        distance = distance_to_guide(acted.get(self.tensor_keys.action), scripted, self.limit)
+        distance = action_distance(acted.get(self.tensor_keys.action), scripted, self.limit)
         return self.weight * distance, {"guide_distance": distance.detach()}

@@ -100,7 +100,7 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     """The run's configuration with what the command line says about environment and sensor.
 
     ``env=NAME`` replaces the environment; ``env.key=value``, ``perception.lidar.key=value``, ``perception.blind=value``
-    and ``perception.blind_to=value`` change one value. The rest of perception makes the policy's input: it stays.
+    and ``perception.blind_to=value`` change one value, and ``randomize=NAME`` all of ``env.randomize``. The rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
@@ -109,6 +109,9 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
         result.env = composed.env
         result.choices.env = composed.choices.env
         _require_env_of_policy(result)
+    if "randomize" in keys:
+        require_valley(result.env, result.choices, "randomize")
+        result.env.randomize = composed.env.randomize
     for key in keys:
         if key.startswith(("env.", "perception.lidar.")) or key in ("perception.blind", "perception.blind_to"):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)

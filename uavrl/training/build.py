@@ -97,13 +97,19 @@ def make_loss(
     refuse_context("algo", written, CONTEXT["algo"])
     loss = loss_type.of_networks(actor, critics, sizes.action_spec(device), **written)
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
-    for part in (settings.fork, settings.lifeguard, settings.actor_penalty):
+    for part in (settings.fork, settings.lifeguard, settings.actor_penalty, settings.smoothness):
         enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
         if enhanced is None:
             continue
         steps = settings.algo.get("n_steps", 1)
         single = enhanced.learns_from_single_steps
         require(steps == 1 or not single, "algo.n_steps", f"1: {part._target_} learns from single steps", steps)
+        require(
+            settings.perception.get("last_action", False) or not enhanced.reads_last_action,
+            "perception.last_action",
+            f"true: {part._target_} compares an action with the one before",
+            False,
+        )
         demonstrated = settings.guided or GUIDE_ACTION not in enhanced.in_keys
         wanted = f"a scripted controller, such as vfh: {part._target_} learns what it would do"
         require(demonstrated, "guide", wanted, None)

@@ -1,0 +1,81 @@
+"""The plants of N vehicles as arrays: what the physics and the sensors take, where the controller has its beliefs."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from uavrl.envs.quadrotor import Aerodynamics, Airframe
+from uavrl.envs.randomization import Plant
+
+
+class Plants:
+    """Vehicles that are as ``airframe`` and ``aerodynamics`` say, until :meth:`put` says otherwise.
+
+    Args:
+        count: Number of vehicles N.
+        airframe: The vehicle, as its controller believes it to be.
+        aerodynamics: Drag, wind and gusts likewise.
+        dt: Physics step in s.
+        tracking_period: Physics steps per step of the controller's outer loop.
+
+    Attributes:
+        each: The N plants.
+        mass: ``[N]`` in kg, with the LiDAR.
+        inertia: ``[N, 3]`` in kg m², likewise.
+        thrust: ``[N, 1]``, factor on the thrust coefficient.
+        motor_gain: ``[N, 1]``, share of the way to the wanted rotor speed in a physics step.
+        hover_speed: ``[N, 1]`` in rad/s.
+        drag: ``[N, 2, 3]``, see :attr:`Aerodynamics.coefficients`.
+        drag_limit: ``[N, 2, 3]``, see :func:`uavrl.envs.quadrotor.drag`.
+        wind: ``[N, 3]`` in m/s, world axes.
+        gust_intensity: ``[N, 1]`` in m/s.
+        gusty: Whether any vehicle meets gusts.
+        still_air: Whether there is neither wind nor gust.
+        action_delay: ``[N, 1]`` in physics steps, a multiple of the tracking period.
+        scan_delay: ``[N]`` in physics steps.
+        flawed: Whether any LiDAR has noise, dropout or a blind sector of its own.
+        mount: ``[N, 3, 3]``, from the LiDAR's axes to the body's; None where all are straight.
+        altitude_bias: ``[N]`` in m.
+        heading_bias: ``[N]`` in rad.
+    """
+
+    def __init__(
+        self, count: int, airframe: Airframe, aerodynamics: Aerodynamics, dt: float, tracking_period: int
+    ) -> None:
+        self.airframe, self.aerodynamics = airframe, aerodynamics
+        self._dt, self._tracking_period = dt, tracking_period
+        self.each = [Plant()] * count
+        self._derive()
+
+    def put(self, index: Iterable[int], plants: Iterable[Plant]) -> None:
+        """Makes these of the vehicles in ``index``."""
+        for row, plant in zip(index, plants, strict=True):
+            self.each[row] = plant
+        self._derive()
+
+    def _column(self, name: str) -> np.ndarray:
+        return np.array([getattr(plant, name) for plant in self.each], dtype=np.float64)[:, None]
+
+    def _derive(self) -> None:
+        """Computes all arrays."""
+        airframe, air = self.airframe, self.aerodynamics
+        mass, inertia, self.thrust = self._column("mass"), self._column("inertia"), self._column("thrust")
+        self.mass, self.inertia = airframe.total_mass * mass[:, 0], airframe.combined_inertia * inertia
+        self.hover_speed = airframe.hover_speed * np.sqrt(mass / self.thrust)
+        lag = airframe.motor_time_constant * self._column("motor_time_constant")
+        self.motor_gain = 1 - np.exp(-self._dt / lag)
+        self.drag = air.coefficients * self._column("drag")[:, None]
+        self.drag_limit = np.stack([np.tile(self.mass[:, None], 3), self.inertia], axis=1) / self._dt
+        self.wind = np.array(air.wind) + [(*plant.wind, 0.0) for plant in self.each]
+        gusts = [air.gust_intensity if plant.gust_intensity is None else plant.gust_intensity for plant in self.each]
+        self.gust_intensity = np.array(gusts, dtype=np.float64)[:, None]
+        self.gusty = bool(self.gust_intensity.any())
+        self.still_air = not (self.gusty or self.wind.any())
+        period = self._tracking_period
+        self.action_delay = period * np.rint(self._column("action_delay") / (period * self._dt)).astype(np.int64)
+        self.scan_delay = np.rint(self._column("scan_delay")[:, 0] / self._dt).astype(np.int64)
+        own = [(plant.range_noise, plant.dropout) for plant in self.each]
+        self.flawed = any(plant.blind_sector for plant in self.each) or set(own) != {(None, None)}
+        turned = any(plant.mount_yaw or plant.mount_tilt for plant in self.each)
+        self.mount = np.stack([plant.mount for plant in self.each]) if turned else None
+        self.altitude_bias, self.heading_bias = self._column("altitude_bias")[:, 0], self._column("heading_bias")[:, 0]

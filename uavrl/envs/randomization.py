@@ -1,0 +1,158 @@
+"""Vehicles that differ from what their controller believes, drawn anew for each episode (domain randomisation).
+
+Sources: Tobin, Fong, Ray, Schneider, Zaremba and Abbeel (2017), "Domain randomization for transferring deep neural
+networks from simulation to the real world"; Peng, Andrychowicz, Zaremba and Abbeel (2018), "Sim-to-real transfer of
+robotic control with dynamics randomization", for masses, gains, delays and noise. The ranges are this library's choice.
+"""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from uavrl.errors import UavrlError
+
+Range = tuple[float, float]
+# The least and the most that each range may hold, in the units of Randomization.
+LIMITS: dict[str, Range] = {
+    "mass": (0.1, 10.0),
+    "inertia": (0.1, 10.0),
+    "thrust": (0.1, 10.0),
+    "motor_time_constant": (0.01, 100.0),
+    "drag": (0.0, 100.0),
+    "wind": (0.0, 30.0),
+    "gust_intensity": (0.0, 30.0),
+    "action_delay": (0.0, 0.1),  # one control period
+    "scan_delay": (0.0, 0.1),
+    "mount_yaw": (-math.pi, math.pi),
+    "mount_tilt": (-math.pi, math.pi),
+    "range_noise": (0.0, 100.0),
+    "dropout": (0.0, 0.999),
+    "blind_sector": (0.0, 2 * math.pi),
+    "altitude_bias": (-10.0, 10.0),
+    "heading_bias": (-math.pi, math.pi),
+}
+_DIRECTIONS = ("wind", "tilt", "blind")  # which are uniform over the circle
+_SHARES = {name: place for place, name in enumerate((*LIMITS, *(f"{name}_direction" for name in _DIRECTIONS)))}
+
+
+@dataclass
+class Randomization:
+    """What is drawn for each episode: uniformly from ``(low, high)``, or nothing where it is None.
+
+    Factors multiply what `Airframe` and `Aerodynamics` say, the wind comes on top of theirs, and gusts, range noise and
+    dropout take the place of those of `Aerodynamics` and `LidarConfig`. The controller goes by the airframe as it
+    stands there. Directions are uniform over the circle.
+
+    Args:
+        mass: Factor on the total mass.
+        inertia: Factor on the moments of inertia.
+        thrust: Factor on the thrust coefficient of all rotors, and so on the greatest thrust.
+        motor_time_constant: Factor on the motors' time constant.
+        drag: Factor on all drag coefficients.
+        wind: Speed of a steady, horizontal wind in m/s.
+        gust_intensity: Standard deviation of the gusts along each axis in m/s.
+        action_delay: Time in s for which the previous action goes on to act; zeros before the first. It is rounded to
+            the controller's outer loop, 1/80 s.
+        scan_delay: Age of the scan in s, as are the planes in it; rounded to the physics step, 1/240 s.
+        mount_yaw: Turn of the LiDAR's mount about the body's z axis in rad.
+        mount_tilt: Tilt of the mount in rad, about a horizontal axis.
+        range_noise: Standard deviation of the LiDAR's range error in m.
+        dropout: Probability that a hit is not reported.
+        blind_sector: Width in rad of the sector about the LiDAR in which it reports nothing.
+        altitude_bias: Error in m of the altitude that the policy reads.
+        heading_bias: Error in rad of the vehicle's yaw, from which the policy reads its angle to the goal.
+
+    Examples:
+        >>> Randomization(mass=(0.8, 1.2)).is_on, Randomization().is_on
+        (True, False)
+    """
+
+    mass: Range | None = None
+    inertia: Range | None = None
+    thrust: Range | None = None
+    motor_time_constant: Range | None = None
+    drag: Range | None = None
+    wind: Range | None = None
+    gust_intensity: Range | None = None
+    action_delay: Range | None = None
+    scan_delay: Range | None = None
+    mount_yaw: Range | None = None
+    mount_tilt: Range | None = None
+    range_noise: Range | None = None
+    dropout: Range | None = None
+    blind_sector: Range | None = None
+    altitude_bias: Range | None = None
+    heading_bias: Range | None = None
+
+    def __post_init__(self) -> None:
+        """Refuses what is no range, or one that holds values that make no vehicle."""
+        for name, (least, most) in LIMITS.items():
+            if (given := getattr(self, name)) is None:
+                continue
+            if np.shape(given) != (2,) or not least <= given[0] <= given[1] <= most:
+                raise UavrlError(
+                    f"{name} must be two numbers in [{least:.4g}, {most:.4g}], the lower one first, or null for off, "
+                    f"got {list(given) if np.iterable(given) else given}."
+                )
+
+    @property
+    def is_on(self) -> bool:
+        """Whether anything is drawn."""
+        return any(getattr(self, field.name) is not None for field in fields(self))
+
+
+@dataclass(frozen=True)
+class Plant:
+    """One vehicle as it is: the quantities of :class:`Randomization`, by default as the controller believes it to be.
+
+    ``wind`` is along world x and y; ``mount_axis`` and ``blind_azimuth`` are angles in rad about the z axis, from x to
+    the left. ``None`` leaves gusts, range noise and dropout to `Aerodynamics` and `LidarConfig`.
+    """
+
+    mass: float = 1.0
+    inertia: float = 1.0
+    thrust: float = 1.0
+    motor_time_constant: float = 1.0
+    drag: float = 1.0
+    wind: tuple[float, float] = (0.0, 0.0)
+    gust_intensity: float | None = None
+    action_delay: float = 0.0
+    scan_delay: float = 0.0
+    mount_yaw: float = 0.0
+    mount_tilt: float = 0.0
+    mount_axis: float = 0.0
+    range_noise: float | None = None
+    dropout: float | None = None
+    blind_sector: float = 0.0
+    blind_azimuth: float = 0.0
+    altitude_bias: float = 0.0
+    heading_bias: float = 0.0
+
+    @property
+    def mount(self) -> np.ndarray:
+        """The rotation ``[3, 3]`` from the LiDAR's axes to the body's: first the tilt, then the yaw."""
+        cos, sin = math.cos(self.mount_yaw), math.sin(self.mount_yaw)
+        axis = np.array([math.cos(self.mount_axis), math.sin(self.mount_axis), 0.0])
+        cross = np.cross(np.eye(3), -axis)  # the matrix of v → axis x v
+        tilt = np.eye(3) + math.sin(self.mount_tilt) * cross + (1 - math.cos(self.mount_tilt)) * cross @ cross
+        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ tilt
+
+
+def draw_plant(randomization: Randomization, rng: np.random.Generator) -> Plant:
+    """Draws one vehicle. A quantity that is switched off changes none of the others.
+
+    Examples:
+        >>> plant = draw_plant(Randomization(mass=(0.8, 1.2)), np.random.default_rng(0))
+        >>> round(plant.mass, 3), plant.thrust
+        (1.055, 1.0)
+    """
+    shares = rng.random(len(_SHARES))
+    found = {}
+    for name in LIMITS:
+        if (within := getattr(randomization, name)) is not None:
+            found[name] = float(within[0] + shares[_SHARES[name]] * (within[1] - within[0]))
+    wind, tilt, blind = (2 * math.pi * float(shares[_SHARES[f"{name}_direction"]]) for name in _DIRECTIONS)
+    speed = found.pop("wind", 0.0)
+    along = (speed * math.cos(wind), speed * math.sin(wind))
+    return Plant(**found, wind=along, mount_axis=tilt, blind_azimuth=blind)
