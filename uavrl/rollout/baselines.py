@@ -11,7 +11,7 @@ from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
 
-BEHIND = 30.0  # degrees to either side of straight behind
+BEHIND = 60.0  # degrees to either side of straight behind; with 30 it dithers at the edge, where other sides are chosen
 
 
 class StraightPolicy:
@@ -139,14 +139,14 @@ class VectorFieldHistogram:
     def to_action(self, best: Tensor, speed: Tensor, heading_deg: Tensor) -> Tensor:
         """The action ``[N, 4]`` that flies in the directions ``best [N, 1]`` at ``speed [N, 1]``, turning to them.
 
-        Where both the direction and the goal at ``heading_deg [N, 1]`` lie behind, it turns to the goal's side: ways
-        past an obstacle there cost much the same to the left and to the right, and the better one changes at each step.
+        With the goal behind, at ``heading_deg [N, 1]``, it turns to the goal's side wherever it flies: ways past an
+        obstacle there cost much the same to the left and to the right, and the better one changes from step to step.
         """
         way = self.directions[best[:, 0]]
         turn = (3 * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-ACTION_LIMIT, ACTION_LIMIT)
         right = heading_deg.remainder(360) - 180  # of straight behind, degrees; the goal's side is left below 0
-        behind = (way[:, :1] < 0) & (right.abs() < BEHIND)
-        turn = torch.where(behind, torch.where(right < 0, turn.abs(), -turn.abs()), turn)
+        around = torch.where(right < 0, ACTION_LIMIT, -ACTION_LIMIT)
+        turn = torch.where(right.abs() < BEHIND, around, turn)
         return torch.cat([speed * way, turn], -1)
 
 
