@@ -98,7 +98,7 @@ class ToldOfPlanes(VectorFieldHistogram):
         rated = cost[..., None] + SLOWNESS * (1 - SPEEDS) + THREAT * worst
         chosen = rated.flatten(1).argmin(-1, keepdim=True)
         best, share = chosen // len(SPEEDS), SPEEDS[chosen % len(SPEEDS)]
-        return tensordict.set("action", self.to_action(best, share * speed.gather(-1, best)))
+        return tensordict.set("action", self.to_action(best, share * speed.gather(-1, best), tensordict["heading_deg"]))
 
 
 def main() -> None:

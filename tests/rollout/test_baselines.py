@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from uavrl.errors import UavrlError
-from uavrl.rollout.baselines import COSTS, VectorFieldHistogram
+from uavrl.rollout.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.rollout.policies import named_policy
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import REDUCTIONS, Reduction
@@ -35,6 +35,31 @@ def test_it_flies_ahead_where_nothing_is_and_turns_from_what_is_there(reduction:
     ahead_and_right = (directions[:, 0] > 0.3) & (directions[:, 1] < 0.2)
     forward, left, _, turn = flown(rule, 3.6 * ahead_and_right.float())
     assert left > 0.1 and turn > 0.5 and forward < 2.0
+
+
+@pytest.mark.parametrize(
+    ("heading", "turn"), [(121.0, 2.0), (175.0, 2.0), (179.9, 2.0), (180.1, -2.0), (185.0, -2.0), (239.0, -2.0)]
+)
+@pytest.mark.parametrize("blocked", [-1.0, 0.0, 1.0])
+def test_with_the_goal_behind_it_turns_to_the_goals_side_wherever_it_flies(
+    heading: float, turn: float, blocked: float
+) -> None:
+    """An obstacle behind, to one side or to the other, does not change the side: a vehicle that turns turns on."""
+    directions = REDUCTIONS["range_image"].directions()
+    cells = 3.6 * ((directions[:, 0] < -0.3) & (blocked * directions[:, 1] > 0.2)).float()
+    state = {"faces": cells[None], "heading_deg": torch.tensor([[heading]]), "altitude": torch.full((1, 1), 3.5)}
+    rule = VectorFieldHistogram(reduction="range_image")
+    assert rule(TensorDict(state, [1]))["action"][0, 3].item() == turn
+
+
+@pytest.mark.parametrize(("heading", "turn"), [(119.0, -2.0), (241.0, 2.0)])
+def test_elsewhere_it_turns_to_where_it_flies(heading: float, turn: float) -> None:
+    """An obstacle on the goal's side leaves the other side alone."""
+    directions = REDUCTIONS["range_image"].directions()
+    cells = 4.0 * ((directions[:, 1] * -turn) > 0.1).float()
+    state = {"faces": cells[None], "heading_deg": torch.tensor([[heading]]), "altitude": torch.full((1, 1), 3.5)}
+    rule = VectorFieldHistogram(reduction="range_image", costs=VFHWeights(9.0, 1.0, 0.3, 0.2, 6.0, 2.0, 0.9))
+    assert rule(TensorDict(state, [1]))["action"][0, 3].item() == turn
 
 
 @pytest.mark.parametrize("seen", COSTS)
