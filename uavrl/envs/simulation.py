@@ -87,7 +87,7 @@ class Simulation:
         self._control_rate = control_rate
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
         self.motors_on, self._rng = True, rng
-        self._past = Past(count, plane_count)
+        self._past = Past(count, plane_count, self.substeps)
         self._prepare_model()
         self._build(meshes, plane_mesh, plane_count)
         self.reset(np.arange(count), np.zeros((count, 3)), np.zeros(count))
@@ -230,7 +230,9 @@ class Simulation:
             self.rotor_speed += self.plants.motor_gain * (wanted - self.rotor_speed)
         else:
             self.rotor_speed[:] = 0.0
-        wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing * self.plants.thrust
+        wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing
+        if self.plants.thrust is not None:
+            wrench *= self.plants.thrust
         loads = drag(self._air_twist(), self.plants.drag, self.plants.drag_limit)
         loads[:, 0, 2] += wrench[:, 0]
         loads[:, 1] += wrench[:, 1:]
