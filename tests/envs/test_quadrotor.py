@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uavrl.envs.controller import Mixer, feasible_command, limit_force, tilt_error, to_world
-from uavrl.envs.quadrotor import Aerodynamics, Airframe, drag, gust_step, mixing_matrix, rotation_from_quaternion
+from uavrl.envs.quadrotor import Aerodynamics, Airframe, drag, gust_path, mixing_matrix, rotation_from_quaternion
 
 
 def test_centre_of_mass_and_inertia():
@@ -53,11 +53,9 @@ def test_rotation_from_quaternion():
 
 
 def test_gusts_have_their_intensity_and_memory():
-    rng, gust, samples = np.random.default_rng(0), np.zeros((500, 3)), []
-    for _ in range(200):
-        gust = gust_step(gust, intensity=1.5, time_constant=1.0, dt=0.1, rng=rng)
-        samples.append(gust)
-    late = np.array(samples[100:])
+    rng = np.random.default_rng(0)
+    first = gust_path(np.zeros((500, 3)), intensity=1.5, time_constant=1.0, dt=0.1, steps=50, rng=rng)
+    late = gust_path(first[-1], intensity=1.5, time_constant=1.0, dt=0.1, steps=150, rng=rng)[50:]
     assert late.std() == pytest.approx(1.5, rel=0.05) and abs(late.mean()) < 0.1
     correlation = (late[10:] * late[:-10]).mean() / late.var()
     assert correlation == pytest.approx(np.exp(-1.0), abs=0.05)

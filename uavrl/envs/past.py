@@ -9,12 +9,14 @@ class Past:
     Args:
         count: Number of vehicles N.
         planes: Number of planes K.
+        steps: Physics steps T in a period.
     """
 
-    def __init__(self, count: int, planes: int) -> None:
+    def __init__(self, count: int, planes: int, steps: int) -> None:
+        self._steps = steps
         self._states: list[np.ndarray] = []
         self._planes = np.zeros((1, planes, 4))
-        self._age = np.zeros(count, dtype=np.int64)  # physics steps since the reset
+        self._age = np.zeros(count, dtype=np.int64)  # physics steps from the reset to the end of the period
 
     def reset(self, index: np.ndarray, states: np.ndarray) -> None:
         """Takes ``states [N, 13]`` as those of now, before which the vehicles in ``index`` were not."""
@@ -28,13 +30,13 @@ class Past:
     def begin_period(self, plane_path: np.ndarray | None) -> None:
         """Forgets the period before; the planes will fly ``plane_path [T, K, 4]``, or stay where they are."""
         del self._states[:-1]
+        self._age += self._steps
         now = self._planes[-1:]
         self._planes = now if plane_path is None else np.concatenate([now, plane_path])
 
     def add(self, states: np.ndarray) -> None:
         """Adds the states ``[N, 13]`` after a physics step."""
         self._states.append(states)
-        self._age += 1
 
     def since_reset(self, delay: np.ndarray, index: np.ndarray) -> np.ndarray:
         """The delays ``[M]`` of the vehicles in ``index``, in physics steps, but not beyond their resets."""

@@ -22,8 +22,8 @@ class Plants:
         each: The N plants.
         mass: ``[N]`` in kg, with the LiDAR.
         inertia: ``[N, 3]`` in kg m², likewise.
-        thrust: ``[N, 1]``, factor on the thrust coefficient.
-        motor_gain: ``[N, 1]``, share of the way to the wanted rotor speed in a physics step.
+        thrust: ``[N, 4]``, factor on the thrust coefficient; None where it is 1.
+        motor_gain: ``[N, 4]``, share of the way to the wanted rotor speed in a physics step.
         hover_speed: ``[N, 1]`` in rad/s.
         hover_force: ``[N]`` in N, the vertical force that the controller sees in hovering and cannot explain.
         drag: ``[N, 2, 3]``, see :attr:`Aerodynamics.coefficients`.
@@ -60,12 +60,13 @@ class Plants:
     def _derive(self) -> None:
         """Computes all arrays."""
         airframe, air = self.airframe, self.aerodynamics
-        mass, inertia, self.thrust = self._column("mass"), self._column("inertia"), self._column("thrust")
+        mass, inertia, thrust = self._column("mass"), self._column("inertia"), self._column("thrust")
         self.mass, self.inertia = airframe.total_mass * mass[:, 0], airframe.combined_inertia * inertia
-        self.hover_speed = airframe.hover_speed * np.sqrt(mass / self.thrust)
-        self.hover_force = airframe.total_mass * GRAVITY * (1 - mass / self.thrust)[:, 0]
+        self.hover_speed = airframe.hover_speed * np.sqrt(mass / thrust)
+        self.hover_force = airframe.total_mass * GRAVITY * (1 - mass / thrust)[:, 0]
+        self.thrust = np.tile(thrust, 4) if (thrust != 1).any() else None
         lag = airframe.motor_time_constant * self._column("motor_time_constant")
-        self.motor_gain = 1 - np.exp(-self._dt / lag)
+        self.motor_gain = np.tile(1 - np.exp(-self._dt / lag), 4)
         self.drag = air.coefficients * self._column("drag")[:, None]
         self.drag_limit = np.stack([np.tile(self.mass[:, None], 3), self.inertia], axis=1) / self._dt
         self.wind = np.array(air.wind) + [(*plant.wind, 0.0) for plant in self.each]

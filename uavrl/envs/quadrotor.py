@@ -214,13 +214,21 @@ def drag(twist: np.ndarray, coefficients: np.ndarray, limit: np.ndarray | float 
     return -np.minimum(coefficients * magnitude, limit) * twist
 
 
-def gust_step(
-    gust: np.ndarray, intensity: float | np.ndarray, time_constant: float, dt: float, rng: np.random.Generator
+def gust_path(
+    gust: np.ndarray,
+    intensity: float | np.ndarray,
+    time_constant: float,
+    dt: float,
+    steps: int,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """Gusts ``[N, 3]`` in m/s one time step later: first-order noise (Ornstein-Uhlenbeck), exact for any ``dt`` in s.
+    """Gusts ``[T, N, 3]`` in m/s after T time steps: first-order noise (Ornstein-Uhlenbeck), exact for any ``dt``.
 
-    It is the simplest of Dryden's spectra; ``intensity`` is its stationary standard deviation in m/s, and
-    ``time_constant`` its correlation time in s.
+    It is the simplest of Dryden's spectra. ``gust [N, 3]`` is that of now; ``intensity`` is its stationary standard
+    deviation in m/s, one or ``[N, 1]``; ``time_constant`` is its correlation time in s, and ``dt`` the time step in s.
     """
     kept = np.exp(-dt / time_constant)
-    return kept * gust + intensity * np.sqrt(1 - kept**2) * rng.standard_normal(gust.shape)
+    path = intensity * np.sqrt(1 - kept**2) * rng.standard_normal((steps, *gust.shape))
+    for step in range(steps):
+        path[step] += kept * (path[step - 1] if step else gust)
+    return path

@@ -16,7 +16,7 @@ from uavrl.envs.quadrotor import (
     Aerodynamics,
     Airframe,
     drag,
-    gust_step,
+    gust_path,
     mixing_matrix,
     rotation_from_quaternion,
 )
@@ -87,7 +87,7 @@ class Simulation:
         self._control_rate = control_rate
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
         self.motors_on, self._rng = True, rng
-        self._past = Past(count, plane_count)
+        self._past = Past(count, plane_count, self.substeps)
         self._prepare_model()
         self._build(meshes, plane_mesh, plane_count)
         self.reset(np.arange(count), np.zeros((count, 3)), np.zeros(count))
@@ -166,6 +166,7 @@ class Simulation:
         shape = (self.substeps, len(self._planes), 4)
         path = [] if plane_path is None else self._checked_poses(plane_path, shape).tolist()
         self._past.begin_period(plane_path)
+        wind = self._draw_wind()
         touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
         target_tm1, self._target = self._target, target
         delay, longest = self.plants.action_delay, self.plants.action_delay.max()
@@ -177,7 +178,7 @@ class Simulation:
                 velocity = self._twist_world[:, 0]
                 command = target if substep >= longest else np.where(substep < delay, target_tm1, target)
                 self._controller.track(command, self.rotation, velocity, self._twist, lift, period)
-            self._push()
+            self._push(None if wind is None else wind[substep])
             pybullet.stepSimulation(physicsClientId=self._client)
             self._past.add(self._read())
             for contact in pybullet.getContactPoints(physicsClientId=self._client):
@@ -223,15 +224,21 @@ class Simulation:
         self._twist = np.matmul(self._twist_world, self.rotation)  # rows times R = Rᵀ times columns: body axes
         return state
 
-    def _push(self) -> None:
+    def _push(self, wind: np.ndarray | None) -> None:
         """Runs the inner loop and the rotors, and applies thrust, drag and moments at the centres of mass."""
         if self.motors_on:
             wanted = np.sqrt(self._controller.thrusts(self.rotation, self._twist) / self.airframe.thrust_coefficient)
             self.rotor_speed += self.plants.motor_gain * (wanted - self.rotor_speed)
         else:
             self.rotor_speed[:] = 0.0
-        wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing * self.plants.thrust
-        loads = drag(self._air_twist(), self.plants.drag, self.plants.drag_limit)
+        wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing
+        if self.plants.thrust is not None:
+            wrench *= self.plants.thrust
+        twist = self._twist  # relative to the air, and rates
+        if wind is not None:
+            twist = twist.copy()
+            twist[:, 0] -= np.matmul(wind[:, None], self.rotation)[:, 0]
+        loads = drag(twist, self.plants.drag, self.plants.drag_limit)
         loads[:, 0, 2] += wrench[:, 0]
         loads[:, 1] += wrench[:, 1:]
         # Both in world axes and at the centre of mass, where PyBullet's frames leave no doubt.
@@ -241,17 +248,16 @@ class Simulation:
             pybullet.applyExternalForce(body, -1, force, centre, frame, client)
             pybullet.applyExternalTorque(body, -1, moment, frame, client)
 
-    def _air_twist(self) -> np.ndarray:
-        """Returns velocities relative to the air, and rates, ``[N, 2, 3]`` in body axes."""
-        plants = self.plants
+    def _draw_wind(self) -> np.ndarray | None:
+        """Draws the wind ``[T, N, 3]`` in m/s, world axes, of a period's physics steps; None in still air."""
+        plants, gusts = self.plants, self._gust[None]
         if plants.still_air:
-            return self._twist
+            return None
         if plants.gusty and self._rng is not None:
-            time_constant = self.aerodynamics.gust_time_constant
-            self._gust = gust_step(self._gust, plants.gust_intensity, time_constant, self._dt, self._rng)
-        twist = self._twist.copy()
-        twist[:, 0] -= np.matmul((plants.wind + self._gust)[:, None], self.rotation)[:, 0]
-        return twist
+            intensity, time_constant = plants.gust_intensity, self.aerodynamics.gust_time_constant
+            gusts = gust_path(self._gust, intensity, time_constant, self._dt, self.substeps, self._rng)
+            self._gust = gusts[-1]
+        return np.broadcast_to(plants.wind + gusts, (self.substeps, self.count, 3))
 
     def _publish(self) -> None:
         """Turns the last state into the public quantities."""
