@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,3 +83,27 @@ def test_the_stopwatch_gives_each_second_to_the_innermost_part(monkeypatch: pyte
         owner.outer()  # begins at 1, its inner one lasts from 2 to 3, ends at 4
     assert stopwatch.stop() == {"rest": 2, "outer": 2, "inner": 1}  # stops at 5
     assert vars(owner) == before
+
+
+def test_the_policy_of_a_minute_is_that_of_the_last_checkpoint_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import unseen
+
+    ends = {"checkpoint-0": (0, 0.0), "checkpoint-1": (5, 31.0), "checkpoint-2": (9, 59.0), "checkpoint-3": (20, 130.0)}
+    (tmp_path / "checkpoints").mkdir()
+    for name in ends:
+        (tmp_path / "checkpoints" / name).touch()
+
+    def manifest(path: Path) -> dict[str, Any]:
+        return {"metadata": dict(zip(("episodes", "seconds"), ends[path.name], strict=True))}
+
+    monkeypatch.setattr(unseen.Checkpoint, "manifest", manifest)
+    found = unseen.by_minute(tmp_path)
+    assert {at: Path(policy[1].partition("=")[2]).name for at, policy in found.items()} == {
+        1: "checkpoint-2",
+        3: "checkpoint-3",
+    }
+    (tmp_path / "minute_007.zip").touch()
+    assert list(unseen.by_minute(tmp_path)) == [7]

@@ -27,7 +27,7 @@ def test_culling_changes_no_point(seed: int, max_range: float) -> None:
     np.testing.assert_array_equal(culled, whole)
 
 
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (900.0, -1500.0, 0.0)])
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (3.0, 19.9, 0.0), (0.0, -20.0, 0.0), (900.0, -1500.0, 0.0)])
 def test_culling_in_float32_holds_far_from_the_origin(offset: tuple[float, float, float]) -> None:
     meshes = [mesh.translated(offset) for mesh in clutter(5)]
     positions, rotations = poses(6, 6)

@@ -88,7 +88,8 @@ class RayCuller:
 
     def _windows(self, position: np.ndarray) -> Iterator[slice]:
         """The spheres that may be in range: in each band along y, a range of x."""
-        for band in range(*np.floor((position[1] + self._window) / _BAND).astype(np.int64) + (0, 1)):
+        lowest, highest = np.floor((position[1] + self._window) / _BAND).astype(np.int64)
+        for band in range(lowest, highest + 1):
             if (inside := self._bands.get(band)) is not None:
                 first, last = np.searchsorted(self._centres[0, inside], position[0] + self._window)
                 yield slice(inside.start + first, inside.start + last)
