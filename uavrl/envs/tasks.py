@@ -40,7 +40,7 @@ class Surface:
     """The surface of a mesh between two heights as points, to measure clearances with."""
 
     def __init__(self, mesh: Mesh, low: float, high: float) -> None:
-        self._tree = cKDTree(surface_points(mesh, low, high), balanced_tree=False, compact_nodes=False)
+        self._tree = cKDTree(surface_points(mesh, low, high), balanced_tree=False, compact_nodes=False, leafsize=64)
 
     def clearance(self, points: np.ndarray, longest: float) -> np.ndarray:
         """Returns a lower bound in metres of the distance of ``points [..., 3]`` to the surface, cut at ``longest``."""
