@@ -30,9 +30,10 @@ run = folder / "run"
 
 # %%
 sh(
-    f"uavrl-train preset=best collector=sync run_dir={run} trainer.episodes={FLIGHTS} trainer.progress=false "
-    "env.world.seeds=[0] env.world.size=[20,16] env.world.obstacles=8 env.world.min_goal_distance=5 env.max_steps=100 "
-    "algo.hidden=[128,128] algo.learning_starts=800 trainer.execution=captured trainer.window=50"
+    f"uavrl-train preset=best collector=sync randomize=none run_dir={run} trainer.episodes={FLIGHTS} "
+    "trainer.progress=false env.num_uavs=8 env.world.seeds=[0] env.world.size=[20,16] env.world.obstacles=8 "
+    "env.world.min_goal_distance=5 env.max_steps=100 algo.hidden=[128,128] algo.learning_starts=800 "
+    "trainer.updates_per_step=2 trainer.execution=captured trainer.window=50"
 )
 
 # %% [markdown]
@@ -101,5 +102,5 @@ plt.show()
 # %% [markdown]
 # ## The real thing
 #
-# `make train` is this in sixteen valleys of 40 m × 30 m with 45 or 90 obstacles, with larger networks and more flights, and measures it in valleys
+# `make train` is this in 48 valleys of 40 m × 30 m with 45 or 90 obstacles and vehicles that differ from what their controllers believe, with larger networks and more flights, and measures it in valleys
 # that the policy never saw. [What it gave](../results.md#which-policy-flies-best).

@@ -173,7 +173,7 @@ def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, 
 
 def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
     config = compose("preset=best")
-    assert len(config.env.world.seeds) == 16 and not set(config.env.world.seeds) & set(range(100, 110))
+    assert len(config.env.world.seeds) == 48 and not set(config.env.world.seeds) & set(range(100, 110))
     assert (config.guide.reduction, compose("guide=vfh").guide.reduction) == ("range_image", "truncated_icosahedron")
     assert (config.choices.reward, config.choices.backward_reward) == ("traditional", "none")
     assert config.actor_penalty._target_.endswith(".Imitation")
