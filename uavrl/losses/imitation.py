@@ -10,6 +10,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
+from uavrl.errors import UavrlError
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer
 from uavrl.ranges import Count, NonNegative, Positive
@@ -56,6 +57,7 @@ class Imitation(Enhancer):
         decay_steps: environment steps that the decay takes.
 
     Raises:
+        UavrlError: for a decay from a weight of 0.
         KeyError: from ``actor_loss``, for a batch without the controller's actions.
 
     Examples:
@@ -92,6 +94,10 @@ class Imitation(Enhancer):
         final_weight: Positive | None = None,
         decay_steps: Count = 60_000,
     ) -> None:
+        if not weight and final_weight is not None:
+            raise UavrlError(
+                f"weight must be above 0 to decay to a final_weight, which is {final_weight}, got {weight}."
+            )
         super().__init__(base)
         self.limit, self.first_weight, self.final_weight, self.decay_steps = limit, weight, final_weight, decay_steps
         self.weight: Tensor
