@@ -67,7 +67,8 @@ class Plants:
         self.thrust = np.tile(thrust, 4) if (thrust != 1).any() else None
         lag = airframe.motor_time_constant * self._column("motor_time_constant")
         self.motor_gain = np.tile(1 - np.exp(-self._dt / lag), 4)
-        self.drag = air.coefficients * self._column("drag")[:, None]
+        drag = np.stack([self._column("drag"), np.ones((len(self.each), 1))], axis=1)  # of the force alone
+        self.drag = air.coefficients * drag
         self.drag_limit = np.stack([np.tile(self.mass[:, None], 3), self.inertia], axis=1) / self._dt
         self.wind = np.array(air.wind) + [(*plant.wind, 0.0) for plant in self.each]
         gusts = [air.gust_intensity if plant.gust_intensity is None else plant.gust_intensity for plant in self.each]
