@@ -94,8 +94,8 @@ def by_minute(run: Path) -> dict[int, list[str]]:
 
 
 def success(policy: list[str], output: Path, tasks: int) -> float:
-    """The success rate in the unseen valleys; what is there already is not measured again."""
-    if not output.exists():
+    """The success rate in the unseen valleys; what is there already, of as many tasks, is not measured again."""
+    if not output.exists() or json.loads(output.read_text(encoding="utf-8"))["episodes"] != tasks:
         where = ["env=static", VALLEYS, f"episodes={tasks}", "seed=4242", f"output={output}", "progress=false"]
         run_here("-m", "uavrl.cli.evaluate", *policy, *where)
     return float(json.loads(output.read_text(encoding="utf-8"))["success"]["rate"])

@@ -1,4 +1,4 @@
-"""What the machine has for this process."""
+"""How many processors this process may use."""
 
 import math
 import os

@@ -294,6 +294,9 @@ def test_a_quantity_that_is_switched_off_changes_none_of_the_others() -> None:
         ({"wind": (0.0, math.nan)}, "wind must be two numbers"),
         ({"dropout": 0.1}, "dropout must be two numbers"),
         ({"dropout": (0.1,)}, "dropout must be two numbers"),
+        ({"dropout": ("0", "1")}, "dropout must be two numbers"),
+        ({"dropout": (None, 0.1)}, "dropout must be two numbers"),
+        ({"dropout": ([0.1], [0.1, 0.2])}, "dropout must be two numbers"),
     ],
 )
 def test_what_is_no_range_is_refused(given: dict[str, object], told: str) -> None:

@@ -12,6 +12,7 @@ from torchrl.modules import MLP
 
 from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.losses import SPEC, fork, td3
+from uavrl.errors import UavrlError
 from uavrl.losses import DDPGLoss, Imitation, SACLoss, TD3Loss
 from uavrl.losses.imitation import action_distance
 from uavrl.training.update import ActorCriticStepper
@@ -67,6 +68,21 @@ def test_the_weight_decays_by_the_steps_of_whole_episodes() -> None:
         restored.observe(episode)
     assert restored.weight.item() == pytest.approx(0.25)
     assert restored.diagnostics()["imitation_weight"] == pytest.approx(0.25)
+
+
+def test_a_decay_from_nothing_is_refused() -> None:
+    with pytest.raises(UavrlError, match="weight must be above 0 to decay to a final_weight, which is"):
+        Imitation(td3(), weight=0, final_weight=0.2)
+
+
+def test_a_state_from_before_the_weight_could_decay_is_taken_at_its_first_weight() -> None:
+    loss = Imitation(td3(), limit=2.0, weight=0.7)
+    older = {key: value for key, value in loss.state_dict().items() if key not in ("weight", "steps")}
+    restored = Imitation(td3(), limit=2.0, weight=0.7)
+    restored.load_state_dict(older)
+    assert (restored.weight.item(), restored.steps.item()) == (pytest.approx(0.7), 0)
+    with pytest.raises(RuntimeError, match="Missing"):
+        restored.load_state_dict({"weight": loss.weight})
 
 
 @pytest.mark.parametrize("execution", ["eager", "captured", "compiled"])

@@ -58,7 +58,7 @@ class NavigationEnv(EnvBase):
         lidar: the sensor and its noise.
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
-        randomize: what the vehicles have of their own in each episode; None: nothing.
+        randomize: what is drawn for the vehicle of each episode; None: nothing.
         max_steps: steps until an episode is truncated (Table 4.1: 300).
         blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.

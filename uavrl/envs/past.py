@@ -19,7 +19,7 @@ class Past:
         self._age = np.zeros(count, dtype=np.int64)  # physics steps from the reset to the end of the period
 
     def reset(self, index: np.ndarray, states: np.ndarray) -> None:
-        """Takes ``states [N, 13]`` as those of now, before which the vehicles in ``index`` were not."""
+        """Takes ``states [N, 13]`` as those of now; the vehicles in ``index`` have no earlier ones."""
         self._states[-1:] = [states]
         self._age[index] = 0
 

@@ -203,8 +203,8 @@ def drag(twist: np.ndarray, coefficients: np.ndarray, limit: np.ndarray | float 
 
     Args:
         twist: ``[N, 2, 3]``: air-relative velocity in m/s and rates in rad/s, in body axes.
-        coefficients: ``[2, 3]``, see :attr:`Aerodynamics.coefficients`.
-        limit: ``[2, 3]``, the most drag per velocity in N s/m and N m s. Mass and inertia over the time step keep an
+        coefficients: ``[2, 3]`` or ``[N, 2, 3]``, see :attr:`Aerodynamics.coefficients`.
+        limit: likewise, the most drag per velocity in N s/m and N m s. Mass and inertia over the time step keep an
             explicit integration stable: drag then stops a motion, at most, and never turns it round.
 
     Returns:

@@ -92,7 +92,12 @@ class Randomization:
         for name, (least, most) in LIMITS.items():
             if (given := getattr(self, name)) is None:
                 continue
-            if np.shape(given) != (2,) or not least <= given[0] <= given[1] <= most:
+            try:
+                low, high = given
+                fits = bool(least <= low <= high <= most)
+            except (TypeError, ValueError):  # not two, or not numbers
+                fits = False
+            if not fits:
                 raise UavrlError(
                     f"{name} must be two numbers in [{least:.4g}, {most:.4g}], the lower one first, or null for off, "
                     f"got {list(given) if np.iterable(given) else given}."

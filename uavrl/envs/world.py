@@ -219,7 +219,7 @@ class World:
         def build(i: int) -> Valley:
             return build_valley(config, config.seeds[i], pitch * divmod(i, columns), counts[i])
 
-        with ThreadPoolExecutor(processors()) as threads:  # NumPy and SciPy let each other run
+        with ThreadPoolExecutor(processors()) as threads:  # NumPy and SciPy release the GIL
             self.valleys = list(threads.map(build, self.built))
         self.meshes = [mesh for valley in self.valleys for mesh in valley.meshes()]
         self._origins = np.stack([valley.origin for valley in self.valleys])

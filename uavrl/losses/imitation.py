@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
+from uavrl.errors import UavrlError
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer
 from uavrl.ranges import Count, NonNegative, Positive
@@ -55,6 +57,7 @@ class Imitation(Enhancer):
         decay_steps: environment steps that the decay takes.
 
     Raises:
+        UavrlError: for a decay from a weight of 0.
         KeyError: from ``actor_loss``, for a batch without the controller's actions.
 
     Examples:
@@ -91,12 +94,22 @@ class Imitation(Enhancer):
         final_weight: Positive | None = None,
         decay_steps: Count = 60_000,
     ) -> None:
+        if not weight and final_weight is not None:
+            raise UavrlError(
+                f"weight must be above 0 to decay to a final_weight, which is {final_weight}, got {weight}."
+            )
         super().__init__(base)
         self.limit, self.first_weight, self.final_weight, self.decay_steps = limit, weight, final_weight, decay_steps
         self.weight: Tensor
         self.steps: Tensor
         self.register_buffer("weight", torch.tensor(float(weight)))
         self.register_buffer("steps", torch.tensor(0))
+
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
+        """Takes states from before the weight could decay, too: it stands at its first value there."""
+        for name in ("weight", "steps"):
+            state_dict.setdefault(prefix + name, getattr(self, name))
+        super()._load_from_state_dict(state_dict, prefix, *args)
 
     @torch.no_grad()
     def observe(self, episodes: TensorDictBase) -> None:

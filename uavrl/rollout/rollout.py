@@ -90,10 +90,8 @@ class FlightMeter:
         self._flown = np.where(new, 0.0, self._flown) + np.linalg.norm(next_position - position, axis=1)
 
     def _flight(self, i: int, last: TensorDictBase) -> Flight:
-        flight, actions = (
-            Flight(int(last["task"].item()), outcome(last), int(self._steps[i])),
-            np.stack(self._actions[i]),
-        )
+        flight = Flight(int(last["task"].item()), outcome(last), int(self._steps[i]))
+        actions = np.stack(self._actions[i])
         if last.get("clearance", None) is None:
             paid = float(last.get("episode_reward", self._return[i]))
             return replace(flight, episode_return=paid, action_change=action_change(actions))
