@@ -17,7 +17,7 @@ FLOORS = [
     {"models", "transforms"},
     {"config", "runs"},
     {"upstream"},
-    {"errors", "ranges", "command_line"},
+    {"errors", "ranges", "command_line", "machine"},
 ]
 
 

@@ -27,7 +27,7 @@ EXAMPLES = {
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
 MOST_USED = {
-    "config": "run_dir resume seed device trainer.episodes trainer.steps trainer.until_success env.num_uavs "
+    "config": "run_dir resume seed device trainer.episodes trainer.steps env.num_uavs "
     "env.world.obstacles algo.learning_starts algo.hidden buffer.capacity packages",
     "evaluate": "run policy episodes suite valleys output seed checkpoint num_uavs",
     "replay": "run policy task tasks output checkpoint",
