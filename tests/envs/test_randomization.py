@@ -100,6 +100,13 @@ def test_terminal_velocities_go_by_mass_and_drag() -> None:
         np.testing.assert_allclose(-simulation.velocity[:, 2], expected, rtol=2e-3)
 
 
+def test_the_drag_moment_stays_as_the_controller_believes_it() -> None:
+    with world(2) as simulation:
+        begin(simulation, Plant(drag=0.5), Plant(drag=1.5))
+        force, moment = Aerodynamics().coefficients
+        np.testing.assert_allclose(simulation.plants.drag, [[0.5 * force, moment], [1.5 * force, moment]])
+
+
 def test_a_steady_wind_is_leant_against() -> None:
     with world(2, aerodynamics=Aerodynamics(wind=(0.0, 1.0, 0.0))) as simulation:
         begin(simulation, Plant(wind=(2.0, 0.0)), Plant())
