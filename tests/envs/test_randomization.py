@@ -13,6 +13,7 @@ from uavrl.envs.bullet import pybullet
 from uavrl.envs.controller import most_load
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
+from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import LIMITS, Plant, Randomization, draw_plant
 from uavrl.envs.simulation import Simulation
@@ -271,13 +272,34 @@ def test_a_vehicle_is_no_heavier_than_its_rotors_carry_and_the_heaviest_climbs()
     plant = draw_plant(heavy, np.random.default_rng(0), most_load(Airframe()))
     lift = 0.9 * 38.0 * np.cos(0.5)
     assert plant.thrust == 0.85 and plant.mass == pytest.approx(0.85 * lift / (MASS * 10.31))
-    assert draw_plant(Randomization(thrust=(0.5, 0.5)), np.random.default_rng(0), 1.2).mass == 1.0
     with world() as simulation:
         begin(simulation, plant)
         fly(simulation, 30)
         assert simulation.velocity[0, 2] == pytest.approx(0.0, abs=0.02) and simulation.position[0, 2] > 3.0
         fly(simulation, 30, 0.0, 0.0, 1.0, 0.0)
         assert simulation.velocity[0, 2] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "flyable"),
+    [
+        ({"mass": (0.8, 1.2), "thrust": (0.85, 1.15)}, True),
+        ({"thrust": (0.8, 1.0)}, True),
+        ({"thrust": (0.7, 1.0)}, False),  # 1 / 0.7 is above 1.26
+        ({"mass": (1.3, 2.0)}, False),
+        ({"mass": (0.5, 1.0)}, True),
+        ({"mass": (0.4, 1.0)}, False),
+        ({"wind": (0.0, 2.0)}, True),
+    ],
+)
+def test_ranges_whose_vehicles_sink_or_rise_are_refused(ranges: dict[str, tuple[float, float]], flyable: bool) -> None:
+    if flyable:
+        NavigationEnv(1, randomize=Randomization(**ranges))
+        return
+    with pytest.raises(
+        UavrlError, match=r"^randomize\.mass and randomize\.thrust must leave vehicles that can be flown"
+    ):
+        NavigationEnv(1, randomize=Randomization(**ranges))
 
 
 def test_a_quantity_that_is_switched_off_changes_none_of_the_others() -> None:

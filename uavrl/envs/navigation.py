@@ -18,7 +18,7 @@ from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
-from uavrl.envs.randomization import Plant, Randomization, draw_plants
+from uavrl.envs.randomization import Plant, Randomization, draw_plants, require_flyable
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
@@ -107,6 +107,8 @@ class NavigationEnv(EnvBase):
         self.airframe = airframe or Airframe()
         self.aerodynamics = aerodynamics or Aerodynamics()
         self.randomize = randomize if randomize is not None and randomize.is_on else None
+        if self.randomize is not None:
+            require_flyable(self.randomize, most_load(self.airframe))
         world, hull = self._world_config, self.airframe
         check_hull(hull.collision_radius, hull.collision_height, max(world.min_clearance, world.uav_radius))
         self._lidar_config = lidar or LidarConfig()

@@ -33,6 +33,7 @@ LIMITS: dict[str, Range] = {
     "altitude_bias": (-10.0, 10.0),
     "heading_bias": (-math.pi, math.pi),
 }
+LEAST_LOAD = 0.5  # mass over thrust, as factors: what is lighter rises faster than the controller can learn
 _DIRECTIONS = ("wind", "tilt", "blind")  # which are uniform over the circle
 _SHARES = {name: place for place, name in enumerate((*LIMITS, *(f"{name}_direction" for name in _DIRECTIONS)))}
 
@@ -146,6 +147,20 @@ class Plant:
         return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ tilt
 
 
+def require_flyable(randomization: Randomization, most_load: float) -> None:
+    """Refuses ranges with vehicles that sink or rise whatever is commanded.
+
+    Where the mass is drawn, the heaviest are made lighter (:func:`draw_plant`): its lower end must do.
+    """
+    (lightest, _), (weakest, strongest) = randomization.mass or (1.0, 1.0), randomization.thrust or (1.0, 1.0)
+    if lightest > most_load * weakest or lightest < LEAST_LOAD * strongest:
+        raise UavrlError(
+            f"randomize.mass and randomize.thrust must leave vehicles that can be flown: the least mass at most "
+            f"{most_load:.3g} times the least thrust, and at least {LEAST_LOAD} times the greatest (null counts as 1), "
+            f"got {lightest:g} with thrusts of {weakest:g} to {strongest:g}."
+        )
+
+
 def draw_plant(randomization: Randomization, rng: np.random.Generator, most_load: float = math.inf) -> Plant:
     """Draws one vehicle. A quantity that is switched off leaves the draws of all others as they are.
 
@@ -172,5 +187,4 @@ def draw_plant(randomization: Randomization, rng: np.random.Generator, most_load
 
 def draw_plants(randomization: Randomization, seed: int, tasks: Iterable[int], most_load: float) -> list[Plant]:
     """The vehicles of tasks: each depends on the seed and its task alone, by a stream beside that of start and goal."""
-    streams = [np.random.SeedSequence((seed, task), spawn_key=(1,)) for task in tasks]
-    return [draw_plant(randomization, np.random.default_rng(stream), most_load) for stream in streams]
+    return [draw_plant(randomization, np.random.default_rng((seed, task, 1)), most_load) for task in tasks]

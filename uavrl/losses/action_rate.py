@@ -18,7 +18,8 @@ class ActionRate(Enhancer):
     """Adds the distance between the actor's action and the one before it to the actor's objective.
 
     The term is ``weight · mean |objective| · ‖(μ(s_t) - a_{t-1}) / limit‖² / A``, so that its share stays while values
-    grow. The action before is the end of the state, where ``perception.last_action=true`` puts it, over the limit.
+    grow; around an imitation the objective holds that, too. The action before is the end of the state, where
+    ``perception.last_action=true`` puts it, over the limit.
 
     Source: the temporal term of Mysore et al. (2021), Regularizing Action Policies for Smooth Control with
     Reinforcement Learning (arXiv:2012.06644), with the action that was taken before, in place of the policy's in the
