@@ -27,6 +27,7 @@ from common import machine, sb3_td3
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.cli.errors import one_sentence
+from uavrl.errors import UavrlError
 
 RECIPE, SB3, CONTROLLER = "preset=best", "Stable-Baselines3's TD3", "the scripted controller"
 VALLEYS = "valleys=[100,101,102,103,104,105,106,107,108,109]"
@@ -39,8 +40,19 @@ def run_here(*command: str) -> None:
     subprocess.run([sys.executable, *command], check=True, env=environment)
 
 
+def require_same(run: Path, told: list[str]) -> None:
+    """Refuses a run that was made otherwise than it is asked for now."""
+    kept = run.with_suffix(".json")
+    if not kept.exists():
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(told), encoding="utf-8")
+    if (before := json.loads(kept.read_text(encoding="utf-8"))) != told:
+        raise UavrlError(f"{run} was made with {before}, not {told}: choose another --folder.")
+
+
 def train(seed: int, run: Path, overrides: list[str]) -> None:
     """Makes one run of ours, or goes on with it."""
+    require_same(run, overrides)
     if (run / "summary.json").exists():
         return
     begun = any((run / "checkpoints").glob("checkpoint*"))
@@ -51,6 +63,9 @@ def train(seed: int, run: Path, overrides: list[str]) -> None:
 
 def train_sb3(seed: int, run: Path, minutes: float) -> None:
     """Trains Stable-Baselines3's TD3 and keeps the model of every minute."""
+    require_same(run, [str(minutes)])
+    if (run / "summary.json").exists():
+        return
     import gymnasium
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
@@ -118,7 +133,8 @@ def draw(result: dict[str, Any], path: Path) -> None:
     figure, axes = pyplot.subplots(figsize=(7, 3.2), layout="constrained")
     for colour, row in enumerate(row for row in (RECIPE, SB3) if result["rows"].get(row)):
         for number, line in enumerate(result["rows"][row]):
-            label = f"{row}, {len(result['rows'][row])} seeds" if number == 0 else "_"
+            runs = f"{row}{', in one valley' if row == SB3 else ''}, {len(result['rows'][row])} seeds"
+            label = runs if number == 0 else "_"
             axes.plot(list(map(int, line)), [100 * y for y in line.values()], color=f"C{colour}", label=label)
     axes.axhline(100 * result["controller"], color="0.4", linestyle="--", label=CONTROLLER)
     axes.set(xlabel="minutes of training", ylabel="success in unseen valleys [%]", ylim=(0, 100), xlim=(0, None))
@@ -145,8 +161,7 @@ def main() -> None:
     for seed, run in enumerate(ours):
         train(seed, run, args.overrides)
     for seed, run in enumerate(theirs):
-        if not (run / "summary.json").exists():
-            train_sb3(seed, run, args.sb3_minutes)
+        train_sb3(seed, run, args.sb3_minutes)
     rule = ["policy=vfh", "perception=range_image"]
     rows = {
         RECIPE: [curve(run, args.minutes, args.tasks) for run in ours],
