@@ -55,7 +55,7 @@ def test_packaged_policies_are_read_without_a_word(name: str, caplog: pytest.Log
     assert config == before and not caplog.records
 
 
-TODAY = ["backward_reward=abr", "reward=traditional", "fork=on"]
+TODAY = ["backward_reward=abr", "reward=traditional", "fork=on", "run_dir=runs/before"]  # else named by the second
 
 
 def recorded_before() -> DictConfig:
