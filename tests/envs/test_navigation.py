@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -10,57 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from torchrl.collectors import Collector
 from torchrl.envs import check_env_specs
 
+from tests.helpers.valleys import SMALL, act, differing, rollout
 from uavrl.envs.interface import goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics
 from uavrl.envs.world import WorldConfig
-
-NEAR = LidarConfig(max_range=4.0)
-SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=4.0)
-
-
-@pytest.fixture
-def make() -> Iterator[Callable[..., NavigationEnv]]:
-    made: list[NavigationEnv] = []
-
-    def build(num_uavs: int = 2, **kwargs: Any) -> NavigationEnv:
-        made.append(NavigationEnv(num_uavs, **{"lidar": NEAR, "world": SMALL} | kwargs))
-        return made[-1]
-
-    yield build
-    for env in made:
-        env.close(raise_if_closed=False)
-
-
-def act(state: TensorDictBase, *action: float) -> TensorDictBase:
-    return state.set("action", torch.tensor(action or (0.0,) * 4).expand(*state.batch_size, 4).clone())
-
-
-def rollout(env: NavigationEnv, steps: int, seed: int = 0) -> TensorDictBase:
-    """Steps with random actions of a generator of its own, through resets."""
-    generator = torch.Generator().manual_seed(seed)
-    state, seen = env.reset(), []
-    for _ in range(steps):
-        state["action"] = 4 * torch.rand(*env.batch_size, 4, generator=generator) - 2
-        stepped, state = env.step_and_maybe_reset(state)
-        seen.append(stepped.clone())
-    return torch.stack(seen, 1)
-
-
-def differing(one: TensorDictBase, other: TensorDictBase) -> list[Any]:
-    """The keys that are not bit-identical; NaN equals NaN."""
-    flat = [dict(td.items(True, True)) for td in (one, other)]
-    assert flat[0].keys() == flat[1].keys()
-    return [
-        k
-        for k in flat[0]
-        if not np.array_equal(*(f[k].numpy() for f in flat), equal_nan=flat[0][k].is_floating_point())
-    ]
 
 
 def place(env: NavigationEnv, uav: int, position: list[float] | np.ndarray, yaw: float = 0.0) -> None:
