@@ -33,7 +33,7 @@ $(DEV): $(READY)
 	$(install) '.[dev]'
 	touch $@
 
-# Trains a policy, then evaluates it in ten valleys that it never saw (the suite's held_out) and draws some flights in one of
+# Trains a policy, then evaluates it in ten valleys that it never saw (the suite's held_out) and draws some episodes in one of
 # them. ARGS="env=dynamic" changes what is trained, and the environment of the evaluation with it.
 # The thesis's run: .venv/bin/uavrl-train (5,000 episodes).
 train: WORLD = $(or $(filter env=%,$(ARGS)),env=static)

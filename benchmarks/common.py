@@ -11,6 +11,8 @@ import numpy as np
 from uavrl.config import TrainConfig, compose, validate
 from uavrl.runs.provenance import processor, versions
 
+PRIZE = 200.0  # what reward=navigation_prize, the default, adds to a success
+
 
 def experiment(*overrides: str) -> TrainConfig:
     """Returns the checked configuration of `uavrl-train OVERRIDES`."""
@@ -25,6 +27,18 @@ def machine() -> dict[str, Any]:
         "load_before": os.getloadavg()[0],
         **versions(),
     }
+
+
+def valley_with_prize() -> Any:
+    """Returns `uavrl/Valley-v0` with the default's reward: that of Eq. 3.6 and 200 for a success."""
+    import gymnasium
+
+    class Prize(gymnasium.Wrapper):
+        def step(self, action: Any) -> Any:
+            state, reward, terminated, truncated, info = self.env.step(action)
+            return state, float(reward) + PRIZE * info["is_success"], terminated, truncated, info
+
+    return Prize(gymnasium.make("uavrl:uavrl/Valley-v0"))
 
 
 def sb3_td3(env: Any, *, learning_starts: int, seed: int) -> Any:

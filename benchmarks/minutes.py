@@ -27,7 +27,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import machine, sb3_td3
+from common import machine, sb3_td3, valley_with_prize
 
 from uavrl.cli.errors import one_sentence
 
@@ -41,7 +41,6 @@ OURS = {
     ],
 }
 ROWS = (*OURS, SB3)
-PRIZE = 200.0  # what reward=navigation_prize, the default, adds to an arrival
 
 
 class Curve(NamedTuple):
@@ -103,7 +102,6 @@ def train(row: str, seed: int, run: Path, args: argparse.Namespace) -> None:
 
 def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
     """Trains Stable-Baselines3's TD3 and writes its flights as they end."""
-    import gymnasium
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -128,12 +126,7 @@ def stable_baselines(seed: int, run: Path, args: argparse.Namespace) -> None:
                 patient = time.monotonic() - began < 60 * args.patience
                 return len(arrived) < args.episodes and not flown and patient
 
-        class Prize(gymnasium.Wrapper):
-            def step(self, action: Any) -> Any:
-                state, reward, terminated, truncated, info = self.env.step(action)
-                return state, float(reward) + PRIZE * info["is_success"], terminated, truncated, info
-
-        env = Prize(gymnasium.make("uavrl:uavrl/Valley-v0"))
+        env = valley_with_prize()
         model = sb3_td3(env, learning_starts=10_000, seed=seed)
         began = time.monotonic()
         model.learn(10**9, callback=Watch())

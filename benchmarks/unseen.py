@@ -23,7 +23,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from common import machine, sb3_td3
+from common import machine, sb3_td3, valley_with_prize
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.cli.errors import one_sentence
@@ -31,7 +31,6 @@ from uavrl.errors import UavrlError
 
 RECIPE, SB3, CONTROLLER = "preset=best", "Stable-Baselines3's TD3", "the scripted controller"
 VALLEYS = "valleys=[100,101,102,103,104,105,106,107,108,109]"
-PRIZE = 200.0  # what reward=navigation_prize, the default, adds to a success
 
 
 def run_here(*command: str) -> None:
@@ -40,14 +39,14 @@ def run_here(*command: str) -> None:
     subprocess.run([sys.executable, *command], check=True, env=environment)
 
 
-def require_same(run: Path, told: list[str]) -> None:
+def require_same(run: Path, settings: list[str]) -> None:
     """Refuses a run that was made otherwise than it is asked for now."""
     kept = run.with_suffix(".json")
     if not kept.exists():
         kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_text(json.dumps(told), encoding="utf-8")
-    if (before := json.loads(kept.read_text(encoding="utf-8"))) != told:
-        raise UavrlError(f"{run} was made with {before}, not {told}: choose another --folder.")
+        kept.write_text(json.dumps(settings), encoding="utf-8")
+    if (before := json.loads(kept.read_text(encoding="utf-8"))) != settings:
+        raise UavrlError(f"{run} was made with {before}, not {settings}: choose another --folder.")
 
 
 def train(seed: int, run: Path, overrides: list[str]) -> None:
@@ -66,7 +65,6 @@ def train_sb3(seed: int, run: Path, minutes: float) -> None:
     require_same(run, [str(minutes)])
     if (run / "summary.json").exists():
         return
-    import gymnasium
     import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -84,12 +82,7 @@ def train_sb3(seed: int, run: Path, minutes: float) -> None:
                 self.model.save(run / f"minute_{self.kept:03}.zip")
             return gone < minutes
 
-    class Prize(gymnasium.Wrapper):
-        def step(self, action: Any) -> Any:
-            state, reward, terminated, truncated, info = self.env.step(action)
-            return state, float(reward) + PRIZE * info["is_success"], terminated, truncated, info
-
-    env = Prize(gymnasium.make("uavrl:uavrl/Valley-v0"))
+    env = valley_with_prize()
     model = sb3_td3(env, learning_starts=10_000, seed=seed)
     began = time.monotonic()
     model.learn(10**9, callback=Keep())

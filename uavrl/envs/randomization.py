@@ -52,7 +52,7 @@ class Randomization:
         thrust: Factor on the thrust coefficient of all rotors, and so on the greatest thrust.
         motor_time_constant: Factor on the motors' time constant.
         drag: Factor on the drag force's coefficients. The moment's stay: the controller feeds them forward, and
-            with half of them and slow motors vehicles tilt by up to 84 degrees.
+            vehicles with half of them and slow motors tumble.
         wind: Speed of a steady, horizontal wind in m/s.
         gust_intensity: Standard deviation of the gusts along each axis in m/s.
         action_delay: Time in s for which the previous action goes on to act; zeros before the first. It is rounded to
