@@ -71,7 +71,13 @@ def is_return(points: Tensor, radius: float) -> Tensor:
     """
     x, y, z = points.unbind(-1)
     squared = (x * x + y * y).addcmul_(z, z)
-    return (squared > NEAREST_RETURN**2 * (1.0 + _ROUNDING)) & (squared < radius**2 * (1.0 - _ROUNDING))
+    least, most = squared_range(radius)
+    return (squared > least) & (squared < most)
+
+
+def squared_range(radius: float) -> tuple[float, float]:
+    """Between which squared distances to the sensor, m², returns lie, see :func:`is_return`."""
+    return NEAREST_RETURN**2 * (1.0 + _ROUNDING), radius**2 * (1.0 - _ROUNDING)
 
 
 def returns_of(points: Tensor, radius: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
