@@ -125,7 +125,7 @@ def _action(limit: float) -> dict[str, Any]:
 def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
     """What a scan is, and which of its points count."""
     from uavrl.envs import Airframe
-    from uavrl.transforms.reduction import squared_range
+    from uavrl.transforms.reduction import return_bounds
 
     return {
         "shape": ["points", 3],
@@ -135,29 +135,23 @@ def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
         "position": "of the sensor in body axes, from the middle of the airframe",
         "sensor_position": list((settings.env.get("airframe") or Airframe()).lidar_position),
         "miss": "a coordinate that is not finite, or x² + y² + z² not between these two, themselves excluded",
-        "squared_range": list(squared_range(radius)),
+        "squared_range": list(return_bounds(radius)),
         "blind": bool(settings.perception.get("blind")),  # trained with misses alone: give it no other
     }
 
 
 def _cells(reduction: PointCloudReduction) -> dict[str, Any]:
     """What the cells of a reduction are and report, in their order."""
-    from uavrl.transforms.icosahedron import truncated_icosahedron_faces
+    from uavrl.transforms.icosahedron import TOUCHING, truncated_icosahedron_faces
     from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT
-    from uavrl.transforms.reduction import TOUCHING
     from uavrl.transforms.state import REDUCTIONS
 
     name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
     directions, radius, statistic = reduction.directions(), reduction.radius, reduction.statistic
-    grid: dict[str, Any] = {}
-    offsets = [radius] * len(directions)
+    offsets, grid = [radius] * len(directions), {}
     if name == "range_image":
-        grid = {
-            "columns": AZIMUTHS,
-            "rows": ELEVATIONS,
-            "width": 360 / AZIMUTHS,
-            "height": round(math.degrees(HEIGHT), 9),
-        }
+        size = {"width": 360 / AZIMUTHS, "height": round(math.degrees(HEIGHT), 9)}
+        grid = {"columns": AZIMUTHS, "rows": ELEVATIONS, **size}
     else:
         offsets = [round(offset, 9) for offset in truncated_icosahedron_faces(radius).offsets.double().tolist()]
     least = "the least over the cell's points, cut to the interval; "

@@ -71,12 +71,12 @@ def is_return(points: Tensor, radius: float) -> Tensor:
     """
     x, y, z = points.unbind(-1)
     squared = (x * x + y * y).addcmul_(z, z)
-    least, most = squared_range(radius)
-    return (squared > least) & (squared < most)
+    nearest, farthest = return_bounds(radius)
+    return (squared > nearest) & (squared < farthest)
 
 
-def squared_range(radius: float) -> tuple[float, float]:
-    """Between which squared distances to the sensor, m², returns lie, see :func:`is_return`."""
+def return_bounds(radius: float) -> tuple[float, float]:
+    """Between which squared distances a point is a return from within the ball of ``radius`` metres, both excluded."""
     return NEAREST_RETURN**2 * (1.0 + _ROUNDING), radius**2 * (1.0 - _ROUNDING)
 
 
