@@ -17,7 +17,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import with_overrides
-from uavrl.rollout.record import reduction_of
+from uavrl.transforms import PointCloudReduction
 
 VEHICLES, SEED = 16, 20_000
 FRAMES = 3  # of the history that is kept of points and planes
@@ -82,7 +82,8 @@ def passes(offset: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.nda
 def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBase], steps: int) -> Iterator[Moment]:
     """Flies a policy; every scan is taken twice, with and without the planes."""
     env = make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES)
-    base, reduction = env.base_env, reduction_of(env)
+    base = env.base_env
+    reduction = next(part for part in env.transform.modules() if isinstance(part, PointCloudReduction))
     assert isinstance(base, NavigationEnv)
     cells, shape = len(reduction.directions()), (config.perception.frames, -1)
     state, every = env.reset(), np.arange(VEHICLES)

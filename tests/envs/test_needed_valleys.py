@@ -80,5 +80,5 @@ def test_a_replay_builds_the_valleys_of_its_tasks_alone(
     few = ["env.max_steps=2", "points=10", "progress=false", f"output={tmp_path / 'page.html'}"]
     assert in_process(command.main, "policy=best", "tasks=[0,3]", *world, *few) == 0
     seeds = load_config(PACKAGED / "best/config.yaml").env.world.seeds
-    drawn = {seeds[np.random.default_rng((20_000, task)).integers(len(seeds))] for task in (0, 3)}
+    drawn = {seeds[int(np.random.default_rng((20_000, task)).integers(len(seeds)))] for task in (0, 3)}
     assert built == sorted(drawn) and len(seeds) > 2
