@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from tests.helpers.scenes import clutter, poses
-from uavrl.cells import icosahedron
+from uavrl.cells import NEAREST_RETURN, icosahedron
 from uavrl.deploy.reduction import REDUCTIONS
 from uavrl.envs.lidar import Lidar
 
@@ -41,8 +41,9 @@ def same_after(decode: Callable[[np.ndarray], np.ndarray], scan: np.ndarray) -> 
     A point on the border of two cells, or of the ball, is left out of both scans where cells are compared: to which of
     them it belongs, the last digit says.
     """
-    hit = np.linalg.norm(np.nan_to_num(scan), axis=1) > 0.05
-    hit &= np.linalg.norm(np.nan_to_num(scan), axis=1) < 131.07
+    far = np.linalg.norm(np.nan_to_num(scan), axis=1)
+    scan = np.where(((far > NEAREST_RETURN + MM2) & (far < 131.07))[:, None], scan, np.nan)
+    hit = ~np.isnan(scan[:, 0])
     true, found = scan[hit].astype(np.float64), decode(scan).astype(np.float64)
     assert found.shape == true.shape
     ranges, measured = np.linalg.norm(true, axis=1), np.linalg.norm(found, axis=1)
