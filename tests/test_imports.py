@@ -11,13 +11,13 @@ FLOORS = [
     {"__main__"},
     {"cli"},
     {"reporting", "viewer"},
-    {"training", "pretraining"},
+    {"training", "pretraining", "deploy"},
     {"collectors", "rollout"},
     {"buffers", "envs", "losses"},
     {"models", "transforms"},
     {"config", "runs"},
     {"upstream"},
-    {"errors", "ranges", "command_line", "machine"},
+    {"errors", "ranges", "command_line", "machine", "cells"},
 ]
 
 

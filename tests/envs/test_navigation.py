@@ -15,7 +15,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import check_env_specs
 
 from tests.helpers.valleys import SMALL, act, differing, rollout
-from uavrl.envs.interface import goal_elevation_deg, goal_heading_deg, wrap_degrees
+from uavrl.envs.goal import goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics

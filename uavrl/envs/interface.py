@@ -1,9 +1,10 @@
-"""What the environment takes and emits: actions, keys with their shapes and types, and the angles to the goal."""
+"""What the environment takes and emits: actions, and keys with their shapes and types."""
 
 import numpy as np
 import torch
 from torchrl.data import Binary, Composite, Unbounded
 
+from uavrl.envs.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.vlp16 import NUM_RAYS
 from uavrl.errors import UavrlError
@@ -55,26 +56,3 @@ def checked_action(action: object, vehicles: int) -> np.ndarray:
     if action.is_complex():
         raise UavrlError(f"Expected an action of real numbers, got {action.dtype}: check the policy's output.")
     return action.detach().to("cpu", torch.float64).numpy()
-
-
-def wrap_degrees(angle: np.ndarray) -> np.ndarray:
-    """An angle in radians as degrees in [0, 360), in float32."""
-    degrees = (np.degrees(angle) % 360.0).astype(np.float32)
-    return np.where(degrees < 360.0, degrees, np.float32(0.0))  # float32 rounds 360 - 1e-12 up to 360
-
-
-def goal_distance(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """The straight way to the goal, m."""
-    return np.sqrt(((goal - position) ** 2).sum(1))
-
-
-def goal_heading_deg(position: np.ndarray, yaw: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """H (§3.2): the horizontal angle from the UAV's head to the goal, degrees in [0, 360), left positive."""
-    to_goal = goal - position
-    return wrap_degrees(np.arctan2(to_goal[:, 1], to_goal[:, 0]) - yaw)
-
-
-def goal_elevation_deg(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """G (§3.2): the elevation angle from the UAV's position to the goal, degrees in [0, 360)."""
-    to_goal = goal - position
-    return wrap_degrees(np.arctan2(to_goal[:, 2], np.hypot(to_goal[:, 0], to_goal[:, 1])))

@@ -13,7 +13,8 @@ from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
 from uavrl.envs.controller import most_load
-from uavrl.envs.interface import checked_action, goal_distance, navigation_specs, quantities
+from uavrl.envs.goal import goal_distance
+from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
 from uavrl.envs.mesh import Mesh

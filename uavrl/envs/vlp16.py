@@ -4,7 +4,16 @@ import math
 
 import numpy as np
 
-__all__ = ["AZIMUTH_STEP", "AZIMUTH_STEPS", "FIRING_TIMES", "LASER_ELEVATIONS", "NUM_RAYS", "firing_directions"]
+__all__ = [
+    "AZIMUTH_STEP",
+    "AZIMUTH_STEPS",
+    "CYCLE",
+    "FIRING_TIMES",
+    "LASER_ELEVATIONS",
+    "LASER_INTERVAL",
+    "NUM_RAYS",
+    "firing_directions",
+]
 
 LASER_ELEVATIONS = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
 """Elevation of each laser id in degrees, in the order in which the lasers fire."""
@@ -13,13 +22,13 @@ AZIMUTH_STEPS = 1808  # firing cycles in one revolution at 10 Hz
 NUM_RAYS = AZIMUTH_STEPS * len(LASER_ELEVATIONS)
 """Rays in one scan: 28,928."""
 
-_CYCLE = 55.296e-6  # s, all 16 lasers and the recharge time
-_LASER_INTERVAL = 2.304e-6  # s, from one laser to the next
+CYCLE = 55.296e-6  # s, all 16 lasers and the recharge time
+LASER_INTERVAL = 2.304e-6  # s, from one laser to the next
 _SPIN_RATE = 2.0 * math.pi * 10.0  # rad/s
-AZIMUTH_STEP = _SPIN_RATE * _CYCLE  # rad from cycle to cycle: 0.1991°
+AZIMUTH_STEP = _SPIN_RATE * CYCLE  # rad from cycle to cycle: 0.1991°
 
 FIRING_TIMES: np.ndarray = (
-    np.arange(AZIMUTH_STEPS)[:, None] * _CYCLE + np.arange(len(LASER_ELEVATIONS)) * _LASER_INTERVAL
+    np.arange(AZIMUTH_STEPS)[:, None] * CYCLE + np.arange(len(LASER_ELEVATIONS)) * LASER_INTERVAL
 ).reshape(-1)
 """Time of each ray after the first one in seconds, ``float64 [28928]``."""
 

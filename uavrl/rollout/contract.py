@@ -125,7 +125,7 @@ def _action(limit: float) -> dict[str, Any]:
 def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
     """What a scan is, and which of its points count."""
     from uavrl.envs import Airframe
-    from uavrl.transforms.reduction import return_bounds
+    from uavrl.cells import return_bounds
 
     return {
         "shape": ["points", 3],

@@ -1,14 +1,13 @@
 """The thesis's point-cloud reduction to the faces of a truncated icosahedron (Chansuparp (2022), Eq. 3.1-3.2)."""
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from uavrl.cells import NUM_FACES, TOUCHING, icosahedron, octant
 from uavrl.transforms.reduction import (
-    TOUCHING,
     PointCloudReduction,
     Statistic,
     check_points,
@@ -26,11 +25,6 @@ __all__ = [
     "truncated_icosahedron_faces",
 ]
 
-NUM_FACES = 32
-"""Faces of the truncated icosahedron, 12 pentagons and then 20 hexagons."""
-
-_PHI = (1.0 + math.sqrt(5.0)) / 2.0
-
 
 class TruncatedIcosahedronFaces(NamedTuple):
     """The 32 faces of a truncated icosahedron around the origin.
@@ -46,46 +40,21 @@ class TruncatedIcosahedronFaces(NamedTuple):
     offsets: Tensor
 
 
-def _cyclic(triples: list[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Returns all cyclic permutations and sign changes of ``triples``, sorted by z, then azimuth in [0, 2π)."""
-    points = set()
-    for a, b, c in triples:
-        for x, y, z in ((a, b, c), (c, a, b), (b, c, a)):
-            points |= {(i * x + 0.0, j * y + 0.0, k * z + 0.0) for i in (1, -1) for j in (1, -1) for k in (1, -1)}
-    return sorted(points, key=lambda p: (round(p[2], 9), round(math.atan2(p[1], p[0]) % math.tau, 9)))
-
-
 @lru_cache(maxsize=64)
 @torch.inference_mode(False)  # a cached inference tensor could not serve autograd later
 def _faces(radius: float, dtype: torch.dtype, device: torch.device) -> TruncatedIcosahedronFaces:
-    pentagons = _cyclic([(0.0, 1.0, _PHI)])
-    hexagons = _cyclic([(1.0, 1.0, 1.0), (1.0 / _PHI, 0.0, _PHI)])
-    normals = torch.tensor(pentagons + hexagons, dtype=torch.float64, device="cpu")
-    normals /= normals.norm(dim=-1, keepdim=True)
-    # One of the 60 vertices: each touches a pentagon and two hexagons.
-    vertex = torch.tensor([0.0, 1.0, 3.0 * _PHI], dtype=torch.float64, device="cpu")
-    vertex *= radius / vertex.norm()
-    heights = normals @ vertex
-    offsets = torch.cat([heights[:12].max().expand(12), heights[12:].max().expand(20)])
-    exact = (offsets[:, None] * normals, normals, offsets)
+    normals, offsets = icosahedron(radius)
+    exact = (torch.tensor(array, device="cpu") for array in (offsets[:, None] * normals, normals, offsets))
     return TruncatedIcosahedronFaces(*(tensor.to(device=device, dtype=dtype) for tensor in exact))
 
 
 @lru_cache(maxsize=64)
 @torch.inference_mode(False)
 def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns the normals and the centres ``[3, 7]`` of 3 pentagons and 4 hexagons, and the face ids ``[8 * 7]``.
-
-    Mirroring at the planes x = 0, y = 0 and z = 0 maps the solid onto itself, so the 7 faces whose normals have no
-    negative coordinate stand for all. The ids are those of their images: bit 2 of the row mirrors x, bit 1 y, bit 0 z.
-    """
-    faces = _faces(radius, torch.float64, torch.device("cpu"))
-    first = (faces.normals > -1e-9).all(dim=-1).nonzero()[:, 0]
-    corners = torch.tensor([(x, y, z) for x in (1.0, -1.0) for y in (1.0, -1.0) for z in (1.0, -1.0)], device="cpu")
-    images = corners[:, None] * faces.normals[first]  # [8, 7, 3]
-    ids = (images @ faces.normals.T).argmax(dim=-1).reshape(-1)
+    """Returns the normals and the centres ``[3, 7]`` of the faces of `uavrl.cells.octant`, and their images."""
+    faces, (first, images) = _faces(radius, torch.float64, torch.device("cpu")), octant()
     normals, centres = (tensor[first].T.contiguous().to(device, dtype) for tensor in (faces.normals, faces.centres))
-    return normals, centres, ids.to(device)
+    return normals, centres, torch.tensor(images, device=device)
 
 
 def truncated_icosahedron_faces(

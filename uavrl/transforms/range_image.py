@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from uavrl.cells import AZIMUTHS, ELEVATIONS, HEIGHT, TOUCHING, range_image_middles
 from uavrl.transforms.reduction import (
-    TOUCHING,
     PointCloudReduction,
     Statistic,
     check_points,
@@ -17,9 +17,6 @@ from uavrl.transforms.reduction import (
 )
 
 __all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "grid_directions", "range_image", "range_image_directions"]
-
-AZIMUTHS, ELEVATIONS = 24, 3
-HEIGHT = math.radians(10.0)  # of a cell: three span the ±15 degrees of a VLP-16
 
 
 def grid_directions(azimuths: int, elevations: Sequence[float], *, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -46,8 +43,7 @@ def range_image_directions(*, dtype: torch.dtype = torch.float32, device: torch.
         >>> range_image_directions()[1].tolist()
         [1.0, 0.0, 0.0]
     """
-    rows = [(row - (ELEVATIONS - 1) / 2) * HEIGHT for row in range(ELEVATIONS)]
-    return grid_directions(AZIMUTHS, rows, dtype=torch.float64).to(device, dtype)
+    return torch.tensor(range_image_middles(), device=device, dtype=dtype)
 
 
 def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "proximity") -> Tensor:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from numbers import Real
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -13,19 +13,11 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
+from uavrl.cells import LARGEST_RADIUS, NEAREST_RETURN, Statistic, return_bounds
 from uavrl.errors import UavrlError
 from uavrl.upstream import missing_tolerance
 
 __all__ = ["PointCloudReduction", "Statistic", "is_return"]
-
-Statistic = Literal["face", "range", "proximity"]
-
-LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
-TOUCHING = 1e-6  # of the radius: what a cell reads that a point touches, as 0 means "no point"
-NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes from; drivers write misses as zeros
-# The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
-# a sensor whose range ends at the radius does not report; and it begins this much after the housing.
-_ROUNDING = 2e-6
 
 
 def check_points(points: Tensor, radius: float, statistic: Statistic) -> None:
@@ -73,11 +65,6 @@ def is_return(points: Tensor, radius: float) -> Tensor:
     squared = (x * x + y * y).addcmul_(z, z)
     nearest, farthest = return_bounds(radius)
     return (squared > nearest) & (squared < farthest)
-
-
-def return_bounds(radius: float) -> tuple[float, float]:
-    """Between which squared distances a point is a return from within the ball of ``radius`` metres, both excluded."""
-    return NEAREST_RETURN**2 * (1.0 + _ROUNDING), radius**2 * (1.0 - _ROUNDING)
 
 
 def returns_of(points: Tensor, radius: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:

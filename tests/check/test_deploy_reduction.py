@@ -1,0 +1,15 @@
+"""The reductions in numpy against those in PyTorch, on many clouds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.deploy.test_reduction import PAIRS, test_clouds_reduce_as_in_torch
+
+
+@pytest.mark.parametrize("statistic", ["face", "range", "proximity"])
+@pytest.mark.parametrize(("ours", "name"), PAIRS)
+def test_ten_thousand_clouds_reduce_as_in_torch(ours: Any, name: Any, statistic: str) -> None:
+    test_clouds_reduce_as_in_torch(ours, name, statistic, 10_000)

@@ -1,0 +1,174 @@
+"""Recordings of ROS: rosbag1, rosbag2 (a folder or its .db3) and MCAP, read by `rosbags`.
+
+Messages are read by the definitions below, never by those that a file brings: nothing that a file says is executed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from uavrl.deploy.scans import Scan, Skipped
+from uavrl.errors import UavrlError
+
+SCAN, CLOUD = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/PointCloud2"
+_ROSBAG1 = b"#ROSBAG V2.0"
+_DEFINITIONS = {
+    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/msg/Header": "{seq}builtin_interfaces/Time stamp\nstring frame_id",
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+    SCAN: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    "sensor_msgs/msg/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count",
+    CLOUD: "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n"
+    "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense",
+}
+_FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField's numbers for float32 and float64
+
+
+class Topic(NamedTuple):
+    """A topic of a recording that holds scans."""
+
+    name: str
+    kind: str  #: ``SCAN`` or ``CLOUD``
+
+
+def is_rosbag1(path: Path) -> bool:
+    """Whether a file is a rosbag of ROS 1."""
+    with path.open("rb") as file:
+        return file.read(len(_ROSBAG1)) == _ROSBAG1
+
+
+def scan_topic(path: Path, topic: str | None = None) -> Topic:
+    """The topic of a recording that holds scans: the one that is named, or the only one.
+
+    Raises:
+        UavrlError: where there is none or more than one, or the file is none of the four kinds.
+    """
+    with _opened(path) as bag:
+        found = {c.topic: Topic(c.topic, c.msgtype) for c in bag.connections if c.msgtype in (SCAN, CLOUD)}
+        others = sorted({c.topic for c in bag.connections} - set(found))
+    if topic is None and len(found) == 1:
+        return next(iter(found.values()))
+    if topic in found:
+        return found[topic]
+    if found:
+        came = "more than one" if topic is None else f"no {topic}"
+        raise UavrlError(f"{path} holds {came} with scans: give topic=NAME, one of {', '.join(found)}.")
+    raise UavrlError(
+        f"{path} holds no topic of {SCAN} or {CLOUD}, only {', '.join(others) or 'nothing'}: give another recording."
+    )
+
+
+def read_packets(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[float, bytes]]:
+    """The stamp in seconds and the bytes of each packet in a recording's messages of VelodyneScan."""
+    for _, message in _messages(path, topic, skipped):
+        for packet in message.packets:
+            yield _seconds(packet.stamp), packet.data.tobytes()
+
+
+def read_clouds(path: Path, topic: str, skipped: Skipped) -> Iterator[Scan]:
+    """The scans in a recording's messages of PointCloud2."""
+    for _, message in _messages(path, topic, skipped):
+        points = cloud_points(message)
+        if points is None:
+            skipped.malformed += 1
+        else:
+            yield Scan(_seconds(message.header.stamp), points, len(points))
+
+
+def cloud_points(message: Any) -> np.ndarray | None:
+    """The points ``float32 [P, 3]`` of a PointCloud2; None where its fields and its data do not fit each other."""
+    fields = {field.name: field for field in message.fields}
+    if not {"x", "y", "z"} <= set(fields):
+        return None
+    order = ">" if message.is_bigendian else "<"
+    kinds = [_FLOATS.get(fields[axis].datatype) for axis in "xyz"]
+    offsets = [fields[axis].offset for axis in "xyz"]
+    data = np.asarray(message.data, dtype=np.uint8)
+    rows, width, step, row_step = message.height, message.width, message.point_step, message.row_step
+    if rows * width == 0:
+        return np.empty((0, 3), np.float32)
+    if None in kinds or step == 0 or row_step < width * step or len(data) < rows * row_step:
+        return None
+    if any(offset + int(str(kind)[1]) > step for offset, kind in zip(offsets, kinds, strict=True)):
+        return None
+    formats = [f"{order}{kind}" for kind in kinds]
+    point = np.dtype({"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": step})
+    packed = data[: rows * row_step].reshape(rows, row_step)[:, : width * step]
+    read = np.frombuffer(np.ascontiguousarray(packed).tobytes(), point)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.stack([read[axis].astype(np.float32) for axis in "xyz"], -1)
+
+
+def _seconds(stamp: Any) -> float:
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def _messages(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[float, Any]]:
+    """The messages of one topic; those that cannot be read are counted."""
+    read = _reader_of_messages(path.is_file() and is_rosbag1(path))
+    with _opened(path) as bag:
+        connections = [connection for connection in bag.connections if connection.topic == topic]
+        messages = bag.messages(connections=connections)
+        while True:
+            try:
+                connection, stamp, data = next(messages)
+            except StopIteration:
+                return
+            except Exception:  # what `rosbags` meets in a damaged file, from zstd, sqlite or its own code
+                skipped.malformed += 1
+                return
+            try:
+                message = read(data, connection.msgtype)
+            except Exception:  # a damaged message meets any of its fields' types
+                skipped.malformed += 1
+                continue
+            yield stamp * 1e-9, message
+
+
+def _rosbags(module: str) -> Any:
+    try:
+        return import_module(f"rosbags.{module}")
+    except ImportError as error:
+        raise UavrlError("A recording of ROS needs rosbags, which is not installed: pip install rosbags.") from error
+
+
+def _opened(path: Path) -> Any:
+    """A reader of a recording, to be used in ``with``."""
+    module = _rosbags("rosbag1" if path.is_file() and is_rosbag1(path) else "rosbag2")
+    return _Opened(path, module.Reader)
+
+
+class _Opened:
+    """Opens a recording; what cannot be opened is one sentence."""
+
+    def __init__(self, path: Path, reader: Callable[[Path], Any]) -> None:
+        self.path, self.reader = path, reader
+
+    def __enter__(self) -> Any:
+        """Opens it."""
+        try:
+            self.bag = self.reader(self.path)
+            self.bag.open()
+        except Exception as error:  # `rosbags` meets damage with errors of many kinds
+            raise UavrlError(f"{self.path} is no recording of ROS, or is damaged: give another one.") from error
+        return self.bag
+
+    def __exit__(self, *_: object) -> None:
+        """Closes it."""
+        self.bag.close()
+
+
+@cache
+def _reader_of_messages(ros1: bool) -> Callable[[bytes, str], Any]:
+    """What makes a message of its bytes and the name of its type."""
+    types = _rosbags("typesys")
+    store = types.get_typestore(types.Stores.EMPTY)
+    for name, text in _DEFINITIONS.items():
+        store.register(types.get_types_from_msg(text.format(seq="uint32 seq\n" if ros1 else ""), name))
+    return store.deserialize_ros1 if ros1 else store.deserialize_cdr

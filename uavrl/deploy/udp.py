@@ -1,0 +1,64 @@
+"""Packets as they arrive by UDP."""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from collections.abc import Iterator
+
+from uavrl.deploy.packets import PORT
+from uavrl.errors import UavrlError
+
+_ADDRESS = re.compile(r"udp://(?P<host>[^:/]*)(?::(?P<port>\d{1,5}))?/?")
+_BUFFER = 2**21  # bytes that the system keeps for us: some turns, in case we are late
+_LONGEST = 2048  # bytes of a packet that are read; no sensor sends as many
+_TICK = 0.05  # s between two looks at the clock while nothing arrives
+
+
+def address(source: str) -> tuple[str, int]:
+    """Host and port of ``udp://HOST:PORT``; either may be left out.
+
+    Examples:
+        >>> address("udp://:2368"), address("udp://192.168.1.100")
+        (('', 2368), ('192.168.1.100', 2368))
+    """
+    match = _ADDRESS.fullmatch(source)
+    port = int(match["port"] or PORT) if match else 0
+    if match is None or not 0 < port < 2**16:
+        raise UavrlError(
+            f"A sensor's address is udp://:PORT or udp://HOST:PORT, such as udp://:{PORT}, got {source!r}."
+        )
+    return match["host"], port
+
+
+def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes]]:
+    """The time of arrival in seconds and the content of each packet that is sent to this machine.
+
+    Args:
+        source: ``udp://:2368`` listens on all of this machine's addresses; ``udp://HOST:2368`` on one of them.
+        seconds: how long to listen in all; None for as long as packets come.
+        silence: after how many seconds without a packet it ends.
+
+    Raises:
+        UavrlError: where the port cannot be opened.
+    """
+    host, port = address(source)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        try:
+            opened.bind((host, port))
+        except OSError as error:
+            raise UavrlError(
+                f"{source} cannot be listened to ({error.strerror}): another program may have the port, or the address "
+                "is none of this machine's."
+            ) from error
+        opened.settimeout(_TICK)
+        begun = heard = time.monotonic()
+        while time.monotonic() - heard < silence and (seconds is None or time.monotonic() - begun < seconds):
+            try:
+                packet = opened.recv(_LONGEST)
+            except TimeoutError:
+                continue
+            heard = time.monotonic()
+            yield time.time(), packet
