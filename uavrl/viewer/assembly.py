@@ -16,7 +16,7 @@ def needs_plotly() -> str:
     try:
         from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise UavrlError("A replay page needs plotly, which is not installed: pip install 'uavrl[report]'.") from error
+        raise UavrlError("A page needs plotly, which is not installed: pip install 'uavrl[report]'.") from error
     return get_plotlyjs()
 
 
