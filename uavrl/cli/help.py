@@ -16,6 +16,7 @@ ABOUT = {
     "replay": ("uavrl-replay", "Writes a page that plays a few tasks back, flown without noise."),
     "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
     "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
+    "scan": ("uavrl-scan", "Shows what a LiDAR sees, and what a policy would see of it."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
 EXAMPLES = {
@@ -24,6 +25,7 @@ EXAMPLES = {
     "replay": ["policy=best tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
     "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
+    "scan": ["source=udp://:2368 model=VLP16", "source=FILE model=VLP16 json=FILE", "source=ROSBAG topic=/points"],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
 MOST_USED = {
@@ -33,6 +35,7 @@ MOST_USED = {
     "replay": "run policy task tasks output checkpoint",
     "report": "runs output window threshold title",
     "export": "run policy output checkpoint",
+    "scan": "source model topic seconds vehicle reduction statistic radius output json",
     "pretrain": "run output seed",
 }
 LONGEST = 24  # characters of a name beside its meaning

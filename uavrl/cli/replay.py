@@ -72,7 +72,8 @@ def main(config: DictConfig) -> None:
     from uavrl.rollout.recording import load_recording, save_recording
     from uavrl.rollout.smoothness import smoothness_lines
     from uavrl.training.matmul import matmul_backend
-    from uavrl.viewer.flight_page import needs_plotly, write_page
+    from uavrl.viewer.assembly import needs_plotly
+    from uavrl.viewer.flight_page import write_page
 
     needs_plotly()
     # All that can be wrong with the input is found before a folder is made or the first step.

@@ -45,9 +45,9 @@ def navigation_observation(
         raise UavrlError(f"angles must be one of {', '.join(get_args(Angles))}, got {angles!r}.")
     turned = np.array([heading_deg, elevation_deg], np.float32)
     if angles == "folded":
-        turned = (turned + 180) % 360 / 180 - 1
+        turned[:] = (turned + 180) % 360 / 180 - 1
     elif angles == "turns":
-        turned = turned / 360
+        turned /= 360
     scaled = np.asarray(cells, np.float32) / radius
     return np.concatenate([scaled, [np.float32(altitude) / flight_level - 1], turned]).astype(np.float32)
 

@@ -1,42 +1,19 @@
 """One page that plays flights back in three dimensions and needs no network."""
 
-import base64
-import json
 from dataclasses import fields
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uavrl.envs.terrain import HeightField
-from uavrl.errors import UavrlError
 from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.rollout.smoothness import smoothness_texts
 from uavrl.runs.files import replacing
+from uavrl.viewer.assembly import filled, pack
 from uavrl.viewer.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, shell, vehicle
 
 POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four characters of three bytes
-
-
-def needs_plotly() -> str:
-    """Returns plotly's JavaScript, which goes into the page."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise UavrlError("A replay page needs plotly, which is not installed: pip install 'uavrl[report]'.") from error
-    return get_plotlyjs()
-
-
-def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:
-    """An array as JSON: little-endian bytes in base64."""
-    values = np.asarray(values)
-    if scale is not None:
-        kind, stored = "i2", np.round(values / scale)
-    else:
-        kind, stored = ("i4", values) if np.issubdtype(values.dtype, np.integer) else ("f4", values)
-    data = base64.b64encode(np.ascontiguousarray(stored.astype(f"<{kind}")).tobytes()).decode()
-    return {"type": kind, "shape": list(values.shape), **({} if scale is None else {"scale": scale}), "data": data}
 
 
 def page_data(recording: Recording) -> dict[str, Any]:
@@ -99,18 +76,7 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
 
 def make_page(recording: Recording) -> str:
     """The page, with its data, its programs and plotly's inside."""
-    data = json.dumps(page_data(recording), separators=(",", ":")).replace("<", "\\u003c")
-    assets = resources.files("uavrl.viewer") / "assets"
-    page, *texts = (
-        (assets / f"flight{end}").read_text(encoding="utf-8") for end in (".html", ".css", "_charts.js", ".js")
-    )
-    marks = ("flight.css", "flight_charts.js", "flight.js", "plotly.js", "data.json")
-    # No fragment holds another one's mark, so the order of the replacements does not matter.
-    for mark, text in zip(marks, [*texts, needs_plotly(), data], strict=True):
-        before, found, after = page.partition(f"/*{mark}*/")
-        assert found, f"flight.html has no place for {mark}"
-        page = before + text + after
-    return page
+    return filled("flight.html", ("flight.css", "flight_charts.js", "drawing.js", "flight.js"), page_data(recording))
 
 
 def write_page(recording: Recording, output: Path) -> None:

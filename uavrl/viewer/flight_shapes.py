@@ -6,10 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
+from uavrl.cells import AZIMUTHS, ELEVATIONS, HEIGHT, icosahedron, range_image_middles
 from uavrl.envs.mesh import Mesh, loft
 from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
-from uavrl.transforms.icosahedron import TruncatedIcosahedron, truncated_icosahedron_faces
-from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT, RangeImage
 
 ROTOR_RADIUS = 0.14  # m
 SPHERE = 3000  # points of a sphere whose cells have no shape of their own
@@ -68,8 +67,7 @@ def shell(directions: np.ndarray, radius: float) -> Shell:
     The two reductions of this package are drawn in their own shapes; for another one, each point of the sphere belongs
     to the nearest direction.
     """
-    for reduction, drawn in ((TruncatedIcosahedron, football), (RangeImage, belt)):
-        known = reduction.directions().numpy()
+    for known, drawn in ((icosahedron(1.0).normals, football), (range_image_middles(), belt)):
         if directions.shape == known.shape and np.allclose(directions, known, atol=1e-5):
             return drawn(radius)
     height, turn = np.linspace(1 - 1 / SPHERE, 1 / SPHERE - 1, SPHERE), np.arange(SPHERE) * np.pi * (3 - 5**0.5)
@@ -107,8 +105,7 @@ def belt(radius: float) -> Shell:
 
 def football(radius: float) -> Shell:
     """Returns the truncated icosahedron of a circumradius in m."""
-    shape = truncated_icosahedron_faces(radius)
-    normals, offsets = shape.normals.double().numpy(), shape.offsets.double().numpy()
+    normals, offsets = icosahedron(radius)
     vertices = HalfspaceIntersection(np.column_stack([normals, -offsets]), np.zeros(3)).intersections
     heights = vertices @ normals.T
     triangles, faces, edges = [], [], []

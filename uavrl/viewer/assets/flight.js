@@ -4,74 +4,16 @@
 const TERM_COLOURS = { progress: "#0072B2", altitude: "#E69F00", heading: "#009E73", elevation: "#CC79A7",
   reward: "#0072B2" };
 const EVENTS = ["arrival", "collision"];
-const NEAR = [[0, "#fff3b0"], [0.35, "#fdc066"], [0.7, "#f0653a"], [1, "#9e0f2b"]];
-const data = JSON.parse(document.getElementById("data").textContent);
 const { body: BODY, plane: PLANE, goal: GOAL } = data.colours;
 const OUTCOMES = Object.fromEntries([["arrived", "success"], ["collided", "collision"], ["timed_out", "time-out"]]
   .map(([key, name]) => [key, [name, data.colours[key]]]));
-const $ = (id) => document.getElementById(id);
-const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-
-// ------------------------------------------------------------------ numbers
-
-function unpack({ type, shape, scale, data: text }) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
-  const raw = new { f4: Float32Array, i4: Int32Array, i2: Int16Array }[type](bytes);
-  return { values: scale ? Float32Array.from(raw, (v) => v * scale) : raw, shape };
-}
-const unpackAll = (item) => Object.fromEntries(Object.entries(item).map(
-  ([key, value]) => [key, value && value.type && value.shape ? unpack(value).values : value]));
-const row = (values, i, width = 3) => values.subarray(i * width, (i + 1) * width);
-
-// Moves points [N, 3] by a quaternion (x, y, z, w) and then by an offset: {x, y, z} of N numbers each.
-function placed(points, [a, b, c, d], offset, before = [0, 0, 0]) {
-  const m = [1 - 2 * (b * b + c * c), 2 * (a * b - c * d), 2 * (a * c + b * d),
-    2 * (a * b + c * d), 1 - 2 * (a * a + c * c), 2 * (b * c - a * d),
-    2 * (a * c - b * d), 2 * (b * c + a * d), 1 - 2 * (a * a + b * b)];
-  const n = points.length / 3, out = { x: new Array(n), y: new Array(n), z: new Array(n) };
-  for (let i = 0; i < n; i++) {
-    const x = points[3 * i] + before[0], y = points[3 * i + 1] + before[1], z = points[3 * i + 2] + before[2];
-    out.x[i] = m[0] * x + m[1] * y + m[2] * z + offset[0];
-    out.y[i] = m[3] * x + m[4] * y + m[5] * z + offset[1];
-    out.z[i] = m[6] * x + m[7] * y + m[8] * z + offset[2];
-  }
-  return out;
-}
-const columns = (values) => placed(values, [0, 0, 0, 1], [0, 0, 0]);
-const corners = (triangles) => {
-  const of = (k) => Array.from({ length: triangles.length / 3 }, (_, i) => triangles[3 * i + k]);
-  return { i: of(0), j: of(1), k: of(2) };
-};
-
-function shade(share) { // of NEAR, as [r, g, b]
-  const place = NEAR.findIndex(([at]) => at >= share), upper = NEAR[Math.max(place, 1)], lower = NEAR[Math.max(place, 1) - 1];
-  const part = Math.min(Math.max((share - lower[0]) / (upper[0] - lower[0]), 0), 1);
-  const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
-  return rgb(lower[1]).map((v, i) => Math.round(v + part * (rgb(upper[1])[i] - v)));
-}
 
 // ------------------------------------------------------------------ what is drawn
 
-const ball = unpackAll(data.ball);
-const vehicle = (() => {
-  const vertices = [], triangles = [], facecolor = [];
-  for (const part of data.vehicle.map(unpackAll)) {
-    const first = vertices.length / 3;
-    vertices.push(...part.vertices);
-    triangles.push(...part.triangles.map((v) => v + first));
-    facecolor.push(...new Array(part.triangles.length / 3).fill(part.colour));
-  }
-  return { vertices: Float32Array.from(vertices), ...corners(triangles), facecolor };
-})();
 const sceneries = Object.fromEntries(Object.entries(data.sceneries).map(([seed, item]) =>
   [seed, { ...unpackAll(item), grid: item.heights.shape }]));
 const flights = data.flights.map((item) => ({ ...unpackAll(item), moments: item.times.shape[0],
   planeCount: item.planes.shape[1], rewardCount: item.rewards.shape[1] }));
-
-const still = { hoverinfo: "skip", showlegend: false, showscale: false };
-const light = { ambient: 0.62, diffuse: 0.55, specular: 0.05, roughness: 0.9, fresnel: 0 };
-const mesh = (part) => ({ type: "mesh3d", ...still, lighting: light, lightposition: { x: 6000, y: -8000, z: 20000 }, ...part });
-const line = (part) => ({ type: "scatter3d", mode: "lines", ...still, ...part });
 
 function ground({ heights, grid: [rows, across], size }) {
   const x = [], y = [], i = [], j = [], k = [];
@@ -145,15 +87,12 @@ function traces(flight) {
   all[DROP] = line({ x: [], y: [], z: [], line: { width: 2, color: BODY } });
   all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...manyPlanes(place, flight.planeCount), color: PLANE, flatshading: true,
     lighting: { ...light, ambient: 0.9, diffuse: 0.4 } });
-  all[VEHICLE] = mesh({ x: [0], y: [0], z: [0], i: vehicle.i, j: vehicle.j, k: vehicle.k, facecolor: vehicle.facecolor,
-    flatshading: true, lighting: { ...light, ambient: 0.95, diffuse: 0.3 } });
+  all[VEHICLE] = vehicleTrace();
   all[MARK] = { type: "scatter3d", mode: "markers", ...still, x: [], y: [], z: [],
     marker: { size: 9, symbol: "circle-open", color: BODY, line: { width: 2 } } };
-  all[POINTS] = { type: "scatter3d", mode: "markers", ...still, x: [], y: [], z: [],
-    marker: { size: 2, color: [], colorscale: NEAR, reversescale: true, cmin: 0, cmax: place.ball } };
-  all[EDGES] = line({ x: [], y: [], z: [], opacity: 0.6, line: { width: 1.5, color: "#5c6773" } });
-  all[FACES] = mesh({ x: [0], y: [0], z: [0], ...corners(ball.triangles), facecolor: [], opacity: 0.55,
-    lighting: { ambient: 1, diffuse: 0, specular: 0 } });
+  all[POINTS] = cloudTrace(place.ball);
+  all[EDGES] = edgesTrace();
+  all[FACES] = facesTrace();
   for (const [index, { colour: shades, ...numbers }] of Object.entries(changes(flight, 0))) {
     Object.assign(all[index], numbers);
     if (shades) all[index].marker.color = shades;
@@ -174,14 +113,7 @@ function changes(flight, moment) {
   const turn = row(flight.attitudes, moment, 4), reported = row(flight.faces, moment, flight.faces.length / flight.moments);
   const from = moment ? flight.point_ends[moment - 1] : 0, cloud = flight.points.subarray(3 * from, 3 * flight.point_ends[moment]);
   const range = Array.from({ length: cloud.length / 3 }, (_, i) => Math.hypot(...row(cloud, i)));
-  const shell = placed(ball.vertices, turn, position, place.sensor), edges = { x: [], y: [], z: [] };
-  for (let n = 0; n < ball.edges.length; n += 2) for (const axis of ["x", "y", "z"])
-    edges[axis].push(shell[axis][ball.edges[n]], shell[axis][ball.edges[n + 1]], null);
-  const colours = Array.from(reported, (value) => {
-    if (value <= 0) return "rgba(160,175,190,0.10)";
-    const near = Math.min(value / place.ball, 1);
-    return `rgba(${shade(place.statistic === "range" ? 1 - near : near)},0.85)`;
-  });
+  const shell = cells(reported, place.ball, place.statistic, turn, position, place.sensor);
   const fleet = { x: [], y: [], z: [] };
   for (let n = 0; n < flight.planeCount; n++) {
     const [x, y, z, yaw] = row(flight.planes, moment * flight.planeCount + n, 4);
@@ -197,34 +129,14 @@ function changes(flight, moment) {
     [VEHICLE]: placed(vehicle.vertices, turn, position),
     [MARK]: { x: [x], y: [y], z: [z] },
     [POINTS]: range.length ? { ...placed(cloud, turn, position, place.sensor), colour: range } : nowhere,
-    [EDGES]: edges,
-    [FACES]: { ...shell, facecolor: Array.from(ball.faces, (face) => colours[face]) },
+    [EDGES]: shell.edges,
+    [FACES]: shell.faces,
   };
 }
 
 function groundAt({ heights, grid: [rows, across], size }, x, y) {
   const at = (share, count) => Math.min(Math.max(Math.round((share + 0.5) * (count - 1)), 0), count - 1);
   return heights[at(x / size[0], rows) * across + at(y / size[1], across)];
-}
-
-// Gives traces their new numbers. Plotly's own way of doing so computes all traces of the scene anew, the valley too;
-// handing the numbers to the drawn objects does not. Where plotly.js keeps them elsewhere, its own way serves.
-function hand(graph, news) {
-  const drawn = graph._fullLayout?.scene?._scene?.traces ?? {};
-  const left = [];
-  for (const [index, { colour, ...numbers }] of Object.entries(news)) {
-    const given = graph.data[index], full = graph._fullData?.[index];
-    for (const item of [given, full]) {
-      if (!item) continue;
-      Object.assign(item, numbers);
-      if (colour && item.marker) item.marker.color = colour;
-      if (item._length !== undefined) item._length = numbers.x.length;
-    }
-    if (given.visible === false) continue;
-    const object = drawn[full?.uid];
-    if (object?.update) object.update(full); else left.push(index);
-  }
-  if (left.length) Plotly.redraw(graph);
 }
 
 // ------------------------------------------------------------------ camera
@@ -350,15 +262,6 @@ function choose(index) {
     .then(() => show(0));
 }
 
-function list(parent, facts) {
-  parent.replaceChildren(...Object.entries(facts).map(([term, value]) => {
-    const item = element("div");
-    element("dt", {}, item, term);
-    element("dd", {}, item, value);
-    return item;
-  }));
-}
-
 function went({ altitude, height_quarters: quarters, wall_distance: wall }) { // 5, 50 and 95 % of the steps
   const spread = ({ p5, p50, p95 }) => `${[p5, p50, p95].map((value) => number(value, 1)).join(" / ")} m`;
   return { "altitude": spread(altitude), "to the nearest wall": spread(wall),
@@ -443,11 +346,7 @@ function start() {
   const happened = new Set(flights.map((item) => item.outcome));
   for (const [key, [name, colour]] of Object.entries(OUTCOMES)) if (happened.has(key)) legend(colour, `path: ${name}`);
   const { ball: radius } = Object.values(sceneries)[0];
-  element("div", { class: "scale", style: `background:linear-gradient(90deg,${NEAR.map(([at, c]) => `${c} ${100 * at}%`)})` },
-    $("legend"));
-  const ends = element("div", { class: "ends" }, $("legend"));
-  element("span", {}, ends, `${radius} m away`);
-  element("span", {}, ends, "0 m");
+  distanceScale($("legend"), radius);
   $("slider").addEventListener("input", (event) => { play(false); show(Number(event.target.value)); });
   $("play").addEventListener("click", () => play(!playing));
   document.addEventListener("keydown", (event) => {

@@ -1,0 +1,139 @@
+"""``uavrl-scan``: what a LiDAR sees, and what a policy would see of it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from omegaconf import DictConfig
+from pydantic import Field
+
+from uavrl.cells import Statistic
+from uavrl.cli.command import command
+from uavrl.config import validate
+from uavrl.config.sentences import require
+from uavrl.deploy.reduction import STATISTICS, Reduction
+from uavrl.deploy.scans import Scan
+from uavrl.deploy.sources import ScanSource, without_vehicle
+from uavrl.deploy.summary import ScanSummary
+from uavrl.errors import UavrlError
+from uavrl.ranges import Folder, Positive, Text
+from uavrl.runs.files import replacing, writable
+
+LIVE = 1.0  # s between two lines while a sensor is listened to
+
+
+@dataclass
+class ScanConfig:
+    """conf/scan.yaml: one look."""
+
+    source: Folder
+    model: Text | None = None
+    topic: Text | None = None
+    product: Annotated[int, Field(ge=0, le=255)] | None = None
+    seconds: Positive = 10.0
+    vehicle: tuple[float, ...] | None = None
+    reduction: Reduction = "truncated_icosahedron"
+    statistic: Statistic | None = None
+    radius: Annotated[float, Field(ge=0.1, le=1000)] = 4.0
+    output: Folder | None = "scan.html"
+    json: Folder | None = None
+
+    def __post_init__(self) -> None:
+        """Checks the box, and that page and numbers are two files."""
+        low, high = self.box
+        whole = self.vehicle is None or (len(self.vehicle) == 6 and bool((low < high).all()))
+        require(whole, "vehicle", "six numbers: the box's least corner, then its greatest", self.vehicle)
+        apart = self.json is None or self.output is None or Path(self.json).resolve() != Path(self.output).resolve()
+        require(apart, "json", "another file than output", self.json)
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The corners of the box around the vehicle, from the sensor."""
+        corners = np.asarray(self.vehicle or (), dtype=np.float64)
+        return corners[:3], corners[3:6]
+
+
+@command("scan")
+def main(config: DictConfig) -> None:
+    """Reads a source to its end, or listens for some seconds; prints the numbers, writes page and JSON."""
+    settings = validate(config, ScanConfig)
+    source = ScanSource(
+        settings.source, settings.model, topic=settings.topic, product=settings.product, seconds=settings.seconds
+    )
+    paths = {key: getattr(settings, key) for key in ("output", "json") if getattr(settings, key) is not None}
+    files = {key: writable(Path(path), f"{key}=FILE") for key, path in paths.items()}
+    summary = ScanSummary()
+    for scan in _shown(source, settings):
+        summary.add(scan)
+    _print(summary, source)
+    if "json" in files:
+        facts = {**summary.facts(), "nearest_by_direction": summary.sectors(), "skipped": asdict(source.skipped)}
+        with replacing(files["json"]) as partial:
+            partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+    if "output" in files and not _draw(summary, settings, files["output"]):
+        del files["output"]
+    for path in files.values():
+        print(f"Written to {path}")
+
+
+def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
+    """The scans without the vehicle; while a sensor is listened to, a line each second."""
+    low, high = settings.box
+    told = -np.inf
+    for scan in source:
+        if settings.vehicle is not None:
+            scan = Scan(scan.stamp, without_vehicle(scan.points, low, high), scan.rays)
+        yield scan
+        if source.kind == "udp" and scan.stamp - told >= LIVE:
+            told = scan.stamp
+            moment = ScanSummary()
+            moment.add(scan)
+            print(f"{_percent(moment)} of {scan.rays:,} rays miss, nearest {_metres(moment)}", flush=True)
+
+
+def _print(summary: ScanSummary, source: ScanSource) -> None:
+    facts = summary.facts()
+    rate = "" if facts["rate_hz"] is None else f" at {facts['rate_hz']:.2f} Hz"
+    scans = f"{summary.scans:,} scan{'' if summary.scans == 1 else 's'}{rate}"
+    print(f"{source.source}: {scans}, {facts['points_median']:,.0f} points each (median), {_percent(summary)} misses")
+    print("Nearest return in each direction:")
+    for name, far in summary.sectors().items():
+        print(f"  {name:<14}{far:7.2f} m")
+    for reason in source.skipped.sentences():
+        print(f"uavrl: left out: {reason}", file=sys.stderr)
+
+
+def _percent(summary: ScanSummary) -> str:
+    return f"{100 * (summary.facts()['misses'] or 0.0):.1f} %"
+
+
+def _metres(summary: ScanSummary) -> str:
+    sectors = summary.sectors()
+    if not sectors:
+        return "nothing"
+    name = min(sectors, key=lambda each: sectors[each])
+    return f"{sectors[name]:.2f} m {name}"
+
+
+def _draw(summary: ScanSummary, settings: ScanConfig, output: Path) -> bool:
+    """Writes the page; where plotly or SciPy is not installed, says so."""
+    try:
+        from uavrl.viewer.scan_page import write_scan_page
+
+        statistic = settings.statistic or STATISTICS[settings.reduction]
+        write_scan_page(summary, settings.source, settings.reduction, statistic, settings.radius, output)
+    except (ImportError, UavrlError) as error:
+        missing = f"it needs {error.name}" if isinstance(error, ImportError) else str(error)
+        print(f"uavrl: No page was drawn: {missing} (output=null asks for none).", file=sys.stderr)
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""One page that shows what a LiDAR saw and what a reduction makes of it; it needs no network, and neither PyTorch."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uavrl.cells import Statistic
+from uavrl.deploy.reduction import REDUCTIONS, Reduction, directions, is_return
+from uavrl.deploy.scans import Scan
+from uavrl.deploy.summary import SECTORS, ScanSummary
+from uavrl.envs.quadrotor import Airframe
+from uavrl.runs.files import replacing
+from uavrl.viewer.assembly import filled, pack
+from uavrl.viewer.flight_shapes import BODY, shell, vehicle
+
+MOST_POINTS = 6000  # of each scan that are drawn
+FARTHEST = 12.0  # m: what is farther is not drawn
+
+
+def scan_page_data(
+    summary: ScanSummary, source: str, reduction: Reduction, statistic: Statistic, radius: float
+) -> dict[str, Any]:
+    """The content of the page, as JSON."""
+    shape = shell(directions(reduction), radius)
+    return {
+        "source": source,
+        "facts": summary.facts(),
+        "sectors": [{"name": name, "nearest": summary.sectors().get(name)} for name in SECTORS],
+        "cells": f"{len(directions(reduction))} {'faces' if reduction == 'truncated_icosahedron' else 'cells'}",
+        "statistic": statistic,
+        "radius": radius,
+        "reach": FARTHEST,
+        "body": BODY,
+        "sensor": list(Airframe().lidar_position),
+        "vehicle": [
+            {"vertices": pack(mesh.vertices), "triangles": pack(mesh.faces), "colour": colour}
+            for mesh, colour in vehicle()
+        ],
+        "ball": {name: pack(value) for name, value in shape._asdict().items()},
+        "scans": [_scan(scan, reduction, statistic, radius, summary.kept[0].stamp) for scan in summary.kept],
+    }
+
+
+def _scan(scan: Scan, reduction: Reduction, statistic: Statistic, radius: float, first: float) -> dict[str, Any]:
+    points = scan.points[is_return(scan.points, FARTHEST)]
+    some = np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).round().astype(int)
+    return {
+        "time": scan.stamp - first,
+        "returns": int(is_return(scan.points).sum()),
+        "rays": scan.rays,
+        "points": pack(points[some], scale=FARTHEST / 32767),
+        "cells": pack(REDUCTIONS[reduction](scan.points, radius, statistic)),
+    }
+
+
+def write_scan_page(
+    summary: ScanSummary, source: str, reduction: Reduction, statistic: Statistic, radius: float, output: Path
+) -> None:
+    """Writes the page of the scans that a summary has kept."""
+    data = scan_page_data(summary, source, reduction, statistic, radius)
+    text = filled("scan.html", ("flight.css", "flight_charts.js", "drawing.js", "scan.js"), data)
+    with replacing(output) as partial:
+        partial.write_text(text, encoding="utf-8")
