@@ -135,7 +135,7 @@ def flown(settings: TrainConfig) -> tuple[dict[str, Tensor], dict[str, Tensor], 
         heading = np.degrees(np.arctan2(goal_y - y, goal_x - x) - base.simulation.yaw[0]) % 360
         elevation = np.degrees(np.arctan2(goal_z - z, np.hypot(goal_x - x, goal_y - y))) % 360
         poses.append(dict(zip(READ, (torch.tensor([[value]]) for value in (z, heading, elevation)), strict=True)))
-        cloud = data["point_cloud"][0]
+        cloud = data["point_cloud"][0, ::9]
         cloud = torch.where(unmistakable(cloud)[:, None], cloud, torch.nan)
         rows.append({"cloud": cloud[None], "action": action, **{key: data[key] for key in READ}})
         data = base.step(data.set("action", action))["next"].set("goal", data["goal"])
