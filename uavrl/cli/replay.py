@@ -136,7 +136,8 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
         parts, tasks = (chosen.env, chosen.perception, chosen.reward), settings.task_numbers
         context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": 1}
         context["tasks"] = tasks  # valleys that none of them needs are not built
-        env = make_env(*parts, keep_cloud=True, measure_clearance=True, **context)
+        context |= {**chosen.env_options, "keep_cloud": True}
+        env = make_env(*parts, measure_clearance=True, **context)
         kept: dict[str, Any] = {"seed": settings.seed, "source": source, "risk": risk, "max_points": settings.points}
         try:
             return record_flights(env, chosen.policy, tasks, progress=settings.progress, **kept)

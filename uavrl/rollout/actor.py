@@ -1,5 +1,7 @@
 """The policy of a configuration: made new, loaded from a run or a folder of its own, or written to be given away."""
 
+import hashlib
+import logging
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal
@@ -21,10 +23,11 @@ from uavrl.rollout.environment import NetworkSizes, make_env, network_sizes
 from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.files import replacing, writable
-from uavrl.runs.names import CONFIG, CONTRACT
+from uavrl.runs.names import CONFIG, CONTRACT, NETWORK
 from uavrl.runs.provenance import recorded_versions
 from uavrl.runs.weights import POLICY
 
+log = logging.getLogger(__name__)
 POLICY_INFO = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
 
 
@@ -115,7 +118,8 @@ def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
 def export_policy(folder: Path, checkpoint: str | None, output: Path, packages: Iterable[str] = ()) -> dict[str, Any]:
     """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
 
-    The policy is that of :func:`load_actor`; what ``policy.json`` says of it is returned.
+    With the contract goes ``policy.onnx``; where it cannot be made, a warning says why. The policy is that of
+    :func:`load_actor`; what ``policy.json`` says of it is returned.
     """
     config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
     about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
@@ -128,9 +132,25 @@ def export_policy(folder: Path, checkpoint: str | None, output: Path, packages: 
     saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
     terms = contract(validate_run(config), saved["weights_sha256"])
     if terms is not None:
+        terms |= _write_network(output, actor, terms)
         with replacing(output / CONTRACT) as partial:
             partial.write_text(as_text(terms), encoding="utf-8")
     return saved
+
+
+def _write_network(output: Path, actor: TensorDictModuleBase, terms: dict[str, Any]) -> dict[str, Any]:
+    """Writes ``policy.onnx``, and returns what the contract says about it."""
+    from uavrl.rollout.onnx_export import INPUT, OPSET, OUTPUT, policy_onnx
+
+    try:
+        content = policy_onnx(actor, terms)
+    except UavrlError as error:
+        log.warning("%s", error)
+        return {}
+    with replacing(output / NETWORK) as partial:
+        partial.write_bytes(content)
+    digest = hashlib.sha256(content).hexdigest()
+    return {"network": {"file": NETWORK, "sha256": digest, "opset": OPSET, "input": INPUT, "output": OUTPUT}}
 
 
 def saved_sizes(settings: TrainConfig) -> NetworkSizes:

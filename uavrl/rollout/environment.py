@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 from torchrl.data import Bounded
-from torchrl.envs import CatFrames, Compose, EnvBase, Transform, TransformedEnv
+from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, Transform, TransformedEnv
 
 from uavrl.config.build import build
 from uavrl.config.context import CONTEXT
@@ -54,10 +54,14 @@ def make_env(
     packages: Iterable[str] = (),
     num_uavs: int | None = None,
     keep_cloud: bool = False,
+    mark_resets: bool = False,
     kind: type[TransformedEnv] = TransformedEnv,
     **context: Any,
 ) -> TransformedEnv:
-    """The environment with everything between what it emits and what the policy and the learner read."""
+    """The environment with everything between what it emits and what the policy and the learner read.
+
+    ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins.
+    """
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
@@ -75,6 +79,8 @@ def make_env(
             require_keys(made, [(inner.in_keys, inner.out_keys) for inner in inner_transforms(transform)], part)
             made.append_transform(transform)
     require_keys(made, [(["observation"], [])], "policy")
+    if mark_resets:
+        made.append_transform(InitTracker())
     return made
 
 

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 import uavrl
-from uavrl.config import TrainConfig, validate_run
+from uavrl.config import TrainConfig, validate, validate_run
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
 from uavrl.config.parts import Part
 from uavrl.config.sentences import did_you_mean
 from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
+from uavrl.runs.names import CONTRACT
 from uavrl.runs.weights import POLICY
 
 if TYPE_CHECKING:
@@ -27,7 +28,10 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` names, beside the baselines
+EXPORTED = "uavrl.deploy.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
 GONE = ("static", "dynamic")  # what came with uavrl 0.1.0
+
+OF_SENSOR = ("perception.lidar.", "perception.blind")  # and blind_to: what may be changed for a trained policy
 
 # Keys of an evaluation that do not say which policy was evaluated in which tasks.
 PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
@@ -45,6 +49,12 @@ class PolicySetup:
     source: dict[str, Any]  # what a result says about the policy
     run: TrainConfig | None = None  # where it comes from, with what the command line changed; None for a baseline
 
+    @property
+    def env_options(self) -> dict[str, bool]:
+        """What :func:`~uavrl.rollout.environment.make_env` is told, so that the environment emits the ``in_keys``."""
+        read = getattr(self.policy, "in_keys", ())
+        return {"keep_cloud": "point_cloud" in read, "mark_resets": "is_init" in read}
+
 
 def choose(
     settings: FlyingConfig, config: DictConfig, overrides: list[str], folder: Path | None, device: torch.device
@@ -59,6 +69,7 @@ def choose(
         require_valley(settings.env, settings.choices, "policy")
         context = {**settings.perception, "flight_level": settings.env.world.flight_level}
         policy = named_policy(str(settings.policy), context, settings.packages)
+        settings = _as_contracted(policy, settings, config, overrides)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
         chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
     else:
@@ -69,6 +80,20 @@ def choose(
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
     return chosen
+
+
+def _as_contracted(policy: Any, settings: FlyingConfig, config: DictConfig, overrides: list[str]) -> FlyingConfig:
+    """The settings with the perception and the sensor of an exported policy; as they are for any other."""
+    terms = getattr(policy, "overrides", None)
+    if terms is None:
+        return settings
+    config = config.copy()
+    given = _keys(overrides)
+    _require_sensor_alone(given, ("perception",), "policy")
+    for key, value in terms.items():
+        if key not in given and OmegaConf.select(config, key.rpartition(".")[0]) is not None:
+            OmegaConf.update(config, key, value, merge=False)
+    return validate(config, type(settings))
 
 
 def require_fit(chosen: PolicySetup, env: EnvBase) -> None:
@@ -114,12 +139,19 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     if "randomize" in keys:
         require_valley(result.env, result.choices, "randomize")
         result.env.randomize = composed.env.randomize
+    _require_sensor_alone(keys, ("perception", "reward"), "run")
     for key in keys:
-        if key.startswith(("env.", "perception.lidar.")) or key in ("perception.blind", "perception.blind_to"):
+        if key.startswith(("env.", *OF_SENSOR)):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
-        elif key.split(".")[0] in ("perception", "reward"):
-            raise UavrlError(f"{key} belongs to the run and cannot change where its policy is evaluated: leave it out.")
     return result
+
+
+def _require_sensor_alone(keys: Iterable[str], groups: Collection[str], owner: str) -> None:
+    """Refuses what makes the inputs of a trained policy, or has trained it; its sensor may be another."""
+    for key in keys:
+        if key.split(".")[0] in groups and not key.startswith(OF_SENSOR):
+            told = "cannot change where its policy is evaluated: leave it out."
+            raise UavrlError(f"{key} belongs to the {owner} and {told}")
 
 
 def _keys(overrides: Iterable[str]) -> list[str]:
@@ -170,7 +202,7 @@ def named_policy(
 
     Of ``told``, ``flight_level`` and what perception says (``radius``, …), a baseline is given what its constructor
     names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
-    ``stable_baselines3``.
+    ``stable_baselines3``. A folder is one that ``uavrl-export`` wrote.
     """
     from uavrl.rollout.baselines import BASELINES
 
@@ -182,6 +214,8 @@ def named_policy(
             trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
             raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
         return StableBaselinesPolicy(name)
+    if name not in BASELINES and (folder := exported_folder(name)) is not None:
+        return build({TARGET: EXPORTED, "folder": folder}, object)
     if "." in target:
         context = {key: told[key] for key in CONTEXT["policy"]}
         seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else {}
@@ -190,7 +224,7 @@ def named_policy(
             raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
         return made
     names = [*BASELINES, *packaged_policies()]
-    own = "for your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
+    own = "for your own give run=RUN_FOLDER, an exported folder, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
     raise unknown_policy(name, names, own)
 
 
@@ -205,10 +239,18 @@ def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
     return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
 
 
+def exported_folder(name: str) -> Path | None:
+    """The folder of an exported policy that a name means; None for a name of another kind."""
+    path = Path(name).expanduser() if name.startswith("~/") else Path(name)
+    return path if "/" in name or path.is_dir() else None
+
+
 def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:
     """The file that a policy of :func:`named_policy` comes from; None for a baseline, and where there is none."""
     path = Path(name)
     if path.suffix != ".zip":
+        if (folder := exported_folder(name)) is not None:
+            return folder / CONTRACT if (folder / CONTRACT).is_file() else None
         if "." not in name:
             return None
         path = Path(inspect.getsourcefile(find_class(name, object, packages)) or "")

@@ -1,0 +1,160 @@
+"""``contract.json`` as it is read: one that is incomplete, contradicts itself or means other cells is refused.
+
+`uavrl.rollout.contract` writes it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from uavrl.cells import LARGEST_RADIUS, NEAREST_RETURN, TOUCHING, Statistic, return_bounds
+from uavrl.deploy.reduction import Reduction, directions
+from uavrl.errors import UavrlError
+from uavrl.rollout.contract import ACTION, FORMAT, VERSION
+from uavrl.runs.names import CONTRACT
+
+LARGEST = 2**20  # bytes of the file; ours have ten thousand
+REMEDY = "export the policy again with uavrl-export"
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+Size = Annotated[int, Field(ge=1, le=10_000)]
+Quantity = Literal["cells", "altitude", "heading", "elevation", "last_action"]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Cloud(_Part):
+    """Which points of a scan count."""
+
+    squared_range: tuple[float, float]
+    sensor_position: Three  #: of the sensor in body axes, m
+    blind: bool  #: whether the policy was trained with misses alone
+
+
+class Cells(_Part):
+    """What the reduction reports."""
+
+    reduction: Reduction
+    count: Size
+    radius: Annotated[float, Field(gt=NEAREST_RETURN, le=LARGEST_RADIUS)]
+    statistic: Statistic
+    directions: Annotated[list[Three], Field(max_length=10_000)]
+    interval: tuple[float, float]
+
+
+class Entry(_Part):
+    """One of the quantities in an observation, and how it is scaled."""
+
+    name: Quantity
+    size: Size
+    shift: float
+    modulo: Annotated[float, Field(gt=0)] | None
+    divisor: float
+    offset: float
+
+
+class State(_Part):
+    """How many observations the policy reads."""
+
+    frames: Annotated[int, Field(ge=1, le=1000)]
+    padding: float
+    size: Annotated[int, Field(ge=1, le=1_000_000)]
+    dtype: Literal["float32"]
+
+
+class Action(_Part):
+    """The limits of what the policy gives."""
+
+    order: tuple[str, str, str, str]
+    low: Four
+    high: Four
+
+
+class Network(_Part):
+    """The file of the network."""
+
+    file: str
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    input: str
+    output: str
+
+
+class Contract(_Part):
+    """What a program needs to give a policy its inputs and to obey its actions."""
+
+    format: str
+    version: int
+    weights_sha256: str
+    rate_hz: Annotated[float, Field(gt=0, le=1000)]
+    cloud: Cloud
+    cells: Cells
+    observation: Annotated[list[Entry], Field(min_length=1, max_length=5)]
+    state: State
+    action: Action
+    network: Network | None = None  #: None where no policy.onnx was exported
+
+    def contradiction(self) -> str | None:
+        """What does not hold together, or is not as this version of uavrl does it; None for a sound contract."""
+        cells, state, action = self.cells, self.state, self.action
+        names = [entry.name for entry in self.observation]
+        sizes = {"cells": cells.count, "last_action": len(action.order)}
+        towards = directions(cells.reduction)
+        same = np.shape(cells.directions) == towards.shape and np.allclose(cells.directions, towards, atol=1e-6)
+        bounds = [*return_bounds(cells.radius), TOUCHING * cells.radius, cells.radius]
+        found: dict[str, bool] = {
+            f"cells are not those of {cells.reduction}": not same or cells.count != len(towards),
+            f"cloud.squared_range or cells.interval is not that of a radius of {cells.radius:g} m": not np.allclose(
+                [*self.cloud.squared_range, *cells.interval], bounds, rtol=1e-9
+            ),
+            "observation names a quantity twice": len(set(names)) < len(names),
+            "an entry of observation has another size than what it names": any(
+                entry.size != sizes.get(entry.name, 1) for entry in self.observation
+            ),
+            "an entry of observation is divided by 0": any(entry.divisor == 0 for entry in self.observation),
+            "state.size is not state.frames times the sizes in observation": state.size
+            != state.frames * sum(entry.size for entry in self.observation),
+            f"action.order is not {', '.join(ACTION)}": action.order != tuple(ACTION),
+            "action.low is not below action.high": not np.less(action.low, action.high).all(),
+        }
+        return next((words for words, wrong in found.items() if wrong), None)
+
+
+def read_contract(folder: Path) -> Contract:
+    """The contract in a folder.
+
+    Raises:
+        UavrlError: where there is none, or it is damaged, of another version, or contradicts itself.
+    """
+    path = folder / CONTRACT
+    content = read_file(path, LARGEST)
+    try:
+        found = Contract.model_validate_json(content)
+    except ValidationError as error:
+        raise UavrlError(_told(path, error.errors()[0])) from error
+    if (found.format, found.version) != (FORMAT, VERSION):
+        raise UavrlError(f"{path} is not of {FORMAT} {VERSION}, which this version of uavrl reads: {REMEDY}.")
+    if (wrong := found.contradiction()) is not None:
+        raise UavrlError(f"{path} does not hold together, or is another uavrl's ({wrong}): {REMEDY}.")
+    return found
+
+
+def read_file(path: Path, largest: int) -> bytes:
+    """What is in a file of an exported policy."""
+    if not path.is_file():
+        raise UavrlError(f"Expected an exported policy with {path} and found no such file: {REMEDY}.")
+    if path.stat().st_size > largest:
+        raise UavrlError(f"{path} has more than {largest:,} bytes, which no policy needs: {REMEDY}.")
+    return path.read_bytes()
+
+
+def _told(path: Path, first: Any) -> str:
+    """What pydantic found first, in a sentence."""
+    where = ".".join(map(str, first["loc"])) or "its text"
+    return f"{path} is damaged ({where}: {first['msg']}): {REMEDY}."

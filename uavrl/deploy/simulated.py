@@ -1,0 +1,64 @@
+"""An exported policy in the simulator: the same code that flies a vehicle, on what the environment emits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+
+from uavrl.deploy.policy import Policy
+from uavrl.envs.simulation import CONTROL_RATE
+from uavrl.errors import UavrlError
+from uavrl.rollout.contract import ANGLES
+
+SCALE = ("shift", "modulo", "divisor", "offset")
+
+
+class ExportedPolicy:
+    """Acts by a folder that ``uavrl-export`` wrote, with one :class:`~uavrl.deploy.policy.Policy` for each vehicle.
+
+    Args:
+        folder: the exported policy.
+
+    Raises:
+        UavrlError: as :class:`~uavrl.deploy.policy.Policy`, and for a contract of another rate than the simulator's.
+    """
+
+    in_keys = ("point_cloud", "altitude", "heading_deg", "elevation_deg", "is_init")
+
+    def __init__(self, folder: str | Path) -> None:
+        self._policy = Policy(folder)
+        self._vehicles: list[Policy] = []
+        if self._policy.contract.rate_hz != CONTROL_RATE:
+            other = f"{folder} acts {self._policy.contract.rate_hz:g} times a second"
+            raise UavrlError(f"{other}, and the simulator asks {CONTROL_RATE} times: choose another policy.")
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action``; a vehicle with ``is_init`` begins an episode."""
+        cloud, *pose, begins = (tensordict[key].numpy() for key in self.in_keys)
+        while len(self._vehicles) < len(cloud):
+            self._vehicles.append(self._policy.copy())
+        actions = np.zeros((len(cloud), len(self._policy.contract.action.order)), np.float32)
+        for number, vehicle in enumerate(self._vehicles[: len(cloud)]):
+            if begins[number].all():
+                vehicle.reset()
+            actions[number] = vehicle(cloud[number], *(float(part[number, 0]) for part in pose))
+        return tensordict.set("action", torch.from_numpy(actions))
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """The keys of a configuration whose environment and perception are the contract's."""
+        contract = self._policy.contract
+        entries = {entry.name: entry for entry in contract.observation}
+        found = {f"perception.{key}": getattr(contract.cells, key) for key in ("radius", "reduction", "statistic")}
+        found |= {"perception.frames": contract.state.frames, "perception.last_action": "last_action" in entries}
+        if "altitude" in entries:
+            found["perception.flight_level"] = entries["altitude"].divisor
+        for name, scale in ANGLES.items():
+            if "heading" in entries and scale == tuple(getattr(entries["heading"], key) for key in SCALE):
+                found["perception.angles"] = name
+        found["env.airframe.lidar_position"] = list(contract.cloud.sensor_position)
+        return found if not contract.cloud.blind else {**found, "perception.blind": True}

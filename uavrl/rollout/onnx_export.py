@@ -1,0 +1,124 @@
+"""A policy's network as ONNX: from the state to the action, for programs without PyTorch."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from uavrl.errors import UavrlError
+
+OPSET = 18
+INPUT, OUTPUT = "state", "action"
+TRIED, TOLERANCE = 32, 1e-5  # states in which what was exported must act as the policy does
+LEFT_OUT = "policy.onnx is left out"
+
+
+class _MeanAction(nn.Module):
+    """States ``[N, S]`` to a policy's actions without noise ``[N, A]``, cut to their limits."""
+
+    def __init__(self, actor: TensorDictModuleBase, low: list[float], high: list[float]) -> None:
+        super().__init__()
+        self.actor = actor
+        self.register_buffer("low", torch.tensor(low))
+        self.register_buffer("high", torch.tensor(high))
+
+    def forward(self, state: Tensor) -> Tensor:
+        acted = self.actor(TensorDict({"observation": state}, batch_size=state.shape[:1]))
+        return acted["action"].clamp(self.low, self.high)
+
+
+def policy_onnx(actor: TensorDictModuleBase, terms: dict[str, Any]) -> bytes:
+    """The file of a policy with this contract: no path and no date is in it, so that the same policy is the same file.
+
+    Raises:
+        UavrlError: where the extra ``export`` is not installed, PyTorch cannot export the policy's network, or the
+            exported network acts differently.
+    """
+    try:
+        import onnx  # noqa: F401
+        import onnxscript  # noqa: F401
+    except ImportError as error:
+        raise UavrlError(
+            f"{LEFT_OUT}, which lets the policy act without PyTorch: it needs {error.name}. To have it, pip install "
+            f"'uavrl[export]' and export again to another folder."
+        ) from error
+    acts = _MeanAction(actor, terms["action"]["low"], terms["action"]["high"])
+    states = torch.randn(TRIED, terms["state"]["size"], generator=torch.Generator().manual_seed(0))
+    training = {module: module.training for module in acts.modules()}
+    acts.eval()
+    try:
+        with _quiet(), torch.no_grad(), torch.random.fork_rng(devices=[]):
+            content = _exported(acts, states)
+            apart = np.abs(_acted(content, states) - acts(states).numpy()).max()
+    except Exception as error:  # whatever somebody else's network raises
+        raise UavrlError(f"{LEFT_OUT}: PyTorch cannot export the policy's network ({_reason(error)}).") from error
+    finally:
+        for module, mode in training.items():
+            module.training = mode
+    if not apart <= TOLERANCE:
+        raise UavrlError(
+            f"{LEFT_OUT}: what PyTorch exported acts otherwise than the policy, by up to {apart:.2g}. A network that "
+            f"draws numbers, or keeps some from one state to the next, has no such file."
+        )
+    return content
+
+
+def _exported(acts: nn.Module, states: Tensor) -> bytes:
+    from onnx_ir.passes.common import ClearMetadataAndDocStringPass
+
+    batch = torch.export.Dim("batch")
+    program = torch.onnx.export(
+        acts,
+        (states,),
+        dynamo=True,
+        opset_version=OPSET,
+        input_names=[INPUT],
+        output_names=[OUTPUT],
+        dynamic_shapes={"state": {0: batch}},
+        external_data=False,
+        verbose=False,
+    )
+    assert program is not None, "no file was named"
+    ClearMetadataAndDocStringPass()(program.model)  # where the code lay that was traced
+    return program.model_proto.SerializeToString(deterministic=True)
+
+
+def _acted(content: bytes, states: Tensor) -> np.ndarray:
+    """The actions of an exported policy, by ONNX's reference implementation."""
+    import onnx
+    from onnx.reference import ReferenceEvaluator
+
+    (actions,) = ReferenceEvaluator(onnx.load_from_string(content)).run([OUTPUT], {INPUT: states.numpy()})
+    return actions
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """A policy acts without noise, and what PyTorch reports of its exporter is kept off the screen."""
+    noisy = {logger: logger.level for logger in map(logging.getLogger, ("torch.onnx", "onnxscript", "onnx_ir"))}
+    for logger in noisy:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger, level in noisy.items():
+            logger.setLevel(level)
+
+
+def _reason(error: BaseException) -> str:
+    """The first line of the error that began it."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)[:200]
