@@ -57,7 +57,7 @@ def package(name: str, run: Path, suite: Path, checkpoint: str | None = None) ->
         raise UavrlError("Expected a checkout without changes, whose commit the contract names: commit them first.")
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / name
-        about = export_policy(run, checkpoint, folder)
+        about = export_policy(run, checkpoint, folder, network=False)
         lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(row)}" for key, row in rows(suite, about).items())
         (folder / "suite.json").write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
         shutil.rmtree(PACKAGED / name, ignore_errors=True)

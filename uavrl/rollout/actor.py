@@ -115,11 +115,13 @@ def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
     return path
 
 
-def export_policy(folder: Path, checkpoint: str | None, output: Path, packages: Iterable[str] = ()) -> dict[str, Any]:
+def export_policy(
+    folder: Path, checkpoint: str | None, output: Path, packages: Iterable[str] = (), *, network: bool = True
+) -> dict[str, Any]:
     """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
 
-    With the contract goes ``policy.onnx``; where it cannot be made, a warning says why. The policy is that of
-    :func:`load_actor`; what ``policy.json`` says of it is returned.
+    With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. The policy is
+    that of :func:`load_actor`; what ``policy.json`` says of it is returned.
     """
     config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
     about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
@@ -132,7 +134,7 @@ def export_policy(folder: Path, checkpoint: str | None, output: Path, packages: 
     saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
     terms = contract(validate_run(config), saved["weights_sha256"])
     if terms is not None:
-        terms |= _write_network(output, actor, terms)
+        terms |= _write_network(output, actor, terms) if network else {}
         with replacing(output / CONTRACT) as partial:
             partial.write_text(as_text(terms), encoding="utf-8")
     return saved

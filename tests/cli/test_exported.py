@@ -1,0 +1,93 @@
+"""``policy=FOLDER``: what ``uavrl-export`` wrote flies in the simulator by numpy and ONNX Runtime."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.commands import VALLEY, in_process
+from tests.helpers.exported import edit_contract, exported
+from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli import replay as replay_command
+from uavrl.cli.suite import _changed
+from uavrl.config import EvaluateConfig, compose, validate
+from uavrl.rollout.policies import choose
+
+Refused = Callable[..., str]
+SHORT = [*VALLEY, "episodes=3", "num_uavs=2", "env.max_steps=8", "progress=false"]  # a vehicle begins a second episode
+CELLS = ("algo=sac", "perception=range_image", "perception.last_action=true", "perception.radius=6")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of another reduction and radius than the default's, and with its sensor elsewhere."""
+    place = "env.airframe.lidar_position=[0,0,0.2]"
+    return exported(tmp_path_factory.mktemp("exported"), "algo.hidden=[16]", *CELLS, place)
+
+
+def evaluation(output: Path, *arguments: str) -> dict[str, Any]:
+    assert in_process(evaluate_command.main, *arguments, *SHORT, f"output={output}") == 0
+    return json.loads(output.read_text())
+
+
+def test_it_flies_as_its_weights_do(folder: Path, tmp_path: Path) -> None:
+    ours = evaluation(tmp_path / "policy.json", f"policy={folder}")
+    theirs = evaluation(tmp_path / "run.json", f"run={folder}")
+    assert ours["policy"] == str(folder) and ours["outcomes"] == theirs["outcomes"]
+    for flown, expected in zip(ours["flights"], theirs["flights"], strict=True):
+        assert (flown["task"], flown["outcome"], flown["steps"]) == tuple(
+            expected[k] for k in ("task", "outcome", "steps")
+        )
+        for key in ("flown", "clearance", "action_change"):
+            assert flown[key] == pytest.approx(expected[key], abs=1e-3)
+
+
+def test_it_can_be_replayed_with_what_it_sees(folder: Path, tmp_path: Path) -> None:
+    page = tmp_path / "replay.html"
+    arguments = [*VALLEY, "env.max_steps=3", "points=10", "progress=false", f"output={page}"]
+    assert in_process(replay_command.main, f"policy={folder}", *arguments) == 0
+    assert "Each of 72 cells" in page.read_text() or "72" in page.read_text()
+
+
+def chosen(folder: Path, *overrides: str) -> Any:
+    config = compose(f"policy={folder}", *overrides, name="evaluate")
+    return choose(validate(config, EvaluateConfig), config, [f"policy={folder}", *overrides], None, "cpu")
+
+
+def test_environment_and_perception_are_the_contracts_unless_the_sensor_is_said_to_be_another(folder: Path) -> None:
+    setup = chosen(folder)
+    assert setup.perception["reduction"] == "range_image" and setup.perception["radius"] == 6.0
+    assert setup.perception["lidar"].max_range == 6.0, "what the policy sees, the sensor reports"
+    assert list(setup.env["airframe"].lidar_position) == [0.0, 0.0, 0.2]
+    assert setup.env_options == {"keep_cloud": True, "mark_resets": True}
+    other = chosen(folder, "env.airframe.lidar_position=[0,0,0.1]", "perception.lidar.max_range=50", "env=dynamic")
+    assert list(other.env["airframe"].lidar_position) == [0.0, 0.0, 0.1] and other.env["world"].planes > 0
+    assert other.perception["lidar"].max_range == 50.0 and other.perception["radius"] == 6.0
+
+
+def test_a_suite_sees_that_it_was_exported_anew(folder: Path) -> None:
+    settings = validate(compose(f"policy={folder}", name="evaluate"), EvaluateConfig)
+    os.utime(folder / "contract.json", (5, 5))
+    assert _changed(settings) == 5
+
+
+def test_what_cannot_be_flown_ends_in_a_sentence(folder: Path, tmp_path: Path, refused: Refused) -> None:
+    def told(*arguments: str) -> str:
+        return refused(evaluate_command.main, *arguments, *SHORT)
+
+    nowhere = tmp_path / "nowhere"
+    assert f"Expected an exported policy with {nowhere}/contract.json" in told(f"policy={nowhere}")
+    assert "Expected an exported policy with" in told(f"policy={tmp_path}")
+    assert "perception belongs to the policy" in told(f"policy={folder}", "perception=truncated_icosahedron")
+    assert "perception.radius belongs to the policy" in told(f"policy={folder}", "perception.radius=3")
+
+
+def test_a_contract_of_another_reduction_ends_in_a_sentence(tmp_path: Path, refused: Refused) -> None:
+    folder = exported(tmp_path, "algo.hidden=[4]")
+    edit_contract(folder, lambda terms: terms["cells"].update(reduction="range_image"))
+    assert "cells are not those of range_image" in refused(evaluate_command.main, f"policy={folder}", *SHORT)
