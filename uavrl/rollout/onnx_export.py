@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -105,16 +106,15 @@ def _acted(content: bytes, states: Tensor) -> np.ndarray:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """A policy acts without noise, and what PyTorch reports of its exporter is kept off the screen."""
-    noisy = {logger: logger.level for logger in map(logging.getLogger, ("torch.onnx", "onnxscript", "onnx_ir"))}
-    for logger in noisy:
-        logger.setLevel(logging.CRITICAL)
+    disabled = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     try:
-        with warnings.catch_warnings(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            yield
+            with set_exploration_type(ExplorationType.DETERMINISTIC):
+                yield
     finally:
-        for logger, level in noisy.items():
-            logger.setLevel(level)
+        logging.disable(disabled)
 
 
 def _reason(error: BaseException) -> str:
