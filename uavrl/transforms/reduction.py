@@ -71,7 +71,13 @@ def is_return(points: Tensor, radius: float) -> Tensor:
     """
     x, y, z = points.unbind(-1)
     squared = (x * x + y * y).addcmul_(z, z)
-    return (squared > NEAREST_RETURN**2 * (1.0 + _ROUNDING)) & (squared < radius**2 * (1.0 - _ROUNDING))
+    nearest, farthest = return_bounds(radius)
+    return (squared > nearest) & (squared < farthest)
+
+
+def return_bounds(radius: float) -> tuple[float, float]:
+    """Between which squared distances a point is a return from within the ball of ``radius`` metres, both excluded."""
+    return NEAREST_RETURN**2 * (1.0 + _ROUNDING), radius**2 * (1.0 - _ROUNDING)
 
 
 def returns_of(points: Tensor, radius: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
