@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.deploy.test_recorded_packets import RECORDED
+from tests.helpers.packets import RECORDED
 
 WITHOUT = """
 import importlib, importlib.abc, pkgutil, sys
