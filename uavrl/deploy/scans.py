@@ -36,9 +36,9 @@ MOST_PACKETS = 4096  # of a scan, whatever the clock in the packets says
 class Scan:
     """One turn of the sensor, which can be unpacked as ``stamp, points``."""
 
-    stamp: float  #: time of its last packet in s: of the receiver where the source knows it, otherwise of the sensor
+    stamp: float  #: Time of its last packet in s, by the receiver's clock where the source knows it, else by the sensor's
     points: np.ndarray  #: ``float32 [P, 3]`` in m in the sensor frame: x forward, y left, z up
-    rays: int  #: how many rays it is made of, returns and misses
+    rays: int  #: How many rays it is made of, returns and misses
 
     def __iter__(self) -> Iterator[Any]:
         """Gives the stamp and the points."""
@@ -128,7 +128,7 @@ class ScanAssembler:
     def __init__(self, model: str, product: int | None = None) -> None:
         self.model, self.product = check_model(model), PRODUCTS[model] if product is None else product
         self.skipped = Skipped()
-        self.products: set[int] = set()
+        self.products = set[int]()
         self.heard = False
         self._decode = make_decoder(model)
         self._single = self._decode is decode_vlp16
