@@ -36,7 +36,9 @@ MOST_PACKETS = 4096  # of a scan, whatever the clock in the packets says
 class Scan:
     """One turn of the sensor, which can be unpacked as ``stamp, points``."""
 
-    stamp: float  #: Time of its last packet in s, by the receiver's clock where the source knows it, else by the sensor's
+    stamp: (
+        float  #: Time of its last packet in s, by the receiver's clock where the source knows it, else by the sensor's
+    )
     points: np.ndarray  #: ``float32 [P, 3]`` in m in the sensor frame: x forward, y left, z up
     rays: int  #: How many rays it is made of, returns and misses
 
