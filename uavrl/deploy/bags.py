@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from uavrl.deploy.reduction import is_return
 from uavrl.deploy.scans import Scan, Skipped
 from uavrl.errors import UavrlError
 
@@ -78,7 +79,7 @@ def read_clouds(path: Path, topic: str, skipped: Skipped) -> Iterator[Scan]:
         if points is None:
             skipped.malformed += 1
         else:
-            yield Scan(_seconds(message.header.stamp), points, len(points))
+            yield Scan(_seconds(message.header.stamp), points, len(points), int((~is_return(points)).sum()))
 
 
 def cloud_points(message: Any) -> np.ndarray | None:
