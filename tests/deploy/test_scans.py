@@ -7,23 +7,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from tests.helpers.packets import turns
 from uavrl.deploy import scans
-from uavrl.deploy.packets import HOUR, PACKET, PRODUCTS, encode_scan
+from uavrl.deploy.packets import PACKET, PRODUCTS
 from uavrl.deploy.scans import Scan, ScanAssembler
-from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
-
-
-def turns(number: int, distance: float = 3.0, stamp: float = 0.0) -> list[bytes]:
-    """The packets of some turns at 10 Hz without a seam between them, as the sensor sends them."""
-    one = np.frombuffer(b"".join(encode_scan(distance * firing_directions())), PACKET)
-    count = 76 * number
-    packets = np.tile(one, number + 1)[:count].copy()
-    block = np.arange(count * 12)
-    packets["blocks"]["azimuth"] = (np.round(block * 39.8131) % 36000).reshape(-1, 12)
-    packets["blocks"]["returns"]["distance"] = round(distance * 500)
-    packets["time"] = np.round(stamp * 1e6 + np.arange(count) * 1327.104).astype(np.int64) % HOUR
-    return [packet.tobytes() for packet in packets]
 
 
 def pushed(packets: list[bytes], model: str = "VLP16", product: int | None = None) -> tuple[list[Scan], ScanAssembler]:
@@ -81,6 +69,21 @@ def test_what_is_no_data_packet_is_counted() -> None:
     skipped = assembler.skipped
     assert (skipped.position > 15, skipped.other_size > 60, skipped.damaged > 60) == (True, True, True)
     assert skipped.position + skipped.other_size + skipped.damaged == len(packets)
+
+
+def test_of_two_returns_of_a_ray_one_is_enough() -> None:
+    packets = np.frombuffer(b"".join(turns(4)), PACKET).copy()
+    packets["mode"], packets["time"] = 0x39, np.arange(packets.size) * 663.552
+    packets["blocks"]["azimuth"] = (np.arange(packets.size * 12) // 2 * 39.8131 % 36000).reshape(-1, 12)
+    distances = packets["blocks"]["returns"]["distance"]
+    distances[:, 0::2, 0] = 0  # the last return of the first laser is missing, not its strongest
+    distances[:, :, 1] = 0  # the second laser hits nothing
+    distances[:, 1::2, 2:] += 500  # all others have two returns 1 m apart
+    found, assembler = pushed([packet.tobytes() for packet in packets])
+    assert len(found) == 2 and assembler.skipped.sentences() == []
+    for scan in found:
+        assert (scan.rays, scan.misses) == (151 * 192, 151 * 6)
+        assert len(scan.points) == 151 * 6 * (1 + 2 * 30)
 
 
 def test_lost_packets_leave_gaps_and_are_counted() -> None:

@@ -6,6 +6,7 @@ Messages are read by the definitions below, never by those that a file brings: n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -13,11 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from uavrl.deploy.reduction import is_return
 from uavrl.deploy.scans import Scan, Skipped
 from uavrl.errors import UavrlError
 
 SCAN, CLOUD = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/PointCloud2"
-_ROSBAG1 = b"#ROSBAG V2.0"
+ROSBAG1 = b"#ROSBAG V2.0"
 _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/Header": "{seq}builtin_interfaces/Time stamp\nstring frame_id",
@@ -40,7 +42,7 @@ class Topic(NamedTuple):
 def is_rosbag1(path: Path) -> bool:
     """Whether a file is a rosbag of ROS 1."""
     with path.open("rb") as file:
-        return file.read(len(_ROSBAG1)) == _ROSBAG1
+        return file.read(len(ROSBAG1)) == ROSBAG1
 
 
 def scan_topic(path: Path, topic: str | None = None) -> Topic:
@@ -78,7 +80,7 @@ def read_clouds(path: Path, topic: str, skipped: Skipped) -> Iterator[Scan]:
         if points is None:
             skipped.malformed += 1
         else:
-            yield Scan(_seconds(message.header.stamp), points, len(points))
+            yield Scan(_seconds(message.header.stamp), points, len(points), int((~is_return(points)).sum()))
 
 
 def cloud_points(message: Any) -> np.ndarray | None:
@@ -138,30 +140,16 @@ def _rosbags(module: str) -> Any:
         raise UavrlError("A recording of ROS needs rosbags, which is not installed: pip install rosbags.") from error
 
 
-def _opened(path: Path) -> Any:
-    """A reader of a recording, to be used in ``with``."""
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A reader of a recording; what cannot be opened is one sentence."""
     module = _rosbags("rosbag1" if path.is_file() and is_rosbag1(path) else "rosbag2")
-    return _Opened(path, module.Reader)
-
-
-class _Opened:
-    """Opens a recording; what cannot be opened is one sentence."""
-
-    def __init__(self, path: Path, reader: Callable[[Path], Any]) -> None:
-        self.path, self.reader = path, reader
-
-    def __enter__(self) -> Any:
-        """Opens it."""
+    with ExitStack() as stack:
         try:
-            self.bag = self.reader(self.path)
-            self.bag.open()
+            bag = stack.enter_context(module.Reader(path))
         except Exception as error:  # `rosbags` meets damage with errors of many kinds
-            raise UavrlError(f"{self.path} is no recording of ROS, or is damaged: give another one.") from error
-        return self.bag
-
-    def __exit__(self, *_: object) -> None:
-        """Closes it."""
-        self.bag.close()
+            raise UavrlError(f"{path} is no recording of ROS, or is damaged: give another one.") from error
+        yield bag
 
 
 @cache

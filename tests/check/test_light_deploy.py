@@ -1,0 +1,54 @@
+"""``uavrl.deploy`` and ``uavrl-scan`` on a machine that has neither PyTorch nor the simulator."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.helpers.packets import RECORDED
+
+WITHOUT = """
+import importlib, importlib.abc, pkgutil, sys
+
+class Without(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {blocked!r}:
+            raise ModuleNotFoundError("No module named " + repr(name), name=name)
+
+sys.meta_path.insert(0, Without())
+{run}
+"""
+SIMULATOR = ["torch", "torchrl", "tensordict", "pybullet", "embreex", "gymnasium", "sklearn", "wandb"]
+
+
+def without(blocked: list[str], run: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    code = WITHOUT.format(blocked=blocked, run=run)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, check=False)
+
+
+def test_the_room_needs_numpy_alone(tmp_path: Path) -> None:
+    run = f"""
+import uavrl.deploy
+for module in pkgutil.iter_modules(uavrl.deploy.__path__):
+    importlib.import_module("uavrl.deploy." + module.name)
+from uavrl.deploy.sources import ScanSource
+print(len(list(ScanSource({str(RECORDED)!r}, "VLP16"))))
+print(sorted(set(sys.modules) & {{"hydra", "pydantic", "torch", "scipy", "rosbags", "velodyne_decoder"}}))
+"""
+    blocked = [*SIMULATOR, "hydra", "omegaconf", "pydantic", "scipy", "rosbags", "velodyne_decoder", "plotly", "mcap"]
+    done = without(blocked, run, tmp_path)
+    assert done.stdout.splitlines() == ["2", "[]"], done.stderr
+
+
+def test_the_command_looks_at_a_scan_and_draws_it(tmp_path: Path) -> None:
+    run = f"""
+from uavrl.cli.scan import main
+sys.argv = ["uavrl-scan", "source=" + {str(RECORDED)!r}, "model=VLP16", "json=facts.json"]
+main()
+"""
+    done = without(SIMULATOR, run, tmp_path)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert json.loads((tmp_path / "facts.json").read_text())["scans"] == 2
+    assert (tmp_path / "scan.html").stat().st_size > 1_000_000
