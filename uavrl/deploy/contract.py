@@ -6,15 +6,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from uavrl.cells import LARGEST_RADIUS, NEAREST_RETURN, TOUCHING, Statistic, return_bounds
+from uavrl.deploy.observation import Angles
 from uavrl.deploy.reduction import Reduction, directions
 from uavrl.errors import UavrlError
-from uavrl.rollout.contract import ACTION, FORMAT, VERSION
+from uavrl.rollout.contract import ACTION, ANGLES, FORMAT, VERSION
 from uavrl.runs.names import CONTRACT
 
 LARGEST = 2**20  # bytes of the file; ours have ten thousand
@@ -56,15 +57,20 @@ class Entry(_Part):
     size: Size
     shift: float
     modulo: Annotated[float, Field(gt=0)] | None
-    divisor: float
+    divisor: Annotated[float, Field(gt=0)]
     offset: float
+
+    @property
+    def scale(self) -> tuple[float, float | None, float, float]:
+        """All but what it is."""
+        return self.shift, self.modulo, self.divisor, self.offset
 
 
 class State(_Part):
     """How many observations the policy reads."""
 
     frames: Annotated[int, Field(ge=1, le=1000)]
-    padding: float
+    padding: Literal[0]
     size: Annotated[int, Field(ge=1, le=1_000_000)]
     dtype: Literal["float32"]
 
@@ -95,35 +101,59 @@ class Contract(_Part):
     rate_hz: Annotated[float, Field(gt=0, le=1000)]
     cloud: Cloud
     cells: Cells
-    observation: Annotated[list[Entry], Field(min_length=1, max_length=5)]
+    observation: Annotated[list[Entry], Field(min_length=4, max_length=5)]
     state: State
     action: Action
     network: Network | None = None  #: None where no policy.onnx was exported
 
+    @property
+    def flight_level(self) -> float:
+        """The altitude that is 0 in an observation, m."""
+        return self.observation[1].divisor
+
+    @property
+    def angles(self) -> Angles:
+        """How the goal angles are scaled."""
+        scale = self.observation[2].scale
+        return next((name for name in get_args(Angles) if ANGLES[name] == scale), "folded")
+
+    @property
+    def action_limit(self) -> float | None:
+        """What the last action is divided by in an observation; None where it is not in it."""
+        return self.observation[4].divisor if len(self.observation) > 4 else None
+
     def contradiction(self) -> str | None:
         """What does not hold together, or is not as this version of uavrl does it; None for a sound contract."""
         cells, state, action = self.cells, self.state, self.action
-        names = [entry.name for entry in self.observation]
-        sizes = {"cells": cells.count, "last_action": len(action.order)}
         towards = directions(cells.reduction)
         same = np.shape(cells.directions) == towards.shape and np.allclose(cells.directions, towards, atol=1e-6)
         bounds = [*return_bounds(cells.radius), TOUCHING * cells.radius, cells.radius]
-        found: dict[str, bool] = {
+        found = [*self.cloud.squared_range, *cells.interval]
+        wrong: dict[str, bool] = {
             f"cells are not those of {cells.reduction}": not same or cells.count != len(towards),
             f"cloud.squared_range or cells.interval is not that of a radius of {cells.radius:g} m": not np.allclose(
-                [*self.cloud.squared_range, *cells.interval], bounds, rtol=1e-9
+                found, bounds, rtol=1e-9, atol=0
             ),
-            "observation names a quantity twice": len(set(names)) < len(names),
-            "an entry of observation has another size than what it names": any(
-                entry.size != sizes.get(entry.name, 1) for entry in self.observation
-            ),
-            "an entry of observation is divided by 0": any(entry.divisor == 0 for entry in self.observation),
+            "observation has other quantities or scales": self._entries() != self.observation,
             "state.size is not state.frames times the sizes in observation": state.size
             != state.frames * sum(entry.size for entry in self.observation),
             f"action.order is not {', '.join(ACTION)}": action.order != tuple(ACTION),
             "action.low is not below action.high": not np.less(action.low, action.high).all(),
         }
-        return next((words for words, wrong in found.items() if wrong), None)
+        return next((words for words, holds in wrong.items() if holds), None)
+
+    def _entries(self) -> list[Entry]:
+        """The observation that :mod:`uavrl.deploy.observation` makes with what this one says."""
+        angle, limit, count = ANGLES[self.angles], self.action_limit, self.cells.count
+        scales: list[tuple[Quantity, int, tuple[float, float | None, float, float]]] = [
+            ("cells", count, (0.0, None, self.cells.radius, 0.0)),
+            ("altitude", 1, (0.0, None, self.flight_level, -1.0)),
+            ("heading", 1, angle),
+            ("elevation", 1, angle),
+            *([] if limit is None else [("last_action", len(ACTION), (0.0, None, limit, 0.0))]),
+        ]
+        keys = ("shift", "modulo", "divisor", "offset")
+        return [Entry(name=name, size=size, **dict(zip(keys, scale, strict=True))) for name, size, scale in scales]
 
 
 def read_contract(folder: Path) -> Contract:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.deploy.contract import REMEDY, Contract, read_contract, read_file
-from uavrl.deploy.observation import PolicyState
+from uavrl.deploy.observation import NavigationState, navigation_observation
 from uavrl.deploy.reduction import REDUCTIONS
 from uavrl.errors import UavrlError
 from uavrl.runs.names import CONTRACT, NETWORK
@@ -48,7 +48,8 @@ class Policy:
         self._begin()
 
     def _begin(self) -> None:
-        self._state = PolicyState(self.contract)
+        limit, frames = self.contract.action_limit, self.contract.state.frames
+        self._state = NavigationState(frames, limit is not None, limit or 1.0)
         self._last_action = np.zeros(len(self.contract.action.order), np.float32)
 
     def copy(self) -> Policy:
@@ -87,13 +88,14 @@ class Policy:
 
     def state(self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float) -> np.ndarray:
         """Takes a scan and a pose in, and returns what the network reads of them and those before, ``float32 [S]``."""
-        cells, pose = self.contract.cells, np.array([altitude, heading_deg, elevation_deg], np.float32)
+        terms, pose = self.contract, (altitude, heading_deg, elevation_deg)
         if not np.isfinite(pose).all():
-            raise UavrlError(f"altitude, heading_deg and elevation_deg must be finite numbers, got {pose.tolist()}.")
-        seen = np.full((1, 3), np.nan) if self.contract.cloud.blind else cloud
+            raise UavrlError(f"altitude, heading_deg and elevation_deg must be finite numbers, got {pose}.")
+        cells, seen = terms.cells, np.full((1, 3), np.nan) if terms.cloud.blind else cloud
         reduced = REDUCTIONS[cells.reduction](seen, cells.radius, cells.statistic)
-        values = dict(zip(("altitude", "heading", "elevation"), pose, strict=True))
-        return self._state({"cells": reduced, "last_action": self._last_action, **values})
+        scales = {"radius": cells.radius, "flight_level": terms.flight_level}
+        observed = navigation_observation(reduced, *pose, **scales, angles=terms.angles)
+        return self._state(observed, self._last_action)
 
 
 class _Network:

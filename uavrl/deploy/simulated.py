@@ -12,9 +12,6 @@ from tensordict import TensorDictBase
 from uavrl.deploy.policy import Policy
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
-from uavrl.rollout.contract import ANGLES
-
-SCALE = ("shift", "modulo", "divisor", "offset")
 
 
 class ExportedPolicy:
@@ -51,14 +48,9 @@ class ExportedPolicy:
     @property
     def overrides(self) -> dict[str, Any]:
         """The keys of a configuration whose environment and perception are the contract's."""
-        contract = self._policy.contract
-        entries = {entry.name: entry for entry in contract.observation}
-        found = {f"perception.{key}": getattr(contract.cells, key) for key in ("radius", "reduction", "statistic")}
-        found |= {"perception.frames": contract.state.frames, "perception.last_action": "last_action" in entries}
-        if "altitude" in entries:
-            found["perception.flight_level"] = entries["altitude"].divisor
-        for name, scale in ANGLES.items():
-            if "heading" in entries and scale == tuple(getattr(entries["heading"], key) for key in SCALE):
-                found["perception.angles"] = name
-        found["env.airframe.lidar_position"] = list(contract.cloud.sensor_position)
-        return found if not contract.cloud.blind else {**found, "perception.blind": True}
+        terms = self._policy.contract
+        perception = {key: getattr(terms.cells, key) for key in ("radius", "reduction", "statistic")}
+        perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
+        perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
+        sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
+        return {f"perception.{key}": value for key, value in perception.items()} | sensor
