@@ -62,8 +62,9 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
         told["planes"] = chosen.env.world.planes
         told["num_uavs"] = count  # planes move with the steps of all
     context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}
+    context |= chosen.env_options
     with matmul_backend(settings.matmul, settings.threads) as told["matmul"]:
-        env = make_env(chosen.env, chosen.perception, measure_clearance=True, **chosen.env_options, **context)
+        env = make_env(chosen.env, chosen.perception, measure_clearance=True, **context)
         try:
             require_fit(chosen, env)
             places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None

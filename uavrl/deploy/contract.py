@@ -23,6 +23,7 @@ REMEDY = "export the policy again with uavrl-export"
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
+Scale = tuple[float, float | None, float, float]  # shift, modulo, divisor, offset
 Size = Annotated[int, Field(ge=1, le=10_000)]
 Quantity = Literal["cells", "altitude", "heading", "elevation", "last_action"]
 
@@ -61,7 +62,7 @@ class Entry(_Part):
     offset: float
 
     @property
-    def scale(self) -> tuple[float, float | None, float, float]:
+    def scale(self) -> Scale:
         """All but what it is."""
         return self.shift, self.modulo, self.divisor, self.offset
 
@@ -144,16 +145,19 @@ class Contract(_Part):
 
     def _entries(self) -> list[Entry]:
         """The observation that :mod:`uavrl.deploy.observation` makes with what this one says."""
-        angle, limit, count = ANGLES[self.angles], self.action_limit, self.cells.count
-        scales: list[tuple[Quantity, int, tuple[float, float | None, float, float]]] = [
-            ("cells", count, (0.0, None, self.cells.radius, 0.0)),
-            ("altitude", 1, (0.0, None, self.flight_level, -1.0)),
-            ("heading", 1, angle),
-            ("elevation", 1, angle),
-            *([] if limit is None else [("last_action", len(ACTION), (0.0, None, limit, 0.0))]),
+        angle = ANGLES[self.angles]
+        scales: dict[Quantity, tuple[int, Scale]] = {
+            "cells": (self.cells.count, (0.0, None, self.cells.radius, 0.0)),
+            "altitude": (1, (0.0, None, self.flight_level, -1.0)),
+            "heading": (1, angle),
+            "elevation": (1, angle),
+        }
+        if self.action_limit is not None:
+            scales["last_action"] = (len(ACTION), (0.0, None, self.action_limit, 0.0))
+        return [
+            Entry(name=name, size=size, shift=shift, modulo=modulo, divisor=divisor, offset=offset)
+            for name, (size, (shift, modulo, divisor, offset)) in scales.items()
         ]
-        keys = ("shift", "modulo", "divisor", "offset")
-        return [Entry(name=name, size=size, **dict(zip(keys, scale, strict=True))) for name, size, scale in scales]
 
 
 def read_contract(folder: Path) -> Contract:

@@ -114,7 +114,7 @@ class _Network:
                 f"{self._path} is damaged, or of another policy than {CONTRACT} (its checksum differs): {REMEDY}."
             )
         self._names, self._width = (about.input, about.output), contract.state.size
-        self._limits = np.float32(contract.action.low), np.float32(contract.action.high)
+        self._limits = np.array(contract.action.low, np.float32), np.array(contract.action.high, np.float32)
         self._session = self._opened(content)
         for number in (1, 3):
             self(np.zeros((number, self._width), np.float32))

@@ -214,18 +214,19 @@ def named_policy(
             trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
             raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
         return StableBaselinesPolicy(name)
+    own: dict[str, Any] = {}
     if name not in BASELINES and (folder := exported_folder(name)) is not None:
-        return build({TARGET: EXPORTED, "folder": folder}, object)
+        target, own = EXPORTED, {"folder": folder}
     if "." in target:
         context = {key: told[key] for key in CONTEXT["policy"]}
-        seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else {}
+        seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else own
         made = build({**seen, TARGET: target}, object, packages=packages, **context)
         if not callable(made):
             raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
         return made
     names = [*BASELINES, *packaged_policies()]
-    own = "for your own give run=RUN_FOLDER, an exported folder, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
-    raise unknown_policy(name, names, own)
+    hint = "for your own give run=RUN_FOLDER, an exported folder, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
+    raise unknown_policy(name, names, hint)
 
 
 def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
