@@ -96,9 +96,8 @@ class ToldOfPlanes(VectorFieldHistogram):
             for way in later[near]:
                 worst[i] = torch.maximum(worst[i], threat(mine - way, self.times))
         rated = cost[..., None] + SLOWNESS * (1 - SPEEDS) + THREAT * worst
-        chosen = rated.flatten(1).argmin(-1, keepdim=True)
-        best, share = chosen // len(SPEEDS), SPEEDS[chosen % len(SPEEDS)]
-        return tensordict.set("action", self.to_action(best, share * speed.gather(-1, best), tensordict["heading_deg"]))
+        least, share = rated.min(-1)
+        return tensordict.set("action", self.to_action(least, SPEEDS[share] * speed, tensordict["heading_deg"]))
 
 
 def main() -> None:

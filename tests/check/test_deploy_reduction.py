@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from tests.deploy.test_reduction import PAIRS, test_clouds_reduce_as_in_torch
+from tests.helpers.numpy_reductions import PAIRS, check_clouds
 
 
 @pytest.mark.parametrize("statistic", ["face", "range", "proximity"])
 @pytest.mark.parametrize(("ours", "name"), PAIRS)
 def test_ten_thousand_clouds_reduce_as_in_torch(ours: Any, name: Any, statistic: str) -> None:
-    test_clouds_reduce_as_in_torch(ours, name, statistic, 10_000)
+    check_clouds(ours, name, statistic, 10_000)

@@ -15,7 +15,14 @@ from tests.helpers.folders import ROOT
 from uavrl.config import compose, validate
 from uavrl.config.settings import EvaluateConfig
 
-YAML = {"train": "config", "evaluate": "evaluate", "replay": "replay", "pretrain": "pretrain", "export": "export"}
+YAML = {
+    "train": "config",
+    "evaluate": "evaluate",
+    "replay": "replay",
+    "pretrain": "pretrain",
+    "export": "export",
+    "scan": "scan",
+}
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/journal").glob("*.md"))]
 
 
@@ -26,7 +33,7 @@ def commands(page: Path) -> Iterator[str]:
             continue
         for line in block.replace("\\\n", " ").splitlines():
             yield from re.findall(
-                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export) .*)", line
+                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export|scan) .*)", line
             )
 
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.deploy.test_recorded_packets import RECORDED
+from tests.helpers.packets import RECORDED
 
 WITHOUT = """
 import importlib, importlib.abc, pkgutil, sys
@@ -37,7 +37,7 @@ from uavrl.deploy.sources import ScanSource
 print(len(list(ScanSource({str(RECORDED)!r}, "VLP16"))))
 print(sorted(set(sys.modules) & {{"hydra", "pydantic", "torch", "scipy", "rosbags", "velodyne_decoder"}}))
 """
-    blocked = [*SIMULATOR, "hydra", "omegaconf", "pydantic", "scipy", "rosbags", "velodyne_decoder", "plotly", "mcap"]
+    blocked = [*SIMULATOR, "hydra", "omegaconf", "pydantic", "scipy", "rosbags", "velodyne_decoder", "plotly", "mcap", "pymavlink"]
     done = without(blocked, run, tmp_path)
     assert done.stdout.splitlines() == ["2", "[]"], done.stderr
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.deploy.test_recorded_packets import RECORDED
 from tests.helpers.commands import in_process
 from tests.helpers.flights import unpack
+from tests.helpers.packets import RECORDED
 from tests.helpers.pages import Page
 from uavrl.cells import Statistic
 from uavrl.cli import scan

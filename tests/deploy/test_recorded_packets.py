@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
+from tests.helpers.packets import RECORDED
 from uavrl.deploy.packets import PACKET, STRONGEST, decode_vlp16
 from uavrl.deploy.reduction import is_return, range_image
 from uavrl.deploy.scans import make_decoder
 from uavrl.deploy.sources import ScanSource, read_bare
-
-RECORDED = Path(__file__).parents[1] / "data/vlp16/einride_160_packets.bin"
 
 
 def test_real_packets_give_whole_turns_of_a_room() -> None:

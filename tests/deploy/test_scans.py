@@ -7,23 +7,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from tests.helpers.packets import turns
 from uavrl.deploy import scans
-from uavrl.deploy.packets import HOUR, PACKET, PRODUCTS, encode_scan
+from uavrl.deploy.packets import PACKET, PRODUCTS
 from uavrl.deploy.scans import Scan, ScanAssembler
-from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
-
-
-def turns(number: int, distance: float = 3.0, stamp: float = 0.0) -> list[bytes]:
-    """The packets of some turns at 10 Hz without a seam between them, as the sensor sends them."""
-    one = np.frombuffer(b"".join(encode_scan(distance * firing_directions())), PACKET)
-    count = 76 * number
-    packets = np.tile(one, number + 1)[:count].copy()
-    block = np.arange(count * 12)
-    packets["blocks"]["azimuth"] = (np.round(block * 39.8131) % 36000).reshape(-1, 12)
-    packets["blocks"]["returns"]["distance"] = round(distance * 500)
-    packets["time"] = np.round(stamp * 1e6 + np.arange(count) * 1327.104).astype(np.int64) % HOUR
-    return [packet.tobytes() for packet in packets]
 
 
 def pushed(packets: list[bytes], model: str = "VLP16", product: int | None = None) -> tuple[list[Scan], ScanAssembler]:

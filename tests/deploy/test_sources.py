@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.deploy.test_scans import turns
+from tests.helpers.packets import turns
 from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, store, write_bag
 from uavrl.deploy import bags, sources
 from uavrl.deploy.pcap import read_pcap, udp_content, write_pcap
