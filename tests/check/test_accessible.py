@@ -12,9 +12,13 @@ import pytest
 
 from tests.helpers.flights import small_recording
 from tests.helpers.folders import several_runs
+from tests.helpers.packets import RECORDED
+from uavrl.deploy.sources import ScanSource
+from uavrl.deploy.summary import ScanSummary
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 from uavrl.viewer.flight_page import make_page
+from uavrl.viewer.scan_page import write_scan_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")
@@ -54,11 +58,15 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
     (folder / "report.html").write_text(page(make_report(several_runs(folder / "runs"), window=10)), encoding="utf-8")
     (folder / "flight.html").write_text(make_page(small_recording()), encoding="utf-8")
+    summary = ScanSummary()
+    for scan in ScanSource(RECORDED, "VLP16"):
+        summary.add(scan)
+    write_scan_page(summary, "a recording", "truncated_icosahedron", "face", 4.0, folder / "scan.html")
     return folder
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["report", "flight"])
+@pytest.mark.parametrize("name", ["report", "flight", "scan"])
 def test_axe_finds_nothing(browser: Any, pages: Path, name: str, theme: str) -> None:
     wanted = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)

@@ -2,50 +2,23 @@
 
 from __future__ import annotations
 
-import shutil
-import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.helpers.browser import browser_with
 from tests.helpers.flights import small_recording
 from uavrl.viewer.flight_page import write_page
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-CHROMEDRIVER = shutil.which("chromedriver")
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    if CHROMIUM is None or CHROMEDRIVER is None:
-        pytest.skip("needs chromium and chromedriver: apt-get install chromium chromium-driver")
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: pip install selenium")
-    folder = tmp_path_factory.mktemp("browser")
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    options.page_load_strategy = "none"
-    flags = "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
-    flags += "disable-component-update disable-sync use-angle=swiftshader enable-unsafe-swiftshader "
-    flags += f"window-size=700,500 user-data-dir={folder / 'profile'}"
-    for flag in flags.split():
-        options.add_argument(f"--{flag}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(CHROMEDRIVER))
-    try:
-        driver.set_script_timeout(900)  # without a graphics card, and on a busy machine
-        driver.command_executor.client_config.timeout = 1000
-        write_page(small_recording(), folder / "page.html")
-        driver.get((folder / "page.html").as_uri())
-        ready = "return document.body && document.body.dataset.ready"
-        until = time.monotonic() + 900
-        while not driver.execute_script(ready):
-            assert time.monotonic() < until, driver.get_log("browser")
-            time.sleep(0.5)
+    page = tmp_path_factory.mktemp("browser") / "page.html"
+    write_page(small_recording(), page)
+    with browser_with(page) as driver:
         yield driver
-    finally:
-        driver.quit()
 
 
 def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:

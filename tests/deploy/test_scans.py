@@ -71,6 +71,21 @@ def test_what_is_no_data_packet_is_counted() -> None:
     assert skipped.position + skipped.other_size + skipped.damaged == len(packets)
 
 
+def test_of_two_returns_of_a_ray_one_is_enough() -> None:
+    packets = np.frombuffer(b"".join(turns(4)), PACKET).copy()
+    packets["mode"], packets["time"] = 0x39, np.arange(packets.size) * 663.552
+    packets["blocks"]["azimuth"] = (np.arange(packets.size * 12) // 2 * 39.8131 % 36000).reshape(-1, 12)
+    distances = packets["blocks"]["returns"]["distance"]
+    distances[:, 0::2, 0] = 0  # the last return of the first laser is missing, not its strongest
+    distances[:, :, 1] = 0  # the second laser hits nothing
+    distances[:, 1::2, 2:] += 500  # all others have two returns 1 m apart
+    found, assembler = pushed([packet.tobytes() for packet in packets])
+    assert len(found) == 2 and assembler.skipped.sentences() == []
+    for scan in found:
+        assert (scan.rays, scan.misses) == (151 * 192, 151 * 6)
+        assert len(scan.points) == 151 * 6 * (1 + 2 * 30)
+
+
 def test_lost_packets_leave_gaps_and_are_counted() -> None:
     packets, rng = turns(10), np.random.default_rng(1)
     kept = [packet for packet in packets if rng.random() > 0.1]

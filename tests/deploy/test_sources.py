@@ -1,105 +1,27 @@
-"""Every source gives the same scans, and what is no source gives a sentence."""
+"""Every source gives the same scans."""
 
 from __future__ import annotations
 
-import gzip
-import pickle
 import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.helpers.packets import turns
+from tests.helpers.captures import KINDS, PACKETS, TIMES, captured
 from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, store, write_bag
 from uavrl.deploy import bags, sources
-from uavrl.deploy.pcap import read_pcap, udp_content, write_pcap
+from uavrl.deploy.pcap import read_pcap, udp_content
 from uavrl.deploy.reduction import is_return
 from uavrl.deploy.sources import ScanSource, without_vehicle
 from uavrl.deploy.udp import address
 from uavrl.errors import UavrlError
 
-PACKETS = turns(3)
-TIMES = [100.0 + 0.001327 * n for n in range(len(PACKETS))]
 POINTS = np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [0.0, 0.0, 0.0], [-4.0, 5.5, 6.0]], np.float32)
-
-
-def bare(folder: Path) -> Path:
-    path = folder / "a.bin"
-    path.write_bytes(b"".join(PACKETS))
-    return path
-
-
-def captured(folder: Path) -> Path:
-    write_pcap(folder / "a.pcap", zip(TIMES, PACKETS, strict=True))
-    return folder / "a.pcap"
-
-
-def capture_of(folder: Path, blocks: Callable[[list[bytes]], bytes]) -> Path:
-    frames = [frame for _, _, frame in frames_of(captured(folder))]
-    (folder / "b.pcap").write_bytes(blocks(frames))
-    return folder / "b.pcap"
-
-
-def frames_of(path: Path) -> list[tuple[float, int, bytes]]:
-    content, start, found = path.read_bytes(), 24, []
-    while start < len(content):
-        seconds, fraction, length, _ = struct.unpack_from("<IIII", content, start)
-        found.append((seconds + fraction * 1e-9, 1, content[start + 16 : start + 16 + length]))
-        start += 16 + length
-    return found
-
-
-def big_endian_capture(folder: Path) -> Path:
-    def blocks(frames: list[bytes]) -> bytes:
-        heads = [
-            struct.pack(">IIII", int(t), round(t % 1 * 1e6), len(f), len(f)) for t, f in zip(TIMES, frames, strict=True)
-        ]
-        body = b"".join(head + frame for head, frame in zip(heads, frames, strict=True))
-        return struct.pack(">IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1) + body
-
-    return capture_of(folder, blocks)
-
-
-def next_generation_capture(folder: Path) -> Path:
-    def block(kind: int, body: bytes) -> bytes:
-        body += bytes(-len(body) % 4)
-        return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
-
-    def blocks(frames: list[bytes]) -> bytes:
-        section = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
-        interface = block(1, struct.pack("<HHI", 1, 0, 0) + struct.pack("<HHB3x", 9, 1, 9) + bytes(4))
-        packets = b""
-        for stamp, frame in zip(TIMES, frames, strict=True):
-            high, low = divmod(round(stamp * 1e9), 2**32)
-            packets += block(6, struct.pack("<IIIII", 0, high, low, len(frame), len(frame)) + frame)
-        return section + interface + block(5, bytes(12)) + packets
-
-    return capture_of(folder, blocks)
-
-
-def recorded(kind: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        messages = [
-            scan_message(store(kind == "ros1"), PACKETS[n : n + 76], 100.0 + 0.001327 * n)
-            for n in range(0, len(PACKETS), 76)
-        ]
-        return write_bag(
-            folder / f"a.{'bag' if kind == 'ros1' else kind}", kind, {"/velodyne_packets": (SCAN, messages)}
-        )
-
-    return write
-
-
-KINDS = {
-    "bin": bare, "pcap": captured, "pcap, big-endian": big_endian_capture, "pcapng": next_generation_capture,
-    "rosbag1": recorded("ros1"), "rosbag2": recorded("db3"), "mcap": recorded("mcap"),
-}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -123,7 +45,9 @@ def test_a_driver_s_clouds_come_as_they_are(kind: str, tmp_path: Path) -> None:
     messages = [cloud_message(types, POINTS, 5.0 + n, **form) for n, form in enumerate(forms)]
     path = write_bag(tmp_path / "a.bag", kind, {"/points": (CLOUD, messages)})
     scans = list(ScanSource(path))
-    assert [scan.stamp for scan in scans] == [5.0, 6.0, 7.0] and {scan.rays for scan in scans} == {4}
+    assert [scan.stamp for scan in scans] == [5.0, 6.0, 7.0] and {(scan.rays, scan.misses) for scan in scans} == {
+        (4, 2)
+    }
     for scan in scans:
         np.testing.assert_array_equal(scan.points, POINTS)
         assert is_return(scan.points).tolist() == [True, False, False, True]
@@ -181,84 +105,6 @@ def test_a_packet_s_way_through_other_headers_is_found() -> None:
         (ip[:9], 101),
     ):
         assert udp_content(frame, link) is None
-
-
-def foreign_files(folder: Path) -> dict[str, tuple[Path, str]]:
-    def file(name: str, content: bytes) -> Path:
-        (folder / name).write_bytes(content)
-        return folder / name
-
-    rng, capture = np.random.default_rng(0), captured(folder).read_bytes()
-    whole = recorded("ros1")(folder).read_bytes()
-    (folder / "folder").mkdir()
-    (folder / "rosbag2").mkdir()
-    (folder / "rosbag2/metadata.yaml").write_text("rosbag2_bagfile_information: !!python/object/apply:os.system [ls]")
-    return {
-        "missing": (folder / "none.bin", "There is no"),
-        "empty": (file("empty.pcap", b""), "is empty"),
-        "random": (file("random.bin", rng.bytes(5000)), "is of no known kind"),
-        "pickle": (file("a.pkl", pickle.dumps({"a": 1})), "is of no known kind"),
-        "gzip": (file("a.gz", gzip.compress(capture)), "is of no known kind"),
-        "folder": (folder / "folder", "without metadata.yaml"),
-        "yaml": (folder / "rosbag2", "is no recording of ROS, or is damaged"),
-        "half a packet": (file("half.bin", PACKETS[0][:500]), "1 packets of another size"),
-        "flag alone": (file("flag.bin", b"\xff\xee"), "gave no scan"),
-        "capture of nothing": (file("nothing.pcap", capture[:24]), "too few packets for one turn"),
-        "capture's beginning": (file("begin.pcap", capture[:10]), "too few packets"),
-        "capture, then noise": (file("noise.pcap", capture[:24] + rng.bytes(3000)), "too few packets"),
-        "pcapng, then noise": (file("noise.pcapng", b"\x0a\x0d\x0d\x0a" + rng.bytes(3000)), "too few packets"),
-        "half a rosbag1": (file("half.bag", whole[: len(whole) // 2]), "is no recording of ROS, or is damaged"),
-        "a rosbag1's name": (file("name.bag", b"#ROSBAG V2.0\n" + rng.bytes(900)), "is no recording of ROS"),
-        "sqlite's name": (file("a.db3", b"SQLite format 3\0" + rng.bytes(3000)), "is no recording of ROS"),
-        "mcap's name": (file("a.mcap", b"\x89MCAP0\r\n" + rng.bytes(3000)), "is no recording of ROS"),
-    }
-
-
-def test_what_is_no_source_gives_one_sentence(tmp_path: Path) -> None:
-    for name, (path, said) in foreign_files(tmp_path).items():
-        with pytest.raises(UavrlError) as caught:
-            list(ScanSource(path, "VLP16"))
-        assert said in str(caught.value), name
-        assert str(path) in str(caught.value) and "\n" not in str(caught.value), name
-
-
-def test_a_damaged_recording_gives_what_is_whole_or_a_sentence(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    for kind in ("rosbag1", "rosbag2", "mcap", "pcap", "pcapng"):
-        (tmp_path / kind).mkdir()
-        whole = KINDS[kind](tmp_path / kind)
-        path = whole if whole.is_file() else next(p for p in whole.iterdir() if p.suffix in (".db3", ".mcap"))
-        content = np.frombuffer(path.read_bytes(), np.uint8)
-        for _ in range(12):
-            damaged = content.copy()
-            damaged[rng.integers(0, len(damaged), 60)] = rng.integers(0, 256, 60)
-            (tmp_path / path.name).write_bytes(damaged.tobytes()[: rng.integers(1000, len(damaged) + 1)])
-            try:
-                scans = list(ScanSource(tmp_path / path.name, "VLP16"))
-                assert all(np.isfinite(scan.points).all() for scan in scans)
-            except UavrlError as error:
-                assert "\n" not in str(error)
-
-
-def test_what_a_file_says_of_its_types_is_never_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from rosbags.typesys import store as typestore
-
-    path = recorded("mcap")(tmp_path)
-    list(ScanSource(path, "VLP16"))
-    compiled: list[str] = []
-    monkeypatch.setattr(typestore, "exec", lambda code, *_: compiled.append(code), raising=False)
-    assert len(list(ScanSource(path, "VLP16"))) == 3
-    assert compiled == []
-
-
-def test_without_rosbags_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        raise ImportError(name)
-
-    path = recorded("db3")(tmp_path)
-    monkeypatch.setattr(bags, "import_module", missing)
-    with pytest.raises(UavrlError, match="pip install rosbags"):
-        ScanSource(path, "VLP16")
 
 
 def test_a_sensor_is_heard_by_udp() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -88,7 +88,7 @@ def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
     told = -np.inf
     for scan in source:
         if settings.vehicle is not None:
-            scan = Scan(scan.stamp, without_vehicle(scan.points, low, high), scan.rays)
+            scan = replace(scan, points=without_vehicle(scan.points, low, high))
         yield scan
         if source.kind == "udp" and scan.stamp - told >= LIVE:
             told = scan.stamp

@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from uavrl.deploy.reduction import is_return
 from uavrl.deploy.scans import Scan, Skipped
 from uavrl.errors import UavrlError
 
 SCAN, CLOUD = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/PointCloud2"
-_ROSBAG1 = b"#ROSBAG V2.0"
+ROSBAG1 = b"#ROSBAG V2.0"
 _DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/Header": "{seq}builtin_interfaces/Time stamp\nstring frame_id",
@@ -40,7 +41,7 @@ class Topic(NamedTuple):
 def is_rosbag1(path: Path) -> bool:
     """Whether a file is a rosbag of ROS 1."""
     with path.open("rb") as file:
-        return file.read(len(_ROSBAG1)) == _ROSBAG1
+        return file.read(len(ROSBAG1)) == ROSBAG1
 
 
 def scan_topic(path: Path, topic: str | None = None) -> Topic:
@@ -78,7 +79,7 @@ def read_clouds(path: Path, topic: str, skipped: Skipped) -> Iterator[Scan]:
         if points is None:
             skipped.malformed += 1
         else:
-            yield Scan(_seconds(message.header.stamp), points, len(points))
+            yield Scan(_seconds(message.header.stamp), points, len(points), int((~is_return(points)).sum()))
 
 
 def cloud_points(message: Any) -> np.ndarray | None:

@@ -11,8 +11,6 @@ import numpy as np
 
 from uavrl.cells import NEAREST_RETURN
 from uavrl.deploy.packets import (
-    BLOCKS,
-    CHANNELS,
     DUAL,
     FLAG,
     FULL_TURN,
@@ -36,9 +34,12 @@ MOST_PACKETS = 4096  # of a scan, whatever the clock in the packets says
 class Scan:
     """One turn of the sensor, which can be unpacked as ``stamp, points``."""
 
-    stamp: float  #: time of its last packet in s: of the receiver where the source knows it, otherwise of the sensor
+    stamp: (
+        float  #: Time of its last packet in s, by the receiver's clock where the source knows it, else by the sensor's
+    )
     points: np.ndarray  #: ``float32 [P, 3]`` in m in the sensor frame: x forward, y left, z up
-    rays: int  #: how many rays it is made of, returns and misses
+    rays: int  #: How many rays it is made of
+    misses: int  #: How many of them hit nothing
 
     def __iter__(self) -> Iterator[Any]:
         """Gives the stamp and the points."""
@@ -128,7 +129,7 @@ class ScanAssembler:
     def __init__(self, model: str, product: int | None = None) -> None:
         self.model, self.product = check_model(model), PRODUCTS[model] if product is None else product
         self.skipped = Skipped()
-        self.products: set[int] = set()
+        self.products = set[int]()
         self.heard = False
         self._decode = make_decoder(model)
         self._single = self._decode is decode_vlp16
@@ -211,9 +212,11 @@ class ScanAssembler:
     def _close(self, stamp: float) -> Scan:
         expected = bytes([PRODUCTS[self.model]])
         packets = [packet[:-1] + expected for _, packet in sorted(self._packets, key=lambda each: each[0])]
-        returns = 2 if packets[0][-2] == DUAL else 1
         self._packets.clear()
-        return Scan(stamp, self._decode(packets), len(packets) * BLOCKS * CHANNELS // returns)
+        hit = np.frombuffer(b"".join(packets), PACKET)["blocks"]["returns"]["distance"] > 0
+        if packets[0][-2] == DUAL:  # two blocks tell of the same rays
+            hit = hit[:, ::2] | hit[:, 1::2]
+        return Scan(stamp, self._decode(packets), hit.size, hit.size - int(hit.sum()))
 
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""

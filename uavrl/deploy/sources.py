@@ -14,7 +14,7 @@ from uavrl.deploy.scans import Scan, ScanAssembler, Skipped, check_model
 from uavrl.deploy.udp import address, read_udp
 from uavrl.errors import UavrlError
 
-_RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V2.0")
+_RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", bags.ROSBAG1)
 _BATCH = 1000  # packets that are read from a file at once
 KINDS = (
     "udp://:PORT, a capture (.pcap), packets alone (.bin, 1,206 bytes each), a rosbag of ROS 1 (.bag), a rosbag of "

@@ -24,7 +24,7 @@ class ScanSummary:
 
     Examples:
         >>> summary = ScanSummary()
-        >>> summary.add(Scan(0.0, np.array([[0.0, 2.0, 0.0], [np.nan] * 3], np.float32), 4))
+        >>> summary.add(Scan(0.0, np.array([[0.0, 2.0, 0.0], [np.nan] * 3], np.float32), rays=4, misses=3))
         >>> summary.facts()
         {'scans': 1, 'rate_hz': None, 'points_median': 1.0, 'nearest_m': 2.0, 'misses': 0.75}
         >>> summary.sectors()
@@ -36,7 +36,7 @@ class ScanSummary:
         self.kept: list[Scan] = []
         self._keep, self._every = keep, 1
         self._points: list[int] = []  # of each scan
-        self._returns, self._rays = 0, 0
+        self._misses, self._rays = 0, 0
         self._first, self._last = 0.0, 0.0
 
     def add(self, scan: Scan) -> None:
@@ -46,7 +46,7 @@ class ScanSummary:
             self._first = scan.stamp
         self._last = scan.stamp
         self._points.append(len(points))
-        self._returns, self._rays = self._returns + len(points), self._rays + scan.rays
+        self._misses, self._rays = self._misses + scan.misses, self._rays + scan.rays
         sector = np.round(np.arctan2(points[:, 1], points[:, 0]) / (np.pi / 4)).astype(int) % len(SECTORS)
         np.minimum.at(self.nearest, sector, np.sqrt((points**2).sum(-1)))
         if self.scans % self._every == 0:
@@ -63,7 +63,7 @@ class ScanSummary:
             "rate_hz": (self.scans - 1) / span if span > 0 else None,
             "points_median": float(np.median(self._points)) if self._points else None,
             "nearest_m": round(nearest, 4) if np.isfinite(nearest) else None,
-            "misses": 1 - self._returns / self._rays if self._rays else None,
+            "misses": self._misses / self._rays if self._rays else None,
         }
 
     def sectors(self) -> dict[str, float]:

@@ -48,7 +48,7 @@ def _scan(scan: Scan, reduction: Reduction, statistic: Statistic, radius: float,
     return {
         "time": scan.stamp - first,
         "returns": int(is_return(scan.points).sum()),
-        "rays": scan.rays,
+        "misses": scan.misses / scan.rays if scan.rays else 0.0,
         "points": pack(points[some], scale=FARTHEST / 32767),
         "cells": pack(REDUCTIONS[reduction](scan.points, radius, statistic)),
     }

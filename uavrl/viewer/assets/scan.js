@@ -37,7 +37,7 @@ function show(next) {
   hand($("scene"), changes(scan));
   $("slider").value = moment;
   $("clock").textContent = `${number(scan.time, 1)} s`;
-  list($("smoothness"), { returns: scan.returns.toLocaleString("en"), misses: percent(1 - scan.returns / scan.rays),
+  list($("smoothness"), { returns: scan.returns.toLocaleString("en"), misses: percent(scan.misses),
     "cells with something near": `${Array.from(scan.cells).filter((v) => v > 0).length} of ${scan.cells.length}` });
 }
 const percent = (share) => `${number(100 * share, 1)} %`;
