@@ -1,6 +1,6 @@
 """Draws how high flights were, from the files that `uavrl-evaluate` writes.
 
-python examples/altitudes.py uavrl/policies/*/evaluation.json --output docs/img/altitudes.png
+python examples/altitudes.py uavrl/policies/best/suite.json:static uavrl/policies/best_dynamic/suite.json:dynamic
 python examples/altitudes.py runs/mine/evaluation.json
 """
 
@@ -27,21 +27,29 @@ def shares(histogram: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     return histogram["low"] + histogram["step"] * np.arange(len(counts) + 1), counts / counts.sum()
 
 
+def evaluation(place: str) -> tuple[str, dict[str, Any]]:
+    """The name and the content of an evaluation ``FILE.json``, or of a suite's row ``FILE.json:SCENARIO``."""
+    file, _, scenario = (place, "", "") if place.endswith(".json") else place.rpartition(":")
+    found = json.loads(Path(file).read_text(encoding="utf-8"))
+    name = Path(file).resolve().parent.name
+    return (f"{name}, {scenario}", found[scenario]) if scenario else (name, found)
+
+
 def main() -> None:
     """Draws the evaluations named on the command line into one picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("evaluations", nargs="+", type=Path)
+    parser.add_argument("evaluations", nargs="+", metavar="FILE.json[:SCENARIO]")
     parser.add_argument("--ceiling", type=float, default=5.0, help="m, drawn as a line")
     parser.add_argument("--output", type=Path, default=Path("altitudes.png"))
     args = parser.parse_args()
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
-    for path in args.evaluations:
-        found = json.loads(path.read_text(encoding="utf-8"))["whereabouts"]
+    for name, result in map(evaluation, args.evaluations):
+        found = result["whereabouts"]
         edges, share = shares(found["altitude_histogram"])
-        axes.stairs(100 * share, edges, label=path.resolve().parent.name, linewidth=2)
+        axes.stairs(100 * share, edges, label=name, linewidth=2)
         low, middle, high = (found["altitude"][key] for key in ("p5", "p50", "p95"))
-        print(f"{path.resolve().parent.name:<20}5 / 50 / 95 %: {low:.2f} / {middle:.2f} / {high:.2f} m")
+        print(f"{name:<24}5 / 50 / 95 %: {low:.2f} / {middle:.2f} / {high:.2f} m")
     axes.axvline(args.ceiling, color="grey", linestyle=":", label="ceiling over flat ground")
     axes.set(xlabel="altitude [m]", ylabel="share of the steps [%]", xlim=(0, args.ceiling + 0.5))
     axes.legend()

@@ -1,7 +1,7 @@
 """A moving picture of a flight page, as the README shows it: ``python examples/flight_gif.py demo.html flight.gif``.
 
 Needs Chromium with its driver, selenium and Pillow; the page comes from
-``uavrl-replay policy=static task=0 output=demo.html``.
+``uavrl-replay policy=best env=static task=0 output=demo.html``.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,14 +12,15 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
-from uavrl.config import TrainConfig
+from uavrl.config import TrainConfig, compose, validate_run
 from uavrl.envs import NavigationEnv
-from uavrl.errors import UavrlError
+from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
-from uavrl.transforms.icosahedron import truncated_icosahedron
+from uavrl.rollout.policies import with_overrides
+from uavrl.transforms import PointCloudReduction
 
 VEHICLES, SEED = 16, 20_000
-NUMBERS, FRAMES = 35, 3  # in a frame: 32 faces, the altitude and two angles
+FRAMES = 3  # of the history that is kept of points and planes
 BESIDE, ABOVE = 1.6, 1.0  # m between the two middles within which a pass is a danger
 TIMES = (0.05, 0.3, 0.6, 0.9, 1.3, 2.0)  # s, the ends of the spans that are told apart
 
@@ -26,14 +28,21 @@ TIMES = (0.05, 0.3, 0.6, 0.9, 1.3, 2.0)  # s, the ends of the spans that are tol
 class Moment(NamedTuple):
     """One step of N vehicles."""
 
-    seen: Tensor  # [N, 3, 35], what the policy reads
-    hidden: Tensor  # [N, 3, 35], the same without the planes
+    seen: Tensor  # [N, frames, numbers], what the policy reads, each frame's cells first
+    hidden: Tensor  # likewise, the same without the planes
     acted: Tensor  # [N, 4]
     time: np.ndarray  # [N], s until the nearest plane passes
     miss: np.ndarray  # [N, 3], where it passes from the vehicle: m forward, left, up
     points: np.ndarray  # [N, 3, 7], what on_planes() tells, now and at the two steps before
     plane: np.ndarray  # [N, 3, 3], where it is, and was at the two steps before
     danger: np.ndarray  # [N], whether it is seen and passes within reach
+
+
+def among_planes(folder: Path, *overrides: str) -> tuple[TrainConfig, Callable[[TensorDictBase], TensorDictBase]]:
+    """The configuration of a run or a packaged policy, among planes and with what is changed, and the policy."""
+    config, policy, _ = load_policy(folder, None, "cpu")
+    told = ["env=dynamic", *overrides]
+    return validate_run(with_overrides(config, compose(*told, name="evaluate"), told)), policy
 
 
 def scan(base: NavigationEnv, planes: np.ndarray | None) -> np.ndarray:
@@ -72,23 +81,23 @@ def passes(offset: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.nda
 @torch.no_grad()
 def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBase], steps: int) -> Iterator[Moment]:
     """Flies a policy; every scan is taken twice, with and without the planes."""
-    if config.perception.get("reduction", "truncated_icosahedron") != "truncated_icosahedron":
-        raise UavrlError("This reads the thesis's 32 faces: leave out perception.reduction.")
     env = make_env(config.env, config.perception, config.reward, seed=SEED, num_uavs=VEHICLES)
     base = env.base_env
+    reduction = next(part for part in env.transform.modules() if isinstance(part, PointCloudReduction))
     assert isinstance(base, NavigationEnv)
+    cells, shape = len(reduction.directions()), (config.perception.frames, -1)
     state, every = env.reset(), np.arange(VEHICLES)
-    hidden = state["observation"].unflatten(-1, (FRAMES, NUMBERS)).clone()
+    hidden = state["observation"].unflatten(-1, shape).clone()
     planes = [base.plane_poses()[:, :3]] * FRAMES  # the newest first
     places = [base.simulation.position] * FRAMES
     points = [np.zeros((VEHICLES, 7), np.float32)] * FRAMES
     for _ in range(steps):
-        seen = state["observation"].unflatten(-1, (FRAMES, NUMBERS))
+        seen = state["observation"].unflatten(-1, shape)
         without = scan(base, None)
-        faces = truncated_icosahedron(torch.as_tensor(np.ascontiguousarray(without)), config.perception.radius)
-        hidden[:, -1, :32] = faces / config.perception.radius
+        cloud = torch.as_tensor(np.ascontiguousarray(without))
+        hidden[:, -1, :cells] = reduction.reduced(cloud, reduction.radius, reduction.statistic) / reduction.radius
         points = [on_planes(scan(base, base.plane_poses()), without), *points[: FRAMES - 1]]
-        shown = ((seen - hidden)[:, -1, :32].abs() > 0.05).any(-1).numpy()
+        shown = ((seen - hidden)[:, -1, :cells].abs() > 0.05).any(-1).numpy()
         state = policy(state)
         offsets = np.stack([p[None] - q[:, None] for p, q in zip(planes, places, strict=True)], 2)  # [N, P, 3, 3]
         nearest = np.linalg.norm(offsets[:, :, 0], axis=-1).argmin(1)
@@ -103,7 +112,7 @@ def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBa
         state = step_mdp(state)
         if ended.any():
             state = env.reset(state.set("_reset", ended))
-        now = state["observation"].unflatten(-1, (FRAMES, NUMBERS))
+        now = state["observation"].unflatten(-1, shape)
         hidden = torch.where(ended[..., None], now, torch.cat([hidden[:, 1:], now[:, -1:]], 1))
         planes = [base.plane_poses()[:, :3], *planes[:-1]]
         places = [base.simulation.position, *places[:-1]]

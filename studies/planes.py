@@ -1,6 +1,6 @@
 """How much would giving way to the planes bring? A policy that does not see them, and the same with a reflex that does.
 
-    python studies/planes.py                          # the packaged static policy among three planes, 240 tasks
+    python studies/planes.py                          # policy=best among three planes, 240 tasks
     python studies/planes.py --episodes 500 env.world.plane_speed=[2.5,2.5]
 
 The reflex knows where each plane is and where it heads, as no policy does: once any part of one is nearer than the
@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from passes import among_planes
 from tensordict import TensorDictBase
 
 from uavrl.cli.errors import one_sentence
-from uavrl.config import compose, validate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
-from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import policy_folder
 from uavrl.rollout.rollout import fly
@@ -69,13 +68,12 @@ def main() -> None:
     """Flies the same tasks with and without the reflex."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=240)
-    parser.add_argument("--policy", default="static")
+    parser.add_argument("--policy", default="best", help="a packaged policy")
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
-    config = validate(compose("env=dynamic", "perception.blind_to=planes", *overrides))
     folder = policy_folder(None, args.policy)
     assert folder is not None, "a policy that learns nothing reads no observation"
-    policy = load_policy(folder, None, "cpu")[1]
+    config, policy = among_planes(folder, "perception.blind_to=planes", *overrides)
     found: dict[str, Any] = {"versions": versions(), "overrides": overrides, "episodes": args.episodes}
     for name in ("sees no plane", "with the reflex"):
         env = make_env(config.env, config.perception, config.reward, seed=20_000, num_uavs=16)

@@ -1,7 +1,7 @@
 """How does a policy answer to a plane? Its action with the plane in the scan, less its action without.
 
-    python studies/reactions.py                       # the packaged dynamic policy, 1,000 steps of 16 vehicles
-    python studies/reactions.py --policy static --steps 2000 env.world.plane_speed=[2.5,2.5]
+    python studies/reactions.py                       # policy=best_dynamic, 1,000 steps of 16 vehicles
+    python studies/reactions.py --policy best --steps 2000 env.world.plane_speed=[2.5,2.5]
 
 Every scan is taken twice, with and without the planes. Of the steps at which a plane is seen and passes within reach
 if both keep their velocities, it tells by how much the policy brakes, and moves sideways and up or down out of the
@@ -18,12 +18,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from passes import TIMES, moments
+from passes import TIMES, among_planes, moments
 from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cli.errors import one_sentence
-from uavrl.config import TrainConfig, compose, validate
-from uavrl.rollout.actor import load_policy
+from uavrl.config import TrainConfig
 from uavrl.rollout.policies import policy_folder
 
 
@@ -40,14 +39,14 @@ def reactions(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDict
 def main() -> None:
     """Prints one line for each span of time."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--policy", default="dynamic", help="a packaged policy")
+    parser.add_argument("--policy", default="best_dynamic", help="a packaged policy")
     parser.add_argument("--run", help="a run folder instead")
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
     folder = policy_folder(args.run, None if args.run else args.policy)
     assert folder is not None, "a policy that learns nothing reads no observation"
-    rows = reactions(validate(compose("env=dynamic", *overrides)), load_policy(folder, None, "cpu")[1], args.steps)
+    rows = reactions(*among_planes(folder, *overrides), args.steps)
     print(f"{'time to the pass':<18}{'steps':>7}{'brakes':>9}{'sideways':>10}{'up or down':>12}   m/s")
     told = []
     for low, high in pairwise(TIMES):

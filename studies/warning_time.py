@@ -2,7 +2,7 @@
 
     python studies/warning_time.py [--flights 900] [--json FILE] [--figure FILE]
 
-The packaged static policy flies with exploration noise through a valley with half as many obstacles again, where many
+`policy=best` flies with exploration noise through a valley with half as many obstacles again, where many
 flights collide. Each form of the classifier learns from two flights in three, one after the other, as it does in a
 training, and is asked of each step of the others. It warns where c exceeds what it exceeds in 1 in 100 steps of flights
 that arrive. Told is, of flights that collide, the share of warnings so many steps before: 0 is the one that collides.
@@ -41,9 +41,10 @@ FLAGS = ("done", "arrived", "collided")
 
 def fly(count: int, seed: int) -> tuple[list[TensorDictBase], TensorDictModule, Any]:
     """The first flights that begin, in the order in which they end, and who flew."""
-    config = validate(compose("env.world.obstacles=68", "algo.learning_starts=0"))
+    sight = ("perception=range_image", "perception.last_action=true")
+    config = validate(compose("env.world.obstacles=68", "algo.learning_starts=0", *sight))
     env = make_env(config.env, config.perception, config.reward, seed=seed)
-    folder = policy_folder(None, "static")
+    folder = policy_folder(None, "best")
     assert folder is not None
     actor = load_actor(folder, None, "cpu")[1]
     sizes = network_sizes(env)

@@ -15,7 +15,7 @@ from shell import sh, size
 
 from uavrl.rollout.policies import PACKAGED
 from uavrl.rollout.recording import load_recording
-from uavrl.transforms.icosahedron import truncated_icosahedron
+from uavrl.transforms.range_image import range_image
 
 folder = Path(tempfile.mkdtemp())
 
@@ -36,16 +36,16 @@ for path in sorted((folder / "my_policy").iterdir()):
     print(f"{path.name:20} {path.stat().st_size:7,} bytes")
 
 # %% [markdown]
-# The run itself holds optimisers and every state that was flown, for going on. The policy is three small files: weights without any pickle, what
-# they are, and the configuration.
+# The run itself holds optimisers and every state that was flown, for going on. The policy is four small files: weights without any pickle, what
+# they are, the configuration, and `contract.json`, which says what the policy reads and writes.
 #
 # ## In plain PyTorch
 #
-# From here on we take `static`, a policy that comes with uavrl and was exported in the same way. The actor is linear layers with ReLU between, and
+# From here on we take `best`, a policy that comes with uavrl and was exported in the same way. The actor is linear layers with ReLU between, and
 # 2 tanh at the end: forward, left and up in m/s, and a yaw rate in rad/s.
 
 # %%
-weights = load_file(PACKAGED / "static" / "policy.safetensors")
+weights = load_file(PACKAGED / "best" / "policy.safetensors")
 layers = [(weights[f"module.net.{i}.weight"], weights[f"module.net.{i}.bias"]) for i in (0, 2, 4)]
 
 
@@ -57,10 +57,10 @@ def act(state: torch.Tensor) -> torch.Tensor:
 
 
 # %% [markdown]
-# Fly it. The Gymnasium environment has reduction and frames inside, so the loop is the one of every tutorial on Gymnasium.
+# Fly it. The Gymnasium environment has reduction, last action and frames inside, so the loop is the one of every tutorial on Gymnasium.
 
 # %%
-env = gymnasium.make("uavrl:uavrl/Valley-v0")
+env = gymnasium.make("uavrl:uavrl/Valley-v0", reduction="range_image", last_action=True)
 for seed in range(size("FLIGHTS", 3)):
     state, info = env.reset(seed=seed)
     steps, ended = 0, False
@@ -80,7 +80,7 @@ env.close()
 
 # %%
 sh(
-    "uavrl-replay policy=static task=0 points=100000 progress=false "  # points that a page shows at most: here all
+    "uavrl-replay policy=best env=static task=0 points=100000 progress=false "  # points that a page shows at most: here all
     f"output={folder / 'flight.html'} data={folder / 'flight.npz'}"
 )
 flight = load_recording(folder / "flight.npz").flights[0]
@@ -89,24 +89,25 @@ cloud = torch.tensor(flight.cloud(moment))  # [P, 3] in metres, in the sensor's 
 print(f"{len(cloud):,} points, the nearest {cloud.norm(dim=-1).min():.2f} m away")
 
 # %% [markdown]
-# The reduction makes 32 distances of it. The recording says what the policy saw in flight, so we can compare.
+# The reduction makes 72 numbers of it, each 4 m minus the distance to the nearest point in a cell. The recording says what the policy saw in flight, so we can compare.
 
 # %%
-faces = truncated_icosahedron(cloud, radius=4.0)
-print(f"{int((faces > 0).sum())} of 32 faces see something")
-print(f"largest difference to the faces in flight: {(faces - torch.tensor(flight.faces[moment])).abs().max():.4f} m")
+cells = range_image(cloud, radius=4.0)
+print(f"{int((cells > 0).sum())} of 72 cells see something")
+print(f"largest difference to the cells in flight: {(cells - torch.tensor(flight.faces[moment])).abs().max():.4f} m")
 
 # %% [markdown]
-# The state is the last three observations, each of 32 faces over 4 m, altitude and two angles. Replace the newest faces by ours, and ask the policy.
+# The state is the last three observations, each of 72 cells over 4 m, altitude, two angles and the last action. Replace the newest cells by ours, and
+# ask the policy.
 
 # %%
 state = torch.tensor(flight.observations[moment], dtype=torch.float32).clone()
-state[70:102] = faces / 4.0
+state[158:230] = cells / 4.0
 command = act(state)
 for name, ours, flown in zip(("forward", "left", "up", "yaw rate"), command, flight.actions[moment], strict=True):
     print(f"{name:9} {ours:+.3f}   in flight {flown:+.3f}")
 
 # %% [markdown]
 # The same command. What you need for another vehicle: clouds in metres in the frame of the sensor, the altitude above the ground of the start, the two
-# angles to the goal, and something that follows velocities. [The table of its inputs](../elsewhere.md#its-inputs).
+# angles to the goal, and something that follows velocities. [Its contract](../elsewhere.md#the-contract) says all of it.
 # A real sensor is noisier than the simulated one, which no policy here has met: try `perception.lidar.range_noise=0.02` in `uavrl-evaluate` first.

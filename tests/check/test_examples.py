@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 import subprocess
 import sys
@@ -57,7 +58,9 @@ def test_one_file_trains_td3_with_torchrls_collector_and_buffer(monkeypatch: pyt
 
 
 def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> None:
-    printed = said("altitudes.py", PACKAGED / "static" / "evaluation.json", "--output", tmp_path / "altitudes.png")
+    place = f"{PACKAGED / 'best' / 'suite.json'}:static"
+    printed = said("altitudes.py", place, "--output", tmp_path / "altitudes.png")
+    assert printed.startswith("best, static ")
     low, middle, high = (float(x) for x in printed.split("%: ")[1].split(" m")[0].split(" / "))
     assert 0 < low < middle < high < 5
     assert (tmp_path / "altitudes.png").stat().st_size > 5_000
@@ -68,9 +71,11 @@ def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path
     picture = tmp_path / "worlds.png"
     said("scenarios.py", f"a rule={suites / 'vfh.json'}", suites / "best.json", "--output", picture)
     assert picture.stat().st_size > 5_000
+    evaluation = tmp_path / "evaluation.json"
+    evaluation.write_text(json.dumps(json.loads((suites / "best.json").read_text())["static"]))
     drawing = [sys.executable, EXAMPLES / "scenarios.py"]
     for wrong, message in (
-        ([PACKAGED / "static" / "evaluation.json"], "Expected worlds with a success each in"),
+        ([evaluation], "Expected worlds with a success each in"),
         ([suites / "best.json", "--worlds", "dence"], "Expected worlds that a file tells of, got dence"),
     ):
         done = subprocess.run([*drawing, *wrong], capture_output=True, text=True, timeout=600)

@@ -21,7 +21,7 @@ SAYS = {
     "small_valley": "last third: ",
     "anywhere": "on the way: risk ",
     "new_reward": "step_cost=0.5: ",
-    "take_away": "largest difference to the faces in flight: 0.0",
+    "take_away": "largest difference to the cells in flight: 0.0",
 }
 
 QUICK = ["anywhere"]  # the others fly in the valley, for minutes

@@ -35,6 +35,10 @@ def test_it_flies_as_its_run_does(run_dir: Path, policy: Path, tmp_path: Path) -
     assert results[0]["training_steps"] == results[1]["training_steps"] > 0
     assert sum(len(file) for file in content(policy).values()) < 50_000
     assert str(run_dir) not in (policy / "config.yaml").read_text()
+    assert set(content(policy)) == {"config.yaml", "contract.json", "policy.json", "policy.safetensors"}
+    about, terms = (json.loads((policy / file).read_text()) for file in ("policy.json", "contract.json"))
+    assert terms["weights_sha256"] == about["weights_sha256"] and terms["state"]["size"] == 105
+    assert about["versions"] == json.loads((run_dir / "summary.json").read_text())["versions"]
     assert OmegaConf.load(policy / "config.yaml").algo == OmegaConf.load(run_dir / "config.yaml").algo
 
 
@@ -45,7 +49,7 @@ def test_it_can_be_replayed(policy: Path) -> None:
 
 def test_a_packaged_policy_and_one_on_its_own_can_be_exported(policy: Path, tmp_path: Path) -> None:
     """They are read and written again: the same weights of the same run."""
-    for chosen, source in (("policy=static", PACKAGED / "static"), (f"run={policy}", policy)):
+    for chosen, source in (("policy=best", PACKAGED / "best"), (f"run={policy}", policy)):
         output = tmp_path / source.name / "again"
         assert in_process(export_command.main, chosen, f"output={output}") == 0
         assert json.loads((output / "policy.json").read_text()) == json.loads((source / "policy.json").read_text())
@@ -67,8 +71,9 @@ def test_an_unknown_run_and_a_taken_folder_are_refused(
         ([f"run={run_dir}", "policy=best", new], "Give either run=RUN_FOLDER or policy=NAME, and not both"),
         (
             ["policy=bst", new],
-            "policy must be one of best, best_dynamic, dynamic, static, got 'bst': did you mean best?",
+            "policy must be one of best, best_dynamic, got 'bst': did you mean best?",
         ),
+        (["policy=dynamic", new], "policy=dynamic came with uavrl 0.1.0 and is not in this version: take policy=best"),
         (["policy=straight", new], "got 'straight': to export your own give run=RUN_FOLDER"),
         ([f"run={run_dir}"], "output must be a folder to write the policy to"),
         ([f"run={run_dir}", new, "chekpoint=1"], "There is no key 'chekpoint': did you mean checkpoint?"),

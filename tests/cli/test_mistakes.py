@@ -82,17 +82,15 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        (["policy=bst"], "policy must be one of straight, vfh, best, best_dynamic, got 'bst': did you mean best?"),
+        (["policy=static"], "policy=static came with uavrl 0.1.0 and is not in this version: take policy=best, which"),
+        (["policy=best", "suite=denze"], "got 'denze': did you mean dense?"),
+        (["policy=best", "episode=3"], "did you mean episodes?"),
+        (["policy=best", "num_uavs=1000000"], "num_uavs must be in [1, 512], got 1000000"),
+        (["policy=best", "algo.gamma=0.9"], "There is no key 'algo.gamma': --help=all lists"),
+        (["policy=best", "env=corridor"], "One of your own needs --config-dir FOLDER."),
         (
-            ["policy=bst"],
-            "policy must be one of straight, vfh, best, best_dynamic, dynamic, static, got 'bst': did you",
-        ),
-        (["policy=static", "suite=denze"], "got 'denze': did you mean dense?"),
-        (["policy=static", "episode=3"], "did you mean episodes?"),
-        (["policy=static", "num_uavs=1000000"], "num_uavs must be in [1, 512], got 1000000"),
-        (["policy=static", "algo.gamma=0.9"], "There is no key 'algo.gamma': --help=all lists"),
-        (["policy=static", "env=corridor"], "One of your own needs --config-dir FOLDER."),
-        (
-            [*CONFIG_DIR, TRUSTED, "policy=static", "env=corridor", "reward=hurry"],
+            [*CONFIG_DIR, TRUSTED, "policy=best", "env=corridor", "reward=hurry"],
             "The policy and env=corridor do not go",
         ),
     ],

@@ -97,7 +97,7 @@ def test_the_guard_where_objects_are_made() -> None:
 def test_how_many_are_evaluated_at_a_time_is_said_in_one_place(
     main: Callable[[], None], told: str, refused: Callable[..., str]
 ) -> None:
-    for whose in ("policy=straight", "policy=static"):
+    for whose in ("policy=straight", "policy=best"):
         sentence = refused(main, whose, "env.num_uavs=4")
         assert sentence == f"uavrl: env.num_uavs is set by the command itself: leave it out, {told}."
 

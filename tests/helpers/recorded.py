@@ -6,7 +6,9 @@ single action, reduction or observation does not. So these are kept, of real epi
 - ``uavrl/policies/NAME/recorded.safetensors``: states of the policy's episodes, and its actions in them;
 - ``tests/transforms/scans.safetensors``: the first scans of some episodes, and the states that are made of them.
 
-    python -m tests.helpers.recorded    # writes all of them anew, after a policy or a reduction was changed on purpose
+    python -m tests.helpers.recorded    # writes all of them anew, after a reduction was changed on purpose
+
+`tools/package_policy.py` writes those of a policy that it packages.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
-from uavrl.config import TrainConfig, compose, validate_run
+from uavrl.config import TrainConfig, compose, validate, validate_run
 from uavrl.config.build import build
 from uavrl.rollout.actor import load_policy
 from uavrl.rollout.environment import make_env
@@ -34,14 +36,25 @@ from uavrl.transforms.range_image import range_image
 
 SCANS = Path(__file__).resolve().parent.parent / "transforms" / "scans.safetensors"
 VEHICLES, STEPS = 8, 120  # of which states are recorded
+HOME = {"best_dynamic": "dynamic"}  # the suite's scenario by which a policy is tested, else static
 LARGEST = 180_000  # bytes of a policy's states and actions
 SCANNED, RETURNS = 6, 200  # steps of an episode, and of each the returns that are kept
 MARGIN = 1e-4  # m: returns nearer to a border between cells are left out, since rounding decides on their cell
 READ = ("altitude", "heading_deg", "elevation_deg")  # beside the cloud, by what makes the state
+# What the recorded scans are read by: the default, and what the packaged policies see.
+PERCEPTIONS = {
+    "truncated_icosahedron": (),
+    "range_image": ("perception=range_image", "perception.last_action=true"),
+}
 
 
-def evaluation(name: str, file: str = "evaluation.json") -> dict[str, Any]:
-    return json.loads((PACKAGED / name / file).read_text())
+def suite(name: str) -> dict[str, Any]:
+    """What the suite found of a packaged policy."""
+    return json.loads((PACKAGED / name / "suite.json").read_text())
+
+
+def evaluation(name: str) -> dict[str, Any]:
+    return suite(name)[HOME.get(name, "static")]
 
 
 def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
@@ -54,11 +67,6 @@ def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
 def recorded(name: str) -> dict[str, Tensor]:
     """``observation`` and ``action`` of a packaged policy's episodes."""
     return load_file(PACKAGED / name / "recorded.safetensors")
-
-
-def reduction(perception: Any) -> str:
-    """The name of the reduction by which a policy sees."""
-    return perception.get("reduction", "truncated_icosahedron")
 
 
 class RecordedScans(EnvBase):
@@ -103,7 +111,8 @@ def states(scans: dict[str, Tensor], perception: Any) -> Tensor:
     return torch.stack([stepped["observation"] for stepped in islice(flown, SCANNED - 1)])
 
 
-def _record_actions(name: str) -> None:
+def record_actions(name: str) -> None:
+    """Writes a packaged policy's states and actions."""
     settings, policy = as_evaluated(name)
     env = make_env(settings.env, settings.perception, seed=evaluation(name)["seed"], num_uavs=VEHICLES)
     try:
@@ -117,7 +126,7 @@ def _record_actions(name: str) -> None:
     (PACKAGED / name / "recorded.safetensors").write_bytes(save(kept))
 
 
-def _unmistakable(points: Tensor) -> Tensor:
+def unmistakable(points: Tensor) -> Tensor:
     """Which points ``[P, 3]`` belong to one cell of either reduction, wherever within the margin they lie."""
     kept = torch.ones(len(points), dtype=torch.bool)
     for reduced in (truncated_icosahedron, range_image):
@@ -130,7 +139,7 @@ def _unmistakable(points: Tensor) -> Tensor:
 
 def _thinned(cloud: Tensor, generator: torch.Generator) -> Tensor:
     """Some of the returns that belong to one cell, ``[RETURNS, 3]``, filled up with misses."""
-    returns = cloud[_unmistakable(cloud)]
+    returns = cloud[unmistakable(cloud)]
     some = returns[torch.randperm(len(returns), generator=generator)[:RETURNS]]
     return torch.cat([some, torch.full((RETURNS - len(some), 3), torch.nan)])
 
@@ -147,14 +156,13 @@ def _record_scans(name: str = "best_dynamic") -> None:
     clouds = [torch.stack([_thinned(cloud, generator) for cloud in step["point_cloud"]]) for step in steps]
     scans = {"cloud": torch.stack(clouds)}
     scans |= {key: torch.stack([step[key] for step in steps]) for key in (*READ, "action")}
-    for each in packaged_policies():
-        perception = as_evaluated(each)[0].perception
-        scans[reduction(perception)] = states(scans, perception)
+    for choice, perception in PERCEPTIONS.items():
+        scans[choice] = states(scans, validate(compose(*perception)).perception)
     SCANS.write_bytes(save(scans))
 
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
     for policy_name in packaged_policies():
-        _record_actions(policy_name)
+        record_actions(policy_name)
     _record_scans()

@@ -13,7 +13,7 @@ from torchrl.modules import MLP
 from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.losses import SPEC, fork, td3
 from uavrl.errors import UavrlError
-from uavrl.losses import DDPGLoss, Imitation, SACLoss, TD3Loss
+from uavrl.losses import ActionRate, DDPGLoss, Imitation, SACLoss, TD3Loss
 from uavrl.losses.imitation import action_distance
 from uavrl.training.update import ActorCriticStepper
 
@@ -117,20 +117,24 @@ def test_a_batch_without_actions_to_clone_is_refused() -> None:
     loss.actor_loss(TestContract().make_data().rename_key_("guide_action", "advice"))
 
 
+@pytest.mark.parametrize("told", ["guide_distance", "action_rate"])
 @pytest.mark.parametrize("kind", [DDPGLoss, SACLoss, TD3Loss])
-def test_it_attaches_to_any_loss_and_to_critics_that_are_not_ours(kind: type[TD3Loss | DDPGLoss | SACLoss]) -> None:
+def test_it_attaches_to_any_loss_and_to_critics_that_are_not_ours(
+    kind: type[TD3Loss | DDPGLoss | SACLoss], told: str
+) -> None:
     torch.manual_seed(0)
     network: torch.nn.Module = MLP(in_features=6, out_features=4 if kind is SACLoss else 2, num_cells=[16])
     if kind is SACLoss:  # mean and deviation
         network = torch.nn.Sequential(network, NormalParamExtractor())
     keys = ["observation", "action"], ["state_action_value"]
     critics = [TensorDictModule(MLPCritic(), *keys) for _ in range(kind.num_critics)]
-    loss = Imitation(kind.of_networks(kind.policy_of(network, SPEC), critics, SPEC), limit=2.0)
+    base = kind.of_networks(kind.policy_of(network, SPEC), critics, SPEC)
+    loss = Imitation(base, limit=2.0) if told == "guide_distance" else ActionRate(base, actions=2, limit=2.0)
     data = TestContract().make_data()
     with torch.random.fork_rng():  # SAC draws its action: the same one both times
         plain = loss.base.actor_loss(data)[0]
     value, metadata = loss.actor_loss(data)
-    assert metadata["guide_distance"].shape == data.batch_size
+    assert metadata[told].shape == data.batch_size
     assert value.isfinite() and value > plain
     value.backward()
     assert any(p.grad is not None and p.grad.abs().sum() > 0 for p in loss.actor_network_params.values(True, True))

@@ -51,7 +51,7 @@ def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for folder in ("nowhere", "file"):
         assert reason(tmp_path / folder) == "It holds no run: give the folder that uavrl-train printed."
-    assert "exported policy" in reason(ROOT / "uavrl/policies/static")
+    assert "exported policy" in reason(ROOT / "uavrl/policies/best")
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,13 +13,17 @@ from scipy.stats import binomtest
 from tensordict import TensorDict
 from torch.testing import assert_close
 
-from tests.helpers.recorded import SCANS, as_evaluated, evaluation, recorded, reduction, states
-from uavrl.config import compose, validate_run
+from tests.helpers.recorded import HOME, SCANS, as_evaluated, evaluation, recorded, states, suite
+from uavrl.config import compose, validate, validate_run
 from uavrl.config.values import to_plain
 from uavrl.rollout.actor import load_policy
+from uavrl.rollout.contract import contract
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import fly
+from uavrl.rollout.summary import scenarios
+from uavrl.runs.config import load_config
+from uavrl.runs.episodes import LETTERS
 from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 
@@ -28,18 +32,50 @@ IMPLAUSIBLE = 1e-3  # so seldom does chance alone bring fewer arrivals than are 
 CELLS = {"truncated_icosahedron": slice(-35, -3), "range_image": slice(-79, -7)}  # of a state, those of the last frame
 
 
+# Policies whose suites were flown before it recorded how each task ended, or in part.
+OF_OLDER_SUITES = ("best", "best_dynamic")
+FILES = {"policy.json", "policy.safetensors", "config.yaml", "contract.json", "suite.json", "recorded.safetensors"}
+
+
+def about(name: str, file: str = "policy.json") -> dict[str, Any]:
+    return json.loads((PACKAGED / name / file).read_text())
+
+
 def test_these_are_packaged() -> None:
-    assert packaged_policies() == ["best", "best_dynamic", "dynamic", "static"]
+    assert packaged_policies() == ["best", "best_dynamic"]
 
 
 @pytest.mark.parametrize("name", packaged_policies())
-def test_its_evaluation_is_of_this_policy(name: str) -> None:
-    about = json.loads((PACKAGED / name / "policy.json").read_text())
-    for file in Path(PACKAGED / name).glob("evaluation*.json"):
-        result = evaluation(name, file.name)
-        assert result["checkpoint"] == about["checkpoint"]
-        assert result["training_steps"] == about["training_steps"]
-        assert result["episodes"] == len(result["flights"]) == 500
+def test_its_folder_holds_all_that_it_should(name: str) -> None:
+    assert {file.name for file in (PACKAGED / name).iterdir()} == FILES
+    versions = about(name, "contract.json")["versions"]
+    assert {"commit", "python", "uavrl", "torch", "torchrl", "tensordict"} <= versions.keys()
+    assert {"pybullet", "pybullet-arm64"} & versions.keys() and "dirty" not in versions["commit"]
+    assert len(about(name)["commit"]) == 40, "the commit that trained it"
+
+
+@pytest.mark.parametrize("name", packaged_policies())
+def test_its_contract_is_of_these_weights_and_this_configuration(name: str) -> None:
+    terms = about(name, "contract.json")
+    weights = (PACKAGED / name / "policy.safetensors").read_bytes()
+    checksum = hashlib.sha256(weights).hexdigest()
+    assert terms["weights_sha256"] == about(name)["weights_sha256"] == checksum
+    again = contract(validate_run(load_config(PACKAGED / name / "config.yaml")), checksum)
+    assert {**again, "versions": None} == {**terms, "versions": None}
+    assert about(name)["shapes"]["module.net.0.weight"][1] == terms["state"]["size"]
+
+
+@pytest.mark.parametrize("name", packaged_policies())
+def test_its_suite_is_of_this_policy_and_tells_how_each_task_ended(name: str) -> None:
+    rows, known = suite(name), about(name)
+    assert set(rows) == set(scenarios("all")) or (name in OF_OLDER_SUITES and set(rows) < set(scenarios("all")))
+    for scenario, row in rows.items():
+        assert (row["checkpoint"], row["training_steps"]) == (known["checkpoint"], known["training_steps"])
+        assert row["episodes"] == 500 and "flights" not in row
+        if name in OF_OLDER_SUITES and scenario not in (HOME.get(name, "static"), "real"):
+            continue
+        assert len(row["outcomes"]) == 500 and set(row["outcomes"]) <= set(LETTERS.values())
+        assert row["outcomes"].count(LETTERS["arrived"]) / 500 == row["success"]["rate"]
 
 
 @pytest.mark.parametrize("name", packaged_policies())
@@ -68,7 +104,12 @@ def test_a_packaged_policy_is_evaluated_in_randomized_vehicles_and_without_again
 @pytest.mark.parametrize("name", packaged_policies())
 def test_it_reads_recorded_scans_as_it_did(name: str) -> None:
     scans, perception = load_file(SCANS), as_evaluated(name)[0].perception
-    assert_close(states(scans, perception), scans[reduction(perception)], atol=1e-5, rtol=0)
+    assert_close(states(scans, perception), scans[perception.reduction], atol=1e-5, rtol=0)
+
+
+def test_recorded_scans_are_read_by_default_as_they_were() -> None:
+    scans, settings = load_file(SCANS), validate(compose())
+    assert_close(states(scans, settings.perception), scans["truncated_icosahedron"], atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize(

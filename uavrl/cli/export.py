@@ -8,10 +8,10 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
 from uavrl.config import validate
-from uavrl.config.sentences import did_you_mean, require
-from uavrl.errors import UavrlError
+from uavrl.config.sentences import require
 from uavrl.ranges import Folder, Text
-from uavrl.rollout.policies import packaged_policies, policy_folder
+from uavrl.rollout.policies import packaged_policies, policy_folder, unknown_policy
+from uavrl.runs.names import CONTRACT
 
 
 @dataclass
@@ -31,22 +31,19 @@ class ExportConfig:
 
 @command("export")
 def main(config: DictConfig) -> None:
-    """Writes weights and configuration; evaluation and replay take the folder as ``run=``."""
+    """Writes weights, configuration and contract; evaluation and replay take the folder as ``run=``."""
     settings = validate(config, ExportConfig)
     folder, output = policy_folder(settings.run, settings.policy), Path(str(settings.output))
     if folder is None:
-        names = packaged_policies()
-        near = did_you_mean(str(settings.policy), names, ": ", "to export your own give run=RUN_FOLDER.")
-        raise UavrlError(f"policy must be one of {', '.join(names)}, got {settings.policy!r}{near}")
+        raise unknown_policy(str(settings.policy), packaged_policies(), "to export your own give run=RUN_FOLDER.")
     # Imported here: --help and a mistyped key answer without loading torch.
-    from uavrl.rollout.actor import POLICY_INFO, export_policy, load_actor
+    from uavrl.rollout.actor import export_policy
 
-    trained, actor, known = load_actor(folder, settings.checkpoint, "cpu", settings.packages)
-    about = {key: known[key] for key in ("run", *POLICY_INFO) if key in known}
-    export_policy(actor, trained, {"run": folder.resolve().name, **about}, output)
+    about = export_policy(folder, settings.checkpoint, output, settings.packages)
     steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"
     then = command_line("uavrl-evaluate", run=output)
-    print(f"The policy after {steps} steps is in {output}. Its success rate: {then}")
+    terms = f"What another program needs to fly it: {output / CONTRACT}. " if (output / CONTRACT).is_file() else ""
+    print(f"The policy after {steps} steps is in {output}. {terms}Its success rate: {then}")
 
 
 if __name__ == "__main__":

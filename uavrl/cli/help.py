@@ -21,8 +21,8 @@ ABOUT = {
 }
 EXAMPLES = {
     "config": ["preset=best", "env=dynamic algo=sac seed=1", "-m seed=0,1,2 algo.gamma=0.98,0.99", "resume=RUN_FOLDER"],
-    "evaluate": ["policy=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
-    "replay": ["policy=static tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
+    "evaluate": ["policy=best env=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
+    "replay": ["policy=best tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
     "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
     "scan": ["source=udp://:2368 model=VLP16", "source=FILE model=VLP16 json=FILE", "source=ROSBAG topic=/points"],

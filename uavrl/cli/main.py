@@ -25,7 +25,7 @@ def _run(name: str, *rest: str) -> None:
     elif name in ("--help", "-h", "help"):
         print("uavrl: teaches a quadrotor to fly to a goal through a cluttered valley, seeing only by LiDAR.\n")
         print("\n".join(f"  uavrl {command:<10}{about}" for command, about in COMMANDS.items()))
-        print("\nuavrl COMMAND --help tells more. To see a trained policy fly: uavrl replay policy=static")
+        print("\nuavrl COMMAND --help tells more. To see a trained policy fly: uavrl replay policy=best")
     else:
         if name not in COMMANDS:
             told = did_you_mean(name, list(COMMANDS), ": ", "uavrl --help lists them.")

@@ -16,11 +16,13 @@ from uavrl.config.build import build, find_class
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
+from uavrl.rollout.contract import as_text, contract
 from uavrl.rollout.environment import NetworkSizes, make_env, network_sizes
 from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.files import replacing, writable
-from uavrl.runs.names import CONFIG
+from uavrl.runs.names import CONFIG, CONTRACT
+from uavrl.runs.provenance import recorded_versions
 from uavrl.runs.weights import POLICY
 
 POLICY_INFO = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
@@ -85,7 +87,8 @@ def load_actor(
     metadata = check_checkpoint(path, config)
     restore(Checkpoint(policy=actor), path, ["policy"])
     steps, episodes = metadata["collected_frames"], metadata["episodes"]
-    return config, actor, dict(zip(POLICY_INFO, (path.name, steps, episodes, metadata.get("commit")), strict=True))
+    about = dict(zip(POLICY_INFO, (path.name, steps, episodes, metadata.get("commit")), strict=True))
+    return config, actor, {**about, "versions": recorded_versions(folder)}
 
 
 def load_policy(
@@ -109,16 +112,25 @@ def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
     return path
 
 
-def export_policy(actor: TensorDictModuleBase, config: DictConfig, about: dict[str, Any], output: Path) -> None:
-    """Writes ``config.yaml``, the weights and then ``policy.json``, without which nothing loads."""
+def export_policy(folder: Path, checkpoint: str | None, output: Path, packages: Iterable[str] = ()) -> dict[str, Any]:
+    """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
+
+    The policy is that of :func:`load_actor`; what ``policy.json`` says of it is returned.
+    """
+    config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
+    about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
     if POLICY.is_in(output) or (output / CONFIG).exists():
         raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with output=FOLDER.")
     writable(output / POLICY.json, "output=FOLDER")
-    config = config.copy()
     config.run_dir = Path(str(config.run_dir)).name
     with replacing(output / CONFIG) as partial:
         partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
-    POLICY.save(output, actor.state_dict(), about)
+    saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
+    terms = contract(validate_run(config), saved["weights_sha256"])
+    if terms is not None:
+        with replacing(output / CONTRACT) as partial:
+            partial.write_text(as_text(terms), encoding="utf-8")
+    return saved
 
 
 def saved_sizes(settings: TrainConfig) -> NetworkSizes:

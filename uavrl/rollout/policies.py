@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
 PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` names, beside the baselines
+GONE = ("static", "dynamic")  # what came with uavrl 0.1.0
 
 # Keys of an evaluation that do not say which policy was evaluated in which tasks.
 PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
@@ -190,7 +191,18 @@ def named_policy(
         return made
     names = [*BASELINES, *packaged_policies()]
     own = "for your own give run=RUN_FOLDER, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
-    raise UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names, ': ', own)}")
+    raise unknown_policy(name, names, own)
+
+
+def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
+    """Says which names a policy may have, and how to name one of one's own, or what has become of this one."""
+    if name in GONE:
+        return UavrlError(
+            f"policy={name} came with uavrl 0.1.0 and is not in this version: take policy=best, which succeeds more "
+            f"often, among planes policy=best_dynamic, or give run=FOLDER with a copy of its folder."
+        )
+    near = did_you_mean(name, names, ": ", own)
+    return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
 
 
 def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:

@@ -1,5 +1,6 @@
 """Which state of the code made a result, and on what: the same code gives other last digits elsewhere."""
 
+import json
 import platform
 import subprocess
 from contextlib import suppress
@@ -7,9 +8,11 @@ from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from uavrl.runs.names import SUMMARY
+
 PACKAGE = Path(__file__).resolve().parent.parent
 # Whose versions bear on a result. PyBullet has a fork with other wheels; one of the two is installed.
-PACKAGES = ("uavrl", "torch", "torchrl", "numpy", "pybullet", "pybullet-arm64", "embreex")
+PACKAGES = ("uavrl", "torch", "torchrl", "tensordict", "numpy", "pybullet", "pybullet-arm64", "embreex")
 _CPUINFO = Path("/proc/cpuinfo")
 
 
@@ -20,6 +23,15 @@ def versions() -> dict[str, str | None]:
         with suppress(PackageNotFoundError):
             found[package] = version(package)
     return found
+
+
+def recorded_versions(run_dir: Path) -> dict[str, str]:
+    """The versions that a run was trained with, of its ``summary.json``; none where it has not ended."""
+    try:
+        found = json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))["versions"]
+        return {str(package): str(known) for package, known in found.items() if known is not None}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}
 
 
 def processor() -> dict[str, str]:

@@ -1,0 +1,79 @@
+"""One command packages a policy: all files of its folder, and only with the whole suite of this policy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.helpers.commands import content
+from tools import package_policy as tool
+from uavrl.errors import UavrlError
+from uavrl.rollout.actor import load_actor
+from uavrl.rollout.summary import scenarios
+
+
+@pytest.fixture
+def suite(run_dir: Path) -> dict[str, Any]:
+    about = load_actor(run_dir, None, "cpu")[2]
+    row = {"run": str(run_dir), "episodes": 500, "outcomes": "S" * 500, **about}
+    return {name: {**row, "overrides": overrides} for name, overrides in scenarios("all").items()}
+
+
+@pytest.fixture
+def packaged(run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Any]], Path]:
+    def package(suite: dict[str, Any]) -> Path:
+        (run_dir / "suite").mkdir(exist_ok=True)
+        (run_dir / "suite/suite.json").write_text(json.dumps(suite))
+        return tool.package("new", run_dir, run_dir / "suite/suite.json")
+
+    monkeypatch.setattr(tool, "PACKAGED", tmp_path / "policies")
+    monkeypatch.setattr(tool, "commit", lambda: "0" * 40)
+    monkeypatch.setattr(tool, "record_actions", lambda name: None)
+    return package
+
+
+def test_the_folder_is_made_anew(
+    packaged: Callable[[dict[str, Any]], Path], suite: dict[str, Any], tmp_path: Path
+) -> None:
+    old = tmp_path / "policies/new/evaluation.json"
+    old.parent.mkdir(parents=True)
+    old.write_text("{}")
+    folder = packaged(suite)
+    names = {"config.yaml", "contract.json", "policy.json", "policy.safetensors", "suite.json"}
+    assert set(content(folder)) == names
+    written = json.loads((folder / "suite.json").read_text())
+    assert list(written) == list(scenarios("all")) and "run" not in written["dense"]
+    assert written["dense"]["outcomes"] == "S" * 500
+    assert json.loads((folder / "policy.json").read_text())["versions"].keys() >= {"commit", "python", "torch"}
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda suite: suite.pop("windy"), "no 500 tasks of windy with this policy"),
+        (lambda suite: suite["dense"].update(training_steps=1), "dense with this policy (see training_steps)"),
+        (lambda suite: suite["real"].update(outcomes="SS"), "real with this policy (see outcomes)"),
+        (lambda suite: suite["static"]["overrides"].append("perception.blind=true"), "(see overrides)"),
+    ],
+)
+def test_a_suite_of_something_else_is_refused(
+    packaged: Callable[[dict[str, Any]], Path], suite: dict[str, Any], tmp_path: Path, change: Callable, told: str
+) -> None:
+    suite = json.loads(json.dumps(suite))
+    change(suite)
+    with pytest.raises(UavrlError) as error:
+        packaged(suite)
+    assert told in str(error.value)
+    assert not (tmp_path / "policies").exists()
+
+
+def test_changes_are_committed_first(
+    packaged: Callable[[dict[str, Any]], Path], suite: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tool, "commit", lambda: "0" * 40 + "-dirty")
+    with pytest.raises(UavrlError, match="commit them first"):
+        packaged(suite)

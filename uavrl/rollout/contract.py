@@ -1,0 +1,177 @@
+"""``contract.json``: all that another program must know to give a policy its inputs and to obey its actions.
+
+Nothing in it is written for one policy: it is read off the transforms that a run's configuration makes. Torch is
+imported only to derive one.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+from uavrl.runs.provenance import versions
+
+if TYPE_CHECKING:
+    from uavrl.config import TrainConfig
+    from uavrl.transforms import PointCloudReduction
+
+FORMAT, VERSION = "uavrl.contract", 1
+
+CELL_OF = {
+    "truncated_icosahedron": "a point p with directions[i] · p > offsets[i] for any cell i belongs to none; any other "
+    "belongs to the cell whose centre, offsets[i] * directions[i], is nearest to it",
+    "range_image": "in degrees: column = round(atan2(y, x) / width) mod columns; "
+    "row = round(atan2(z, hypot(x, y)) / height + (rows - 1) / 2), cut to 0 … rows - 1; cell = rows * column + row",
+}
+LENGTH_OF = {
+    "face": "the distance from the point to its cell's centre, offsets[i] * directions[i]",
+    "range": "the distance from the sensor to the point",
+    "proximity": "the distance from the sensor to the point",
+}
+# shift, modulo, divisor, offset of an angle in degrees
+ANGLES: dict[str, tuple[float, float | None, float, float]] = {
+    "folded": (180.0, 360.0, 180.0, -1.0),
+    "turns": (0.0, None, 360.0, 0.0),
+    "raw": (0.0, None, 1.0, 0.0),
+}
+POSE = {
+    "axes": "world: z up; x, y, z are those of the middle of the airframe, yaw is its head's, counter-clockwise from x",
+    "altitude": "m: z, above the mean level of the ground",
+    "heading": "degrees in [0, 360): atan2(goal_y - y, goal_x - x) - yaw; 0 is ahead, 90 is left",
+    "elevation": "degrees in [0, 360): atan2(goal_z - z, hypot(goal_x - x, goal_y - y)); 0 is level, 90 is above",
+    "goal": "the middle of the goal's cylinder, half-way from the ground to the ceiling",
+    "last_action": "the action before, as the policy gave it; zeros at the first step",
+}
+ACTION = {"l_x": "m/s, forward", "l_y": "m/s, left", "l_z": "m/s, up", "a_z": "rad/s, counter-clockwise from above"}
+
+
+def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | None:
+    """The contract of a policy that was trained with these settings; None where the valley's definitions do not hold.
+
+    They hold for a :class:`~uavrl.transforms.NavigationState` in a :class:`~uavrl.envs.NavigationEnv`; what somebody
+    else's perception or environment means, nobody here can say.
+
+    Args:
+        settings: the validated configuration of the run.
+        weights_sha256: the checksum of the file of the policy's weights.
+    """
+    from torchrl.envs import CatFrames, EnvBase, Transform
+
+    from uavrl.config.build import TARGET, build, find_class
+    from uavrl.envs import NavigationEnv
+    from uavrl.envs.simulation import CONTROL_RATE
+    from uavrl.rollout.environment import inner_transforms
+    from uavrl.transforms import LastAction, NavigationObservation, NavigationState, PointCloudReduction
+    from uavrl.transforms.state import ACTION_LIMIT
+
+    env = find_class(str(settings.env[TARGET]), EnvBase, settings.packages)
+    state = build(settings.perception, Transform, packages=settings.packages)
+    if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
+        return None
+    parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
+    reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))
+    scaled, frames = parts[NavigationObservation], parts[CatFrames]
+    observation = [
+        _entry("cells", len(reduction.directions()), divisor=scaled.radius),
+        _entry("altitude", 1, divisor=scaled.flight_level, offset=-1.0),
+        *(_entry(angle, 1, *ANGLES[scaled.angles]) for angle in ("heading", "elevation")),
+        *([_entry("last_action", len(ACTION), divisor=ACTION_LIMIT)] if LastAction in parts else []),
+    ]
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "weights_sha256": weights_sha256,
+        "rate_hz": CONTROL_RATE,
+        "moment": "cloud and pose are of one moment, and the action answers them at once",
+        "cloud": _cloud(reduction.radius, settings),
+        "cells": _cells(reduction),
+        "pose": POSE,
+        "observation": observation,
+        "scaling": "((value + shift) mod modulo) / divisor + offset; no modulo where it is null",
+        "state": {
+            "frames": frames.N,
+            "order": "oldest observation first",
+            "padding": frames.padding_value,
+            "size": frames.N * sum(entry["size"] for entry in observation),
+            "dtype": "float32",
+        },
+        "action": _action(ACTION_LIMIT),
+        "versions": versions(),
+    }
+
+
+def _entry(
+    name: str, size: int, shift: float = 0.0, modulo: float | None = None, divisor: float = 1.0, offset: float = 0.0
+) -> dict[str, Any]:
+    """One of the quantities in an observation, and how it is scaled."""
+    return {"name": name, "size": size, "shift": shift, "modulo": modulo, "divisor": divisor, "offset": offset}
+
+
+def _action(limit: float) -> dict[str, Any]:
+    """What the policy's numbers mean."""
+    return {
+        "order": list(ACTION),
+        "unit": list(ACTION.values()),
+        "low": [-limit] * len(ACTION),
+        "high": [limit] * len(ACTION),
+        "clip": "to low and high, before it is flown",
+        "frame": "yaw-aligned body frame: the world's, turned about the vertical by the yaw alone, level at any tilt",
+        "holds": "until the next one",
+    }
+
+
+def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
+    """What a scan is, and which of its points count."""
+    from uavrl.envs import Airframe
+    from uavrl.cells import return_bounds
+
+    return {
+        "shape": ["points", 3],
+        "unit": "m",
+        "frame": "sensor: x forward, y left, z up, fixed to the vehicle and tilted with it",
+        "sensor": "one turn of a Velodyne VLP-16, its points in any order",
+        "position": "of the sensor in body axes, from the middle of the airframe",
+        "sensor_position": list((settings.env.get("airframe") or Airframe()).lidar_position),
+        "miss": "a coordinate that is not finite, or x² + y² + z² not between these two, themselves excluded",
+        "squared_range": list(return_bounds(radius)),
+        "blind": bool(settings.perception.get("blind")),  # trained with misses alone: give it no other
+    }
+
+
+def _cells(reduction: PointCloudReduction) -> dict[str, Any]:
+    """What the cells of a reduction are and report, in their order."""
+    from uavrl.transforms.icosahedron import TOUCHING, truncated_icosahedron_faces
+    from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT
+    from uavrl.transforms.state import REDUCTIONS
+
+    name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
+    directions, radius, statistic = reduction.directions(), reduction.radius, reduction.statistic
+    offsets, grid = [radius] * len(directions), {}
+    if name == "range_image":
+        size = {"width": 360 / AZIMUTHS, "height": round(math.degrees(HEIGHT), 9)}
+        grid = {"columns": AZIMUTHS, "rows": ELEVATIONS, **size}
+    else:
+        offsets = [round(offset, 9) for offset in truncated_icosahedron_faces(radius).offsets.double().tolist()]
+    least = "the least over the cell's points, cut to the interval; "
+    return {
+        "reduction": name,
+        "count": len(directions),
+        "radius": radius,
+        "directions": [[round(x, 9) + 0.0 for x in row] for row in directions.double().tolist()],
+        "offsets": offsets,
+        **grid,
+        "cell": CELL_OF[name],
+        "statistic": statistic,
+        "length": LENGTH_OF[statistic],
+        "interval": [TOUCHING * radius, radius],
+        "value": least + ("radius - that, 0" if statistic == "proximity" else "0") + " where the cell has no point",
+    }
+
+
+def as_text(content: dict[str, Any]) -> str:
+    """A contract as json, what holds no more lists or mappings in a line of its own."""
+    text = json.dumps(content, indent=1, ensure_ascii=False)
+    innermost = r"([\[{])\s+([^][{}]*?)\s+([\]}])"
+    return re.sub(innermost, lambda match: match[1] + " ".join(match[2].split()) + match[3], text) + "\n"
