@@ -6,6 +6,7 @@ Messages are read by the definitions below, never by those that a file brings: n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -139,30 +140,16 @@ def _rosbags(module: str) -> Any:
         raise UavrlError("A recording of ROS needs rosbags, which is not installed: pip install rosbags.") from error
 
 
-def _opened(path: Path) -> Any:
-    """A reader of a recording, to be used in ``with``."""
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A reader of a recording; what cannot be opened is one sentence."""
     module = _rosbags("rosbag1" if path.is_file() and is_rosbag1(path) else "rosbag2")
-    return _Opened(path, module.Reader)
-
-
-class _Opened:
-    """Opens a recording; what cannot be opened is one sentence."""
-
-    def __init__(self, path: Path, reader: Callable[[Path], Any]) -> None:
-        self.path, self.reader = path, reader
-
-    def __enter__(self) -> Any:
-        """Opens it."""
+    with ExitStack() as stack:
         try:
-            self.bag = self.reader(self.path)
-            self.bag.open()
+            bag = stack.enter_context(module.Reader(path))
         except Exception as error:  # `rosbags` meets damage with errors of many kinds
-            raise UavrlError(f"{self.path} is no recording of ROS, or is damaged: give another one.") from error
-        return self.bag
-
-    def __exit__(self, *_: object) -> None:
-        """Closes it."""
-        self.bag.close()
+            raise UavrlError(f"{path} is no recording of ROS, or is damaged: give another one.") from error
+        yield bag
 
 
 @cache

@@ -124,8 +124,8 @@ def _action(limit: float) -> dict[str, Any]:
 
 def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
     """What a scan is, and which of its points count."""
-    from uavrl.envs import Airframe
     from uavrl.cells import return_bounds
+    from uavrl.envs import Airframe
 
     return {
         "shape": ["points", 3],
