@@ -11,7 +11,8 @@ Statistic = Literal["face", "range", "proximity"]
 NUM_FACES = 32
 """Faces of the truncated icosahedron, 12 pentagons and then 20 hexagons."""
 AZIMUTHS, ELEVATIONS = 24, 3  # cells of the range image
-HEIGHT = math.radians(10.0)  # of one of these: three span the ±15 degrees of a VLP-16
+ROWS = math.radians(10.0)  # from one row's middles to the next: three span the ±15 degrees of a VLP-16
+ROW_BORDERS = (math.radians(-4.0), math.radians(4.0))  # elevations half-way between lasers: at ±5 rounding would choose
 
 LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 TOUCHING = 1e-6  # of the radius: what a cell reads that a point touches, as 0 means "no point"
@@ -85,6 +86,6 @@ def range_image_middles() -> np.ndarray:
     Azimuths 0, 15, … 345 degrees (0 is forward, 90 left), and of each the elevations -10, 0 and 10 degrees.
     """
     around, rows = np.arange(AZIMUTHS) * (math.tau / AZIMUTHS), np.arange(ELEVATIONS) - (ELEVATIONS - 1) / 2
-    azimuth, elevation = (part.ravel() for part in np.meshgrid(around, rows * HEIGHT, indexing="ij"))
+    azimuth, elevation = (part.ravel() for part in np.meshgrid(around, rows * ROWS, indexing="ij"))
     across = np.cos(elevation)
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], -1)

@@ -62,7 +62,7 @@ def test_points_on_the_vehicle_are_left_out(tmp_path: Path) -> None:
         ([f"source={RECORDED}", "model=VLP16", "reduction=cube"], "reduction must be one of truncated_icosahedron"),
         ([f"source={RECORDED}", "model=VLP16", "json=scan.html"], "json must be another file than output"),
         ([f"source={RECORDED}", "modle=VLP16"], "did you mean model?"),
-        (["source=udp://:99999", "model=VLP16"], "A sensor's address is udp://:PORT or udp://HOST:PORT"),
+        (["source=udp://:99999", "model=VLP16"], "An address is udp://:PORT or udp://HOST:PORT"),
         (["source=udp://127.0.0.1:23681", "model=VLP16", "seconds=0.01"], "no packet arrived"),
     ],
 )

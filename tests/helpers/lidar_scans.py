@@ -25,10 +25,10 @@ def tilted_scans(number: int, seed: int = 0) -> Iterator[np.ndarray]:
 def on_a_border(points: np.ndarray, reduction: str) -> np.ndarray:
     """Which points ``[P, 3]`` lie so near to the border of a cell, or of the ball, that rounding may move them over."""
     if reduction == "range_image":
-        x, y, z = points.T
-        column, row = np.arctan2(y, x) / np.radians(15), np.arctan2(z, np.hypot(x, y)) / np.radians(10)
-        sides = np.abs(column % 1 - 0.5) < 0.001, (np.abs(row % 1 - 0.5) < 0.0015) & (np.abs(row) < 1)
-        return sides[0] | sides[1] | (np.abs(np.linalg.norm(points, axis=1) - 4.0) < MM2)
+        side = (
+            np.abs(np.arctan2(points[:, 1], points[:, 0]) / np.radians(15) % 1 - 0.5) < 0.001
+        )  # rows have no borders near a laser
+        return side | (np.abs(np.linalg.norm(points, axis=1) - 4.0) < MM2)
     faces = icosahedron(4.0)
     heights = points @ faces.normals.T
     two = np.sort(faces.offsets * (faces.offsets - 2 * heights), axis=1)[:, :2]  # squared distances to the centres

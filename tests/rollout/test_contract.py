@@ -45,8 +45,8 @@ def cell_of(points: np.ndarray, cells: dict[str, Any]) -> np.ndarray:
         x, y, z = points.T
         columns, rows = cells["columns"], cells["rows"]
         column = np.round(np.degrees(np.arctan2(y, x)) / cells["width"]) % columns
-        row = np.round(np.degrees(np.arctan2(z, np.hypot(x, y))) / cells["height"] + (rows - 1) / 2)
-        return (rows * column + row.clip(0, rows - 1)).astype(int)
+        elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
+        return (rows * column + (elevation[:, None] > cells["row_borders"]).sum(1)).astype(int)
     directions, offsets = np.array(cells["directions"]), np.array(cells["offsets"])
     outside = (points @ directions.T > offsets).any(1)
     apart = np.linalg.norm(points[:, None] - offsets[:, None] * directions, axis=2)

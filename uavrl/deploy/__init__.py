@@ -1,5 +1,6 @@
-"""Out of the simulator: scans of a real LiDAR, and what a policy reads of them. Needs numpy alone.
+"""Out of the simulator: scans of a real LiDAR, what a policy reads of them, an autopilot. Needs numpy alone.
 
 Names are imported from the modules: `sources` (one iterator of scans), with `packets`, `scans`, `pcap`, `udp` and
-`bags` below it; `reduction` and `observation` (the maths of :mod:`uavrl.transforms`); `summary`.
+`bags` below it; `reduction` and `observation` (the maths of :mod:`uavrl.transforms`); `summary`; `autopilot` (MAVLink),
+with `vehicle`, `firmware` and `frames` below it; `safety`, with `limits` below it.
 """

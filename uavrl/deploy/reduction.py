@@ -14,10 +14,10 @@ import numpy as np
 from uavrl.cells import (
     AZIMUTHS,
     ELEVATIONS,
-    HEIGHT,
     LARGEST_RADIUS,
     NEAREST_RETURN,
     NUM_FACES,
+    ROW_BORDERS,
     TOUCHING,
     Statistic,
     icosahedron,
@@ -101,8 +101,8 @@ def range_image(points: np.ndarray, radius: float = 4.0, statistic: Statistic = 
     x, y, z = _returns(points, radius, statistic)
     across = np.sqrt(x * x + y * y)
     column = np.round(np.arctan2(y, x) * (AZIMUTHS / (2.0 * np.pi))).astype(np.int64) % AZIMUTHS
-    row = np.round(np.arctan2(z, across) / HEIGHT + (ELEVATIONS - 1) / 2).astype(np.int64).clip(0, ELEVATIONS - 1)
-    cell = column * ELEVATIONS + row
+    elevation = np.arctan2(z, across)
+    cell = sum(((elevation > border).astype(np.int64) for border in ROW_BORDERS), column * ELEVATIONS)
     if statistic == "face":
         middles = (radius * range_image_middles().astype(x.dtype)).astype(x.dtype)
         x, y, z = (at - middle[cell] for at, middle in zip((x, y, z), middles.T, strict=True))

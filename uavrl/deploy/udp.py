@@ -16,7 +16,7 @@ _LONGEST = 2048  # bytes of a packet that are read; no sensor sends as many
 _TICK = 0.05  # s between two looks at the clock while nothing arrives
 
 
-def address(source: str) -> tuple[str, int]:
+def address(source: str, port: int = PORT) -> tuple[str, int]:
     """Host and port of ``udp://HOST:PORT``; either may be left out.
 
     Examples:
@@ -24,12 +24,30 @@ def address(source: str) -> tuple[str, int]:
         (('', 2368), ('192.168.1.100', 2368))
     """
     match = _ADDRESS.fullmatch(source)
-    port = int(match["port"] or PORT) if match else 0
-    if match is None or not 0 < port < 2**16:
+    number = int(match["port"] or port) if match else 0
+    if match is None or not 0 < number < 2**16:
+        raise UavrlError(f"An address is udp://:PORT or udp://HOST:PORT, such as udp://:{port}, got {source!r}.")
+    return match["host"], number
+
+
+def listen(source: str, port: int = PORT) -> socket.socket:
+    """A socket that receives what is sent to ``udp://HOST:PORT`` on this machine.
+
+    Raises:
+        UavrlError: where the port cannot be opened.
+    """
+    where = address(source, port)
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+    try:
+        opened.bind(where)
+    except OSError as error:
+        opened.close()
         raise UavrlError(
-            f"A sensor's address is udp://:PORT or udp://HOST:PORT, such as udp://:{PORT}, got {source!r}."
-        )
-    return match["host"], port
+            f"{source} cannot be listened to ({error.strerror}): another program may have the port, or the address is "
+            "none of this machine's."
+        ) from error
+    return opened
 
 
 def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes]]:
@@ -43,16 +61,7 @@ def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) ->
     Raises:
         UavrlError: where the port cannot be opened.
     """
-    host, port = address(source)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-        try:
-            opened.bind((host, port))
-        except OSError as error:
-            raise UavrlError(
-                f"{source} cannot be listened to ({error.strerror}): another program may have the port, or the address "
-                "is none of this machine's."
-            ) from error
+    with listen(source) as opened:
         opened.settimeout(_TICK)
         begun = heard = time.monotonic()
         while time.monotonic() - heard < silence and (seconds is None or time.monotonic() - begun < seconds):

@@ -23,7 +23,7 @@ CELL_OF = {
     "truncated_icosahedron": "a point p with directions[i] · p > offsets[i] for any cell i belongs to none; any other "
     "belongs to the cell whose centre, offsets[i] * directions[i], is nearest to it",
     "range_image": "in degrees: column = round(atan2(y, x) / width) mod columns; "
-    "row = round(atan2(z, hypot(x, y)) / height + (rows - 1) / 2), cut to 0 … rows - 1; cell = rows * column + row",
+    "row = how many of row_borders are less than atan2(z, hypot(x, y)); cell = rows * column + row",
 }
 LENGTH_OF = {
     "face": "the distance from the point to its cell's centre, offsets[i] * directions[i]",
@@ -143,14 +143,14 @@ def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
 def _cells(reduction: PointCloudReduction) -> dict[str, Any]:
     """What the cells of a reduction are and report, in their order."""
     from uavrl.transforms.icosahedron import TOUCHING, truncated_icosahedron_faces
-    from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, HEIGHT
+    from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, ROW_BORDERS
     from uavrl.transforms.state import REDUCTIONS
 
     name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
     directions, radius, statistic = reduction.directions(), reduction.radius, reduction.statistic
     offsets, grid = [radius] * len(directions), {}
     if name == "range_image":
-        size = {"width": 360 / AZIMUTHS, "height": round(math.degrees(HEIGHT), 9)}
+        size = {"width": 360 / AZIMUTHS, "row_borders": [round(math.degrees(border), 9) for border in ROW_BORDERS]}
         grid = {"columns": AZIMUTHS, "rows": ELEVATIONS, **size}
     else:
         offsets = [round(offset, 9) for offset in truncated_icosahedron_faces(radius).offsets.double().tolist()]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from uavrl.cells import AZIMUTHS, ELEVATIONS, HEIGHT, TOUCHING, range_image_middles
+from uavrl.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, range_image_middles
 from uavrl.transforms.reduction import (
     PointCloudReduction,
     Statistic,
@@ -47,10 +47,12 @@ def range_image_directions(*, dtype: torch.dtype = torch.float32, device: torch.
 
 
 def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "proximity") -> Tensor:
-    """Reduces point clouds to 72 distances, one for each cell of 15 degrees of azimuth and 10 of elevation.
+    """Reduces point clouds to 72 distances, one for each cell of 15 degrees of azimuth and one of three elevations.
 
     A VLP-16 sees 15 degrees up and down. Of the 32 faces of a truncated icosahedron a dozen lie there, each some 40
-    degrees wide; these 72 cells all do. Points above or below belong to the highest and lowest cells.
+    degrees wide; these 72 cells all do. Of its 16 lasers the middle row has the four within ±3 degrees, the
+    others have six each; points above or below belong to the highest and lowest cells. The borders of the rows, at ±4
+    degrees, are a degree from any laser.
 
     Args:
         points: ``[*B, P, 3]``, as in `uavrl.transforms.icosahedron.truncated_icosahedron`.
@@ -76,8 +78,8 @@ def range_image(points: Tensor, radius: float = 4.0, statistic: Statistic = "pro
     x, y, z, cloud = returns_of(points, radius)
     across = (x * x + y * y).sqrt()
     column = (torch.atan2(y, x) * (AZIMUTHS / math.tau)).round().long().remainder(AZIMUTHS)
-    row = (torch.atan2(z, across) / HEIGHT).add_((ELEVATIONS - 1) / 2).round().long().clamp(0, ELEVATIONS - 1)
-    cell = column * ELEVATIONS + row
+    elevation = torch.atan2(z, across)
+    cell = sum(((elevation > border).long() for border in ROW_BORDERS), column * ELEVATIONS)
     if statistic == "face":
         middles = radius * range_image_directions(dtype=points.dtype, device=points.device)
         x, y, z = (at - middle.index_select(0, cell) for at, middle in zip((x, y, z), middles.T, strict=True))

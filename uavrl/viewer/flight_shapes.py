@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from uavrl.cells import AZIMUTHS, ELEVATIONS, HEIGHT, icosahedron, range_image_middles
+from uavrl.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, ROWS, icosahedron, range_image_middles
 from uavrl.envs.mesh import Mesh, loft
 from uavrl.envs.quadrotor import ROTOR_DIRECTIONS, Airframe
 
@@ -90,7 +90,7 @@ def belt(radius: float) -> Shell:
     """Returns the range image's cells on the sphere of a radius in m."""
     azimuth, elevation = np.meshgrid(
         (np.arange(AZIMUTHS) - 0.5) * (2 * np.pi / AZIMUTHS),
-        (np.arange(ELEVATIONS + 1) - ELEVATIONS / 2) * HEIGHT,
+        [-ELEVATIONS / 2 * ROWS, *ROW_BORDERS, ELEVATIONS / 2 * ROWS],
         indexing="ij",
     )
     across = np.cos(elevation)

@@ -1,0 +1,99 @@
+"""From the frames of an autopilot to ours and back; docs/deploy.md has the table.
+
+The world's axes are x east, y north, z up, from the autopilot's local origin. A vehicle's are x forward, y left, z up,
+turned with its yaw and not tilted. MAVLink's are north, east, down and forward, right, down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from uavrl.envs.goal import goal_distance, goal_elevation_deg, goal_heading_deg
+from uavrl.errors import UavrlError
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a vehicle is, in the world's axes."""
+
+    stamp: float  #: when the older of position and attitude arrived, s
+    position: Vector  #: m
+    velocity: Vector  #: m/s
+    yaw: float  #: from east to the left (counter-clockwise seen from above), rad in [-π, π]
+
+
+class Command(NamedTuple):
+    """The fields of SET_POSITION_TARGET_LOCAL_NED that a set-point fills, forward, right, down."""
+
+    vx: float
+    vy: float
+    vz: float
+    yaw_rate: float  #: to the right
+
+
+def swap_world(vector: Sequence[float]) -> Vector:
+    """North, east, down to east, north, up, or back.
+
+    Examples:
+        >>> swap_world((1.0, 2.0, -3.5))
+        (2.0, 1.0, 3.5)
+    """
+    first, second, third = vector
+    return second, first, 0.0 - third
+
+
+def swap_yaw(yaw: float) -> float:
+    """A yaw from north to the right as one from east to the left, or back, in [-π, π].
+
+    Examples:
+        >>> swap_yaw(0.0) == math.pi / 2, swap_yaw(math.pi / 2)
+        (True, 0.0)
+    """
+    return math.remainder(math.pi / 2 - yaw, math.tau) if math.isfinite(yaw) else math.nan
+
+
+def to_command(setpoint: Sequence[float] | np.ndarray) -> Command:
+    """What MAVLink calls a set-point (l_x, l_y, l_z, a_z), or back.
+
+    Raises:
+        UavrlError: for anything but four numbers that are finite in float32.
+
+    Examples:
+        >>> to_command((1.0, 0.5, -0.25, 2.0))
+        Command(vx=1.0, vy=-0.5, vz=0.25, yaw_rate=-2.0)
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        numbers = np.asarray(setpoint, dtype=np.float32)
+    if numbers.shape != (4,) or not np.isfinite(numbers).all():
+        raise UavrlError(f"A set-point is four finite numbers (l_x, l_y, l_z, a_z), got {setpoint!r}: it was not sent.")
+    forward, left, up, to_the_left = numbers.tolist()
+    return Command(forward, 0.0 - left, 0.0 - up, 0.0 - to_the_left)
+
+
+def to_goal(pose: Pose, goal: Sequence[float]) -> dict[str, float]:
+    """What a policy reads of its pose and its goal, under the names that the simulator has for them.
+
+    Args:
+        pose: of the vehicle.
+        goal: x, y, z in the world's axes, m; z is the middle of the goal's height.
+
+    Examples:
+        >>> to_goal(Pose(0.0, (0.0, 0.0, 3.0), (0.0, 0.0, 0.0), yaw=0.0), (0.0, 4.0, 6.0))
+        {'altitude': 3.0, 'heading_deg': 90.0, 'elevation_deg': 36.869..., 'distance': 5.0}
+    """
+    position, there = np.array([pose.position]), np.array([goal], dtype=np.float64)
+    heading = goal_heading_deg(position, np.array([pose.yaw]), there)
+    elevation, distance = goal_elevation_deg(position, there), goal_distance(position, there)
+    return {
+        "altitude": pose.position[2],
+        "heading_deg": float(heading[0]),
+        "elevation_deg": float(elevation[0]),
+        "distance": float(distance[0]),
+    }
