@@ -21,6 +21,7 @@ sys.meta_path.insert(0, Without())
 {run}
 """
 SIMULATOR = ["torch", "torchrl", "tensordict", "pybullet", "embreex", "gymnasium", "sklearn", "wandb"]
+CHECKED = ["contract", "policy", "simulated"]  # pydantic checks a contract; the last one is for the simulator
 
 
 def without(blocked: list[str], run: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -28,11 +29,24 @@ def without(blocked: list[str], run: str, folder: Path) -> subprocess.CompletedP
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, check=False)
 
 
+def test_an_exported_policy_needs_neither_torch_nor_the_simulator(tmp_path: Path) -> None:
+    run = """
+from uavrl.deploy.policy import Policy
+try:
+    Policy("nowhere")
+except ValueError as error:
+    print(error)
+"""
+    done = without([*SIMULATOR, "hydra", "omegaconf", "scipy", "plotly"], run, tmp_path)
+    assert done.stdout.startswith("Expected an exported policy with nowhere/contract.json"), done.stderr
+
+
 def test_the_room_needs_numpy_alone(tmp_path: Path) -> None:
     run = f"""
 import uavrl.deploy
 for module in pkgutil.iter_modules(uavrl.deploy.__path__):
-    importlib.import_module("uavrl.deploy." + module.name)
+    if module.name not in {CHECKED!r}:
+        importlib.import_module("uavrl.deploy." + module.name)
 from uavrl.deploy.sources import ScanSource
 print(len(list(ScanSource({str(RECORDED)!r}, "VLP16"))))
 print(sorted(set(sys.modules) & {{"hydra", "pydantic", "torch", "scipy", "rosbags", "velodyne_decoder"}}))
