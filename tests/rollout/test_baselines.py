@@ -91,6 +91,21 @@ def test_it_returns_to_the_flight_level_where_nothing_is(seen: tuple[Reduction, 
     assert abs(at.item() - 3.5) < 1.0
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_it_passes_an_obstacle_on_the_side_that_it_has_chosen(side: float) -> None:
+    """The goal lies a degree to the other side; after a reset, and where it is not told, that decides."""
+    ahead = 2.5 * (REDUCTIONS["range_image"].directions()[:, 0] > 0.9).float()[None]
+    state = {"faces": ahead, "heading_deg": torch.full((1, 1), -side), "altitude": torch.full((1, 1), 3.5)}
+
+    def left(last: list[float], **told: bool) -> float:
+        seen = TensorDict({**state, "observation": torch.tensor([[9.0, *last, 0.0]])}, [1])
+        return VectorFieldHistogram(reduction="range_image", **told)(seen)["action"][0, 1].item()  # type: ignore[arg-type]
+
+    assert left([0.5, 0.5 * side, 0.0], last_action=True) * side > 0.5
+    assert left([0.0, 0.0, 0.0], last_action=True) * side < -0.5
+    assert left([0.5, 0.5 * side, 0.0]) * side < -0.5
+
+
 @pytest.mark.parametrize("seen", COSTS)
 def test_policy_vfh_has_the_costs_of_what_it_sees(seen: tuple[Reduction, str]) -> None:
     reduction, statistic = seen

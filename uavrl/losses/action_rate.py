@@ -57,7 +57,7 @@ class ActionRate(Enhancer):
     default_keys = _AcceptedKeys
 
     def __init__(
-        self, base: ActorCriticLoss, *, actions: Count, limit: Positive = 1.0, weight: NonNegative = 0.5
+        self, base: ActorCriticLoss, *, actions: Count, limit: Positive = 1.0, weight: NonNegative = 0.2
     ) -> None:
         super().__init__(base)
         self.actions, self.limit, self.weight = actions, limit, weight

@@ -14,6 +14,7 @@ from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
 TURN_LIMIT = 1.0  # rad/s; at 2 rad/s a command that is 0.2 s late points 23 degrees elsewhere
+STANDING = 0.1  # share of the largest velocity below which a vehicle flies in no direction
 BEHIND = 60.0  # degrees to either side of straight behind; with 30 the yaw still reversed, in 16 of 200 starts
 BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one are blended with it
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
@@ -57,6 +58,7 @@ class VFHWeights:
     width: float  #: how near a cell must be to a direction to count (the power of the cosine between them)
     nearness: float  #: power of what a cell tells over the radius; the greater, the less far things count
     caution: float  #: share of the speed that is left out where the way is full, in [0, 1]
+    change: float = 0.0  #: cost of a direction away from that of the last action, where that is known
 
 
 # Chosen in valleys 200 to 209: the first by studies/tune_vfh.py, but for its level, 0.121 there, with which climbing
@@ -70,16 +72,17 @@ COSTS: dict[tuple[Reduction, Statistic], VFHWeights] = {
         obstacle=3.0, goal=1.0, level=0.3, turn=0.2, width=6.0, nearness=2.0, caution=0.7
     ),
     ("range_image", "proximity"): VFHWeights(
-        obstacle=1.0, goal=1.0, level=0.3, turn=0.2, width=6.0, nearness=2.0, caution=0.9
+        obstacle=1.0, goal=1.0, level=0.3, turn=0.2, width=6.0, nearness=2.0, caution=0.9, change=0.15
     ),
 }
 
 
 class VectorFieldHistogram:
-    """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there; has no memory.
+    """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
-    instead of a grid.
+    instead of a grid; Ulrich and Borenstein (1998), VFH+, for the cost of changing direction. Its only memory is the
+    last action, where the observation holds that.
 
     Args:
         flight_level: altitude to hold where nothing is in the way, within 1 m, m.
@@ -87,6 +90,7 @@ class VectorFieldHistogram:
         reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
         statistic: what a cell tells, likewise; None for the reduction's default.
         costs: None for those that were chosen for this reduction and statistic; there are none for some.
+        last_action: whether the observation ends with the last action, likewise.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -98,8 +102,6 @@ class VectorFieldHistogram:
         [[2.0, 0.0, 0.0, 0.0]]
     """
 
-    in_keys = ("faces", "altitude", "heading_deg")
-
     def __init__(
         self,
         flight_level: float = 3.5,
@@ -107,6 +109,7 @@ class VectorFieldHistogram:
         reduction: Reduction = "truncated_icosahedron",
         statistic: Statistic | None = None,
         costs: VFHWeights | None = None,
+        last_action: bool = False,
     ) -> None:
         statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and (reduction, statistic) not in COSTS:
@@ -115,7 +118,8 @@ class VectorFieldHistogram:
                 f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
                 "perception.statistic so, or give a guide its guide.costs."
             )
-        self.flight_level, self.radius = flight_level, radius
+        self.in_keys = ("faces", "altitude", "heading_deg", *(["observation"] if last_action else []))
+        self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
         self.costs = COSTS[reduction, statistic] if costs is None else costs
         self.directions = grid_directions(24, (-0.5, 0.0, 0.5))
         self._near = self.directions @ self.directions.T  # [D, D], cosines between them
@@ -123,7 +127,7 @@ class VectorFieldHistogram:
         self._seen_in = cosines.clamp_min(0) ** self.costs.width  # [D, cells]: how much of each counts in a direction
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``."""
+        """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
         cost, speed = self.score_directions(tensordict)
         return tensordict.set("action", self.to_action(cost, speed, tensordict["heading_deg"]))
 
@@ -139,6 +143,10 @@ class VectorFieldHistogram:
             + costs.level * off_level
             + costs.turn * (1 - x)
         )
+        if self.last_action:
+            last = tensordict["observation"][..., -4:-1]  # forward, left, up, as a share of the largest
+            size = last.norm(dim=-1, keepdim=True)
+            cost += costs.change * (size > STANDING) * (1 - (last / size.clamp_min(STANDING)) @ self.directions.T)
         return cost, ACTION_LIMIT * (1 - costs.caution * in_the_way.clamp(0, 1))
 
     def to_action(self, cost: Tensor, speed: Tensor, heading_deg: Tensor) -> Tensor:
