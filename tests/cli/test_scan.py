@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.helpers.captures import KINDS
 from tests.helpers.commands import in_process
 from tests.helpers.flights import unpack
 from tests.helpers.packets import RECORDED
@@ -18,7 +19,7 @@ from uavrl.cells import Statistic
 from uavrl.cli import scan
 from uavrl.deploy.reduction import REDUCTIONS, STATISTICS, Reduction
 from uavrl.deploy.scans import Scan
-from uavrl.deploy.sources import ScanSource
+from uavrl.deploy.sources import ScanSource, read_bare
 from uavrl.deploy.summary import SECTORS, ScanSummary
 from uavrl.viewer.assembly import filled
 from uavrl.viewer.scan_page import scan_page_data
@@ -52,7 +53,7 @@ def test_points_on_the_vehicle_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["model=VLP16"], "Missing mandatory value: source"),
+        (["model=VLP16"], "source must be a file, a rosbag's folder or udp://:PORT, got None"),
         (["source=none.bin", "model=VLP16"], "There is no none.bin: give source=FILE or source=udp://:2368"),
         ([f"source={RECORDED}"], "model must be one of VLP16"),
         ([f"source={RECORDED}", "model=VLP32C"], "a VLP32C has 40: name the model that sent them"),
@@ -72,6 +73,42 @@ def test_mistakes_are_one_sentence(
     monkeypatch.chdir(tmp_path)
     assert said in refused(scan.main, *arguments)
     assert not (tmp_path / "scan.html").exists()
+
+
+@pytest.mark.parametrize("key", ["json", "output"])
+@pytest.mark.parametrize("kind", ["bin", "rosbag2"])
+def test_a_recording_is_never_replaced(kind: str, key: str, refused: Callable[..., str], tmp_path: Path) -> None:
+    path = KINDS[kind](tmp_path)
+    inside = path if path.is_file() else path / "metadata.yaml"
+    (tmp_path / "link").symlink_to(inside)
+    before = inside.read_bytes()
+    other = "json" if key == "output" else "output"
+    for written in (inside, tmp_path / "link"):
+        said = refused(scan.main, f"source={path}", "model=VLP16", f"{other}=null", f"{key}={written}")
+        assert f"{key} must be another file than the source, which it would replace, got" in said
+    assert inside.read_bytes() == before
+
+
+def test_ctrl_c_while_listening_loses_nothing_that_came(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(count: int) -> Callable[..., Iterator[tuple[float, bytes]]]:
+        def read(*_: object) -> Iterator[tuple[float, bytes]]:
+            yield from list(read_bare(RECORDED))[:count]
+            raise KeyboardInterrupt
+
+        return read
+
+    facts = tmp_path / "facts.json"
+    arguments = ("source=udp://:2368", "model=VLP16", "output=null", f"json={facts}")
+    monkeypatch.setattr("uavrl.deploy.sources.read_udp", interrupted(100))
+    assert in_process(scan.main, *arguments) == 130
+    assert json.loads(facts.read_text())["scans"] == 1
+    assert capsys.readouterr().err == "uavrl: stopped: the numbers are those of the scans that came until then.\n"
+    facts.unlink()
+    monkeypatch.setattr("uavrl.deploy.sources.read_udp", interrupted(10))
+    assert in_process(scan.main, *arguments) == 130
+    assert capsys.readouterr().err == "uavrl: stopped.\n" and not facts.exists()
 
 
 def test_what_was_left_out_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,7 +21,7 @@ from uavrl.deploy.reduction import STATISTICS, Reduction
 from uavrl.deploy.scans import Scan
 from uavrl.deploy.sources import ScanSource, without_vehicle
 from uavrl.deploy.summary import ScanSummary
-from uavrl.errors import UavrlError
+from uavrl.errors import Stopped, UavrlError
 from uavrl.ranges import Folder, Positive, Text
 from uavrl.runs.files import replacing, writable
 
@@ -32,7 +32,7 @@ LIVE = 1.0  # s between two lines while a sensor is listened to
 class ScanConfig:
     """conf/scan.yaml: one look."""
 
-    source: Folder
+    source: Folder | None = None
     model: Text | None = None
     topic: Text | None = None
     product: Annotated[int, Field(ge=0, le=255)] | None = None
@@ -45,7 +45,8 @@ class ScanConfig:
     json: Folder | None = None
 
     def __post_init__(self) -> None:
-        """Checks the box, and that page and numbers are two files."""
+        """Checks that there is a source, the box, and that page and numbers are two files."""
+        require(self.source is not None, "source", "a file, a rosbag's folder or udp://:PORT", self.source)
         low, high = self.box
         whole = self.vehicle is None or (len(self.vehicle) == 6 and bool((low < high).all()))
         require(whole, "vehicle", "six numbers: the box's least corner, then its greatest", self.vehicle)
@@ -64,22 +65,37 @@ def main(config: DictConfig) -> None:
     """Reads a source to its end, or listens for some seconds; prints the numbers, writes page and JSON."""
     settings = validate(config, ScanConfig)
     source = ScanSource(
-        settings.source, settings.model, topic=settings.topic, product=settings.product, seconds=settings.seconds
+        str(settings.source), settings.model, topic=settings.topic, product=settings.product, seconds=settings.seconds
     )
-    paths = {key: getattr(settings, key) for key in ("output", "json") if getattr(settings, key) is not None}
-    files = {key: writable(Path(path), f"{key}=FILE") for key, path in paths.items()}
-    summary = ScanSummary()
-    for scan in _shown(source, settings):
-        summary.add(scan)
+    paths = {key: Path(getattr(settings, key)) for key in ("output", "json") if getattr(settings, key) is not None}
+    for key, path in paths.items():
+        kept = source.kind == "udp" or Path(source.source).resolve() not in (path.resolve(), *path.resolve().parents)
+        require(kept, key, "another file than the source, which it would replace", str(path))
+    files = {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
+    summary, stopped = ScanSummary(), False
+    try:
+        for scan in _shown(source, settings):
+            summary.add(scan)
+    except KeyboardInterrupt:
+        if source.kind != "udp" or not summary.scans:
+            raise
+        stopped = True  # listening has ended early: what came is written all the same
     _print(summary, source)
+    _write(summary, source, settings, files)
+    if stopped:
+        raise Stopped("stopped: the numbers are those of the scans that came until then.")
+
+
+def _write(summary: ScanSummary, source: ScanSource, settings: ScanConfig, files: dict[str, Path]) -> None:
+    """Writes what was asked for, and says where it is."""
     if "json" in files:
         facts = {**summary.facts(), "nearest_by_direction": summary.sectors(), "skipped": asdict(source.skipped)}
         with replacing(files["json"]) as partial:
             partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
-    if "output" in files and not _draw(summary, settings, files["output"]):
-        del files["output"]
-    for path in files.values():
-        print(f"Written to {path}")
+    drawn = "output" in files and _draw(summary, settings, files["output"])
+    for key, path in files.items():
+        if key != "output" or drawn:
+            print(f"Written to {path}")
 
 
 def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
@@ -127,7 +143,7 @@ def _draw(summary: ScanSummary, settings: ScanConfig, output: Path) -> bool:
         from uavrl.viewer.scan_page import write_scan_page
 
         statistic = settings.statistic or STATISTICS[settings.reduction]
-        write_scan_page(summary, settings.source, settings.reduction, statistic, settings.radius, output)
+        write_scan_page(summary, str(settings.source), settings.reduction, statistic, settings.radius, output)
     except (ImportError, UavrlError) as error:
         missing = f"it needs {error.name}" if isinstance(error, ImportError) else str(error)
         print(f"uavrl: No page was drawn: {missing} (output=null asks for none).", file=sys.stderr)
