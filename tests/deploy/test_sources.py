@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import struct
+import sys
 import threading
 import time
 from pathlib import Path
@@ -18,7 +19,7 @@ from uavrl.deploy import bags, sources
 from uavrl.deploy.pcap import read_pcap, udp_content
 from uavrl.deploy.reduction import is_return
 from uavrl.deploy.sources import ScanSource, without_vehicle
-from uavrl.deploy.udp import address
+from uavrl.deploy.udp import address, read_udp
 from uavrl.errors import UavrlError
 
 POINTS = np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [0.0, 0.0, 0.0], [-4.0, 5.5, 6.0]], np.float32)
@@ -130,8 +131,24 @@ def test_a_sensor_is_heard_by_udp() -> None:
     finally:
         done.set()
         sending.join()
-    assert len(scan.points) > 60 * 384 and abs(scan.stamp - time.time()) < 5
+    assert len(scan.points) > 60 * 384 and 0 <= time.monotonic() - scan.stamp < 5
     assert source.skipped.position > 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system does not say when a packet arrived")
+def test_a_packet_that_waited_for_us_is_as_old_as_it_is() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+        sensor.bind(("127.0.0.1", 0))
+        port = sensor.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+        threading.Timer(0.05, lambda: [sensor.sendto(b"%d" % n, ("127.0.0.1", port)) for n in range(3)]).start()
+        packets = read_udp(f"udp://127.0.0.1:{port}", seconds=10.0)
+        first, content = next(packets)
+        assert content == b"0" and 0 <= time.monotonic() - first < 5
+        time.sleep(0.2)  # the policy takes its time
+        now = time.monotonic()
+        second, content = next(packets)
+    assert content == b"1" and now - second > 0.15
 
 
 def test_silence_and_bad_addresses_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import socket
+import struct
+import sys
 import time
 from collections.abc import Iterator
 
@@ -14,6 +16,8 @@ _ADDRESS = re.compile(r"udp://(?P<host>[^:/]*)(?::(?P<port>\d{1,5}))?/?")
 _BUFFER = 2**21  # bytes that the system keeps for us: some turns, in case we are late
 _LONGEST = 2048  # bytes of a packet that are read; no sensor sends as many
 _TICK = 0.05  # s between two looks at the clock while nothing arrives
+_ARRIVAL = 35 if sys.platform == "linux" else None  # SO_TIMESTAMPNS: the system says when a packet arrived
+_TIMESPEC = "qq"  # seconds and nanoseconds of the system's clock
 
 
 def address(source: str, port: int = PORT) -> tuple[str, int]:
@@ -51,7 +55,10 @@ def listen(source: str, port: int = PORT) -> socket.socket:
 
 
 def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes]]:
-    """The time of arrival in seconds and the content of each packet that is sent to this machine.
+    """The time of arrival and the content of each packet that is sent to this machine.
+
+    Times are in seconds of ``time.monotonic``, as the safety layer's are. On Linux a packet that waited because we were
+    busy has the time at which it arrived, elsewhere that at which it was read.
 
     Args:
         source: ``udp://:2368`` listens on all of this machine's addresses; ``udp://HOST:2368`` on one of them.
@@ -63,11 +70,22 @@ def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) ->
     """
     with listen(source) as opened:
         opened.settimeout(_TICK)
+        if _ARRIVAL is not None:
+            opened.setsockopt(socket.SOL_SOCKET, _ARRIVAL, 1)
         begun = heard = time.monotonic()
         while time.monotonic() - heard < silence and (seconds is None or time.monotonic() - begun < seconds):
             try:
-                packet = opened.recv(_LONGEST)
+                packet, said, _, _ = opened.recvmsg(_LONGEST, socket.CMSG_SPACE(struct.calcsize(_TIMESPEC)))
             except TimeoutError:
                 continue
             heard = time.monotonic()
-            yield time.time(), packet
+            yield heard - _waited(said), packet
+
+
+def _waited(said: list[tuple[int, int, bytes]]) -> float:
+    """How long ago a packet arrived, in s; 0 where the system does not say."""
+    for _, kind, content in said:
+        if kind == _ARRIVAL and len(content) == struct.calcsize(_TIMESPEC):
+            seconds, nanoseconds = struct.unpack(_TIMESPEC, content)
+            return float(max(time.time() - seconds - 1e-9 * nanoseconds, 0.0))
+    return 0.0
