@@ -130,6 +130,15 @@ def test_a_loop_that_hangs_is_named(flying: Flight) -> None:
     assert flying.step(now=START).reason is Reason.CLOCK
 
 
+@pytest.mark.parametrize("now", [math.nan, None, START - 3600.0])
+def test_a_clock_that_does_not_run_is_followed_by_silence(flying: Flight, now: Any) -> None:
+    statuses = flying.steps(8, now=now)
+    assert [status.setpoint for status in statuses] == [ZEROS] * 5 + [None] * 3
+    assert names(statuses) == [("holding", "clock"), ("silent", "clock")]
+    assert flying.step().reason is Reason.LATE_CYCLE
+    assert flying.steps(13)[-1].state is State.FLYING
+
+
 def test_after_a_short_fault_the_policy_flies_when_all_rules_have_held_for_a_while(flying: Flight) -> None:
     statuses = [*flying.steps(2, scan_age=0.3), *flying.steps(5)]
     assert names(statuses) == [("holding", "old_scan"), ("holding", "settling"), ("flying", "in_control")]
@@ -247,7 +256,7 @@ def stamp(now: float, age: Any) -> Any:
 @given(runs=st.lists(st.one_of(cycles, sane), max_size=4))
 def test_whatever_comes_in_what_goes_out_is_finite_and_within_limits(runs: list[list[tuple[Any, ...]]]) -> None:
     layer, now, zeros_since, before = SafetyLayer(BOX), START, None, None
-    latest = START
+    latest, clockless = START, 0
     most = np.array([2.0, 2.0, 2.0, 2.0])
     for passed, action, scan_age, pose_age, position, yaw, in_control in [cycle for run in runs for cycle in run]:
         now = latest + passed
@@ -255,6 +264,7 @@ def test_whatever_comes_in_what_goes_out_is_finite_and_within_limits(runs: list[
         status = layer.step(at)
         elapsed = max(now - latest, 0.0) if math.isfinite(now) else 0.0
         latest = max(latest, now) if math.isfinite(now) else latest
+        clockless = clockless + 1 if status.reason is Reason.CLOCK else 0
         assert math.isfinite(status.time)
         assert status.sentence
         assert isinstance(status.reason, Reason)
@@ -262,7 +272,7 @@ def test_whatever_comes_in_what_goes_out_is_finite_and_within_limits(runs: list[
             assert status.state is State.SILENT
             if before is not None and before.setpoint is not None:  # silence begins
                 assert zeros_since is not None
-                assert status.time - zeros_since >= 0.5 - 1e-5
+                assert status.time - zeros_since + 0.1 * max(clockless - 1, 0) >= 0.5 - 1e-5
         else:
             assert np.isfinite(status.setpoint).all()
             assert (np.abs(status.setpoint) <= most).all()

@@ -22,6 +22,7 @@ SetPoint = tuple[float, float, float, float]
 ZEROS: SetPoint = (0.0, 0.0, 0.0, 0.0)
 _ROUNDING = 1e-6  # s: an age that is at its limit in decimals is within it
 _AHEAD = 0.05  # s that a stamp may lie ahead of the cycle's time
+_CYCLE = 0.1  # s that a cycle takes, at the policies' rate, where the clock does not say
 
 
 class State(StrEnum):
@@ -118,10 +119,12 @@ class SafetyLayer:
         self._now: float | None = None
         self._sane_since: float | None = None  # when all rules began to hold
         self._sent = np.zeros(4)
+        self._clockless = 0  # cycles in a row in which the clock did not run
 
     def step(self, cycle: Cycle) -> SafetyStatus:
         """One cycle: what may be sent, and why."""
         fault, elapsed = self._advance(cycle.now)
+        self._clockless = self._clockless + 1 if fault and fault[0] is Reason.CLOCK else 0
         now = self._now or 0.0
         ages = _age(now, cycle.scan_stamp), _age(now, cycle.pose_stamp)
         action, place = _numbers(cycle.action, 4), _numbers(cycle.position, 3)
@@ -149,7 +152,8 @@ class SafetyLayer:
         if fault:
             if self._state is State.SILENT:
                 return State.SILENT, fault
-            if self._state is State.HOLDING and now - self._since >= limits.hold - _ROUNDING:
+            held = now - self._since + _CYCLE * max(self._clockless - 1, 0)
+            if self._state is State.HOLDING and held >= limits.hold - _ROUNDING:
                 return State.SILENT, (fault[0], f"{fault[1]}, and zeros were sent for {limits.hold:g} s")
             return State.HOLDING, fault
         assert self._sane_since is not None
