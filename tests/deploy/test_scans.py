@@ -177,3 +177,20 @@ def test_random_bytes_change_nothing_and_take_no_memory() -> None:
         assert tracemalloc.get_traced_memory()[0] - before < 6_000_000  # an open turn holds 4,096 packets at most
     finally:
         tracemalloc.stop()
+
+
+def test_half_a_turn_is_no_scan_and_a_small_gap_is_one() -> None:
+    """What no packet tells of would look free to a policy."""
+    packets = turns(6)
+    for end, whole in ((105, 6), (138, 5), (214, 4)):
+        found, assembler = pushed(packets[:100] + packets[end:])
+        assert len(found) == whole and assembler.skipped.lost == end - 100
+        assert assembler.skipped.incomplete == (end > 105)
+    ahead = [packet for packet in packets if int.from_bytes(packet[2:4], "little") < 18_000]  # a setting of the sensor
+    found, assembler = pushed(ahead)
+    assert found == [] and "5 turns with a gap" in assembler.trouble()
+
+
+def test_packets_that_come_twice_count_once() -> None:
+    found, _ = pushed([packet for each in turns(2) for packet in (each, each)])
+    assert [scan.rays for scan in found] == [76 * 384] * 2

@@ -27,6 +27,7 @@ from uavrl.deploy.packets import (
 from uavrl.errors import UavrlError
 
 LONGEST_TURN = 300_000  # microseconds: the slowest sensor takes 200,000
+WIDEST_GAP = 3_000  # hundredths of a degree, two columns of the range image: a policy takes what is not seen for free
 MOST_PACKETS = 4096  # of a scan, whatever the clock in the packets says
 
 
@@ -105,8 +106,8 @@ class ScanAssembler:
     """Joins packets, one at a time, to scans of a full turn each.
 
     A scan ends with the packet that closes the turn, wherever it began. What is no data packet of the model is counted
-    and left out, as is a turn that takes longer than 0.3 s. A packet that comes late still belongs to its scan if that
-    has not ended.
+    and left out, as is a turn that takes longer than 0.3 s or has a gap of more than 30 degrees. A packet that comes
+    late still belongs to its scan if that has not ended; one that comes twice counts once.
 
     Args:
         model: of the sensor; one of `uavrl.deploy.packets.PRODUCTS`.
@@ -209,11 +210,17 @@ class ScanAssembler:
         self.skipped.incomplete += bool(self._packets)
         self._packets.clear()
 
-    def _close(self, stamp: float) -> Scan:
+    def _close(self, stamp: float) -> Scan | None:
         expected = bytes([PRODUCTS[self.model]])
-        packets = [packet[:-1] + expected for _, packet in sorted(self._packets, key=lambda each: each[0])]
+        ordered = dict.fromkeys(sorted(self._packets, key=lambda each: each[0]))  # a packet that came twice counts once
+        packets = [packet[:-1] + expected for _, packet in ordered]
         self._packets.clear()
-        hit = np.frombuffer(b"".join(packets), PACKET)["blocks"]["returns"]["distance"] > 0
+        blocks = np.frombuffer(b"".join(packets), PACKET)["blocks"]
+        azimuth = blocks["azimuth"].astype(np.int64)
+        if ((azimuth[1:, 0] - azimuth[:-1, -1]) % FULL_TURN > WIDEST_GAP).any():
+            self.skipped.incomplete += 1
+            return None
+        hit = blocks["returns"]["distance"] > 0
         if packets[0][-2] == DUAL:  # two blocks tell of the same rays
             hit = hit[:, ::2] | hit[:, 1::2]
         return Scan(stamp, self._decode(packets), hit.size, hit.size - int(hit.sum()))
