@@ -100,7 +100,7 @@ def _acted(content: bytes, states: Tensor) -> np.ndarray:
     from onnx.reference import ReferenceEvaluator
 
     (actions,) = ReferenceEvaluator(onnx.load_from_string(content)).run([OUTPUT], {INPUT: states.numpy()})
-    return actions
+    return np.asarray(actions)
 
 
 @contextmanager
