@@ -21,8 +21,8 @@ import torch
 
 from tests.helpers.recorded import record_actions
 from uavrl.cli.errors import one_sentence
+from uavrl.deploy.export import export_policy
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import export_policy
 from uavrl.rollout.policies import PACKAGED
 from uavrl.rollout.summary import scenarios
 from uavrl.runs.provenance import commit

@@ -55,6 +55,14 @@ def test_the_list_names_each_study_and_a_commit() -> None:
     assert {*listed, "passes", "run_statistics"} == {path.stem for path in STUDIES.glob("*.py")}
 
 
+def test_variants_of_the_controller_are_flown_in_both_worlds(said: Said, tmp_path: Path) -> None:
+    told = said("turning", "--tasks", 1, "--valleys", 1, "--only", 0, 4, "--json", tmp_path / "turning.json")
+    found = json.loads((tmp_path / "turning.json").read_text())
+    assert len(told.splitlines()) == 2 + 4 and len(found) == 2
+    fast, today = ([world["action_change"][3] for world in worlds.values()] for worlds in found.values())
+    assert fast > today  # the constants of the first are those of before
+
+
 # ---------------------------------------------------------------------- statistics of runs
 
 

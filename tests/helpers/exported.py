@@ -12,8 +12,8 @@ import torch
 from omegaconf import OmegaConf
 
 from uavrl.config import compose, resolve, validate
-from uavrl.rollout.actor import export_policy, make_actor, saved_sizes
-from uavrl.rollout.contract import as_text
+from uavrl.deploy.export import as_text, export_policy
+from uavrl.rollout.actor import make_actor, saved_sizes
 from uavrl.runs.weights import POLICY
 
 

@@ -16,8 +16,8 @@ from torch.testing import assert_close
 from tests.helpers.recorded import HOME, SCANS, as_evaluated, evaluation, recorded, states, suite
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.values import to_plain
+from uavrl.deploy.export import contract
 from uavrl.rollout.actor import load_policy
-from uavrl.rollout.contract import contract
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import fly

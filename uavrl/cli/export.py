@@ -37,7 +37,7 @@ def main(config: DictConfig) -> None:
     if folder is None:
         raise unknown_policy(str(settings.policy), packaged_policies(), "to export your own give run=RUN_FOLDER.")
     # Imported here: --help and a mistyped key answer without loading torch.
-    from uavrl.rollout.actor import export_policy
+    from uavrl.deploy.export import export_policy
 
     about = export_policy(folder, settings.checkpoint, output, settings.packages)
     steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"

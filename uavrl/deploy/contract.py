@@ -1,6 +1,6 @@
 """``contract.json`` as it is read: one that is incomplete, contradicts itself or means other cells is refused.
 
-`uavrl.rollout.contract` writes it.
+`uavrl.deploy.export` writes it.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from uavrl.cells import LARGEST_RADIUS, NEAREST_RETURN, TOUCHING, Statistic, ret
 from uavrl.deploy.observation import Angles
 from uavrl.deploy.reduction import Reduction, directions
 from uavrl.errors import UavrlError
-from uavrl.rollout.contract import ACTION, ANGLES, FORMAT, VERSION
 from uavrl.runs.names import CONTRACT
 
+FORMAT, VERSION = "uavrl.contract", 1
 LARGEST = 2**20  # bytes of the file; ours have ten thousand
 REMEDY = "export the policy again with uavrl-export"
 
@@ -26,6 +26,13 @@ Four = tuple[float, float, float, float]
 Scale = tuple[float, float | None, float, float]  # shift, modulo, divisor, offset
 Size = Annotated[int, Field(ge=1, le=10_000)]
 Quantity = Literal["cells", "altitude", "heading", "elevation", "last_action"]
+# shift, modulo, divisor, offset of an angle in degrees
+ANGLES: dict[str, Scale] = {
+    "folded": (180.0, 360.0, 180.0, -1.0),
+    "turns": (0.0, None, 360.0, 0.0),
+    "raw": (0.0, None, 1.0, 0.0),
+}
+ACTION = {"l_x": "m/s, forward", "l_y": "m/s, left", "l_z": "m/s, up", "a_z": "rad/s, counter-clockwise from above"}
 
 
 class _Part(BaseModel):

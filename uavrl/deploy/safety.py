@@ -179,18 +179,17 @@ class SafetyLayer:
 
     def _stale(self, scan_age: float | None, pose_age: float | None) -> _Why | None:
         """What is wrong with the ages."""
-        if scan_age is None:
-            return Reason.NO_SCAN, "there is no scan"
-        if scan_age > self.limits.scan_age + _ROUNDING:
-            return Reason.OLD_SCAN, f"the scan is {scan_age:.2f} s old"
-        if scan_age < -_AHEAD:
-            return Reason.SCAN_AHEAD, f"the scan is {-scan_age:.2f} s ahead of the clock"
-        if pose_age is None:
-            return Reason.NO_POSE, "the autopilot has sent no position and attitude"
-        if pose_age > self.limits.pose_age + _ROUNDING:
-            return Reason.OLD_POSE, f"the pose is {pose_age:.2f} s old"
-        if pose_age < -_AHEAD:
-            return Reason.POSE_AHEAD, f"the pose is {-pose_age:.2f} s ahead of the clock"
+        no_scan, no_pose = "there is no scan", "the autopilot has sent no position and attitude"
+        for what, age, most, none, missing, old, ahead in (
+            ("scan", scan_age, self.limits.scan_age, Reason.NO_SCAN, no_scan, Reason.OLD_SCAN, Reason.SCAN_AHEAD),
+            ("pose", pose_age, self.limits.pose_age, Reason.NO_POSE, no_pose, Reason.OLD_POSE, Reason.POSE_AHEAD),
+        ):
+            if age is None:
+                return none, missing
+            if age > most + _ROUNDING:
+                return old, f"the {what} is {age:.2f} s old"
+            if age < -_AHEAD:
+                return ahead, f"the {what} is {-age:.2f} s ahead of the clock"
         return None
 
     def _misplaced(self, place: np.ndarray | None, yaw: np.ndarray | None) -> _Why | None:

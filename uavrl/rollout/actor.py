@@ -1,13 +1,11 @@
-"""The policy of a configuration: made new, loaded from a run or a folder of its own, or written to be given away."""
+"""The policy of a configuration: made new, or loaded from a run or a folder of its own."""
 
-import hashlib
-import logging
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
@@ -18,16 +16,13 @@ from uavrl.config.build import build, find_class
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
-from uavrl.rollout.contract import as_text, contract
 from uavrl.rollout.environment import NetworkSizes, make_env, network_sizes
 from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
-from uavrl.runs.files import replacing, writable
-from uavrl.runs.names import CONFIG, CONTRACT, NETWORK
+from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import recorded_versions
 from uavrl.runs.weights import POLICY
 
-log = logging.getLogger(__name__)
 POLICY_INFO = ("checkpoint", "training_steps", "training_episodes", "commit")  # about a policy, beside a result
 
 
@@ -113,46 +108,6 @@ def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
     if not path.is_file():
         raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
     return path
-
-
-def export_policy(
-    folder: Path, checkpoint: str | None, output: Path, packages: Iterable[str] = (), *, network: bool = True
-) -> dict[str, Any]:
-    """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
-
-    With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. The policy is
-    that of :func:`load_actor`; what ``policy.json`` says of it is returned.
-    """
-    config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
-    about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
-    if POLICY.is_in(output) or (output / CONFIG).exists():
-        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with output=FOLDER.")
-    writable(output / POLICY.json, "output=FOLDER")
-    config.run_dir = Path(str(config.run_dir)).name
-    with replacing(output / CONFIG) as partial:
-        partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
-    saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
-    terms = contract(validate_run(config), saved["weights_sha256"])
-    if terms is not None:
-        terms |= _write_network(output, actor, terms) if network else {}
-        with replacing(output / CONTRACT) as partial:
-            partial.write_text(as_text(terms), encoding="utf-8")
-    return saved
-
-
-def _write_network(output: Path, actor: TensorDictModuleBase, terms: dict[str, Any]) -> dict[str, Any]:
-    """Writes ``policy.onnx``, and returns what the contract says about it."""
-    from uavrl.rollout.onnx_export import INPUT, OPSET, OUTPUT, policy_onnx
-
-    try:
-        content = policy_onnx(actor, terms)
-    except UavrlError as error:
-        log.warning("%s", error)
-        return {}
-    with replacing(output / NETWORK) as partial:
-        partial.write_bytes(content)
-    digest = hashlib.sha256(content).hexdigest()
-    return {"network": {"file": NETWORK, "sha256": digest, "opset": OPSET, "input": INPUT, "output": OUTPUT}}
 
 
 def saved_sizes(settings: TrainConfig) -> NetworkSizes:

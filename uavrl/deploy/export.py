@@ -1,23 +1,41 @@
-"""``contract.json``: all that another program must know to give a policy its inputs and to obey its actions.
+"""A policy to be given away: its weights and configuration, its network as ONNX, and ``contract.json``.
 
-Nothing in it is written for one policy: it is read off the transforms that a run's configuration makes. Torch is
-imported only to derive one.
+The contract is all that another program must know to give a policy its inputs and to obey its actions. Nothing in it is
+written for one policy: it is read off the transforms that a run's configuration makes.
 """
 
-from __future__ import annotations
-
+import hashlib
 import json
+import logging
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
+from omegaconf import OmegaConf
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import CatFrames, EnvBase, Transform
+
+from uavrl.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, return_bounds
+from uavrl.config import TrainConfig, validate_run
+from uavrl.config.build import TARGET, build, find_class
+from uavrl.deploy.contract import ACTION, ANGLES, FORMAT, VERSION
+from uavrl.deploy.onnx_export import INPUT, OPSET, OUTPUT, policy_onnx
+from uavrl.envs import Airframe, NavigationEnv
+from uavrl.envs.simulation import CONTROL_RATE
+from uavrl.errors import UavrlError
+from uavrl.rollout.actor import POLICY_INFO, load_actor
+from uavrl.rollout.environment import inner_transforms
+from uavrl.runs.files import replacing, writable
+from uavrl.runs.names import CONFIG, CONTRACT, NETWORK
 from uavrl.runs.provenance import versions
+from uavrl.runs.weights import POLICY
+from uavrl.transforms import LastAction, NavigationObservation, NavigationState, PointCloudReduction
+from uavrl.transforms.icosahedron import truncated_icosahedron_faces
+from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
 
-if TYPE_CHECKING:
-    from uavrl.config import TrainConfig
-    from uavrl.transforms import PointCloudReduction
-
-FORMAT, VERSION = "uavrl.contract", 1
+log = logging.getLogger(__name__)
 
 CELL_OF = {
     "truncated_icosahedron": "a point p with directions[i] · p > offsets[i] for any cell i belongs to none; any other "
@@ -30,12 +48,6 @@ LENGTH_OF = {
     "range": "the distance from the sensor to the point",
     "proximity": "the distance from the sensor to the point",
 }
-# shift, modulo, divisor, offset of an angle in degrees
-ANGLES: dict[str, tuple[float, float | None, float, float]] = {
-    "folded": (180.0, 360.0, 180.0, -1.0),
-    "turns": (0.0, None, 360.0, 0.0),
-    "raw": (0.0, None, 1.0, 0.0),
-}
 POSE = {
     "axes": "world: z up; x, y, z are those of the middle of the airframe, yaw is its head's, counter-clockwise from x",
     "altitude": "m: z, above the mean level of the ground",
@@ -44,7 +56,44 @@ POSE = {
     "goal": "the middle of the goal's cylinder, half-way from the ground to the ceiling",
     "last_action": "the action before, as the policy gave it; zeros at the first step",
 }
-ACTION = {"l_x": "m/s, forward", "l_y": "m/s, left", "l_z": "m/s, up", "a_z": "rad/s, counter-clockwise from above"}
+
+
+def export_policy(
+    folder: Path, checkpoint: str | None, output: Path, packages: Iterable[str] = (), *, network: bool = True
+) -> dict[str, Any]:
+    """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
+
+    With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. The policy is
+    that of :func:`load_actor`; what ``policy.json`` says of it is returned.
+    """
+    config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
+    about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
+    if POLICY.is_in(output) or (output / CONFIG).exists():
+        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with output=FOLDER.")
+    writable(output / POLICY.json, "output=FOLDER")
+    config.run_dir = Path(str(config.run_dir)).name
+    with replacing(output / CONFIG) as partial:
+        partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
+    saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
+    terms = contract(validate_run(config), saved["weights_sha256"])
+    if terms is not None:
+        terms |= _write_network(output, actor, terms) if network else {}
+        with replacing(output / CONTRACT) as partial:
+            partial.write_text(as_text(terms), encoding="utf-8")
+    return saved
+
+
+def _write_network(output: Path, actor: TensorDictModuleBase, terms: dict[str, Any]) -> dict[str, Any]:
+    """Writes ``policy.onnx``, and returns what the contract says about it."""
+    try:
+        content = policy_onnx(actor, terms)
+    except UavrlError as error:
+        log.warning("%s", error)
+        return {}
+    with replacing(output / NETWORK) as partial:
+        partial.write_bytes(content)
+    digest = hashlib.sha256(content).hexdigest()
+    return {"network": {"file": NETWORK, "sha256": digest, "opset": OPSET, "input": INPUT, "output": OUTPUT}}
 
 
 def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | None:
@@ -57,15 +106,6 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
         settings: the validated configuration of the run.
         weights_sha256: the checksum of the file of the policy's weights.
     """
-    from torchrl.envs import CatFrames, EnvBase, Transform
-
-    from uavrl.config.build import TARGET, build, find_class
-    from uavrl.envs import NavigationEnv
-    from uavrl.envs.simulation import CONTROL_RATE
-    from uavrl.rollout.environment import inner_transforms
-    from uavrl.transforms import LastAction, NavigationObservation, NavigationState, PointCloudReduction
-    from uavrl.transforms.state import ACTION_LIMIT
-
     env = find_class(str(settings.env[TARGET]), EnvBase, settings.packages)
     state = build(settings.perception, Transform, packages=settings.packages)
     if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
@@ -124,9 +164,6 @@ def _action(limit: float) -> dict[str, Any]:
 
 def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
     """What a scan is, and which of its points count."""
-    from uavrl.cells import return_bounds
-    from uavrl.envs import Airframe
-
     return {
         "shape": ["points", 3],
         "unit": "m",
@@ -142,10 +179,6 @@ def _cloud(radius: float, settings: TrainConfig) -> dict[str, Any]:
 
 def _cells(reduction: PointCloudReduction) -> dict[str, Any]:
     """What the cells of a reduction are and report, in their order."""
-    from uavrl.transforms.icosahedron import TOUCHING, truncated_icosahedron_faces
-    from uavrl.transforms.range_image import AZIMUTHS, ELEVATIONS, ROW_BORDERS
-    from uavrl.transforms.state import REDUCTIONS
-
     name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
     directions, radius, statistic = reduction.directions(), reduction.radius, reduction.statistic
     offsets, grid = [radius] * len(directions), {}
