@@ -45,6 +45,8 @@ def test_packets_of_another_model_are_left_out_and_their_byte_is_told() -> None:
     assert "give product=33" in assembler.trouble()
     allowed, _ = pushed(other, product=0x21)
     assert len(allowed) == 2
+    _, assembler = pushed(turns(2), product=0x21)
+    assert assembler.trouble() == "its packets carry the product byte 34 (0x22), not the 33 of product=33."
 
 
 @pytest.mark.parametrize("model", PRODUCTS)

@@ -230,10 +230,12 @@ class ScanAssembler:
         skipped = cast(dict[str, int], asdict(self.skipped))
         if skipped["other_product"]:
             byte = ", ".join(f"{product} (0x{product:02x})" for product in sorted(self.products))
+            own = PRODUCTS[self.model]
+            if self.product != own:
+                return f"its packets carry the product byte {byte}, not the {self.product} of product={self.product}."
             return (
-                f"its packets carry the product byte {byte}, and a {self.model} has {PRODUCTS[self.model]}: name the "
-                "model that sent them, or if it is this one for sure give product="
-                f"{min(self.products)}."
+                f"its packets carry the product byte {byte}, and a {self.model} has {own}: name the model that sent "
+                f"them, or if it is this one for sure give product={min(self.products)}."
             )
         if skipped["dual"]:
             return "its packets hold two returns per ray, which only velodyne-decoder reads: pip install it."
