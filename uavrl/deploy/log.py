@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 FORMAT = "uavrl.flight 1"
 ABOUT, END = "uavrl.flight", "uavrl.end"  # names of metadata records
-ARRIVED, ENDED = "arrived", "ended"
 FLUSH = 1.0  # s of a flight that a crash or an empty battery can take from its log
 _CHUNK = 2**16  # bytes before compression: a scan is more, and so a chunk of its own
 _PATIENCE = 0.1  # s between two looks whether the flight has ended
@@ -46,13 +45,14 @@ class FlightLog:
         contract: of the policy that flies.
         goal: x, y, z in the world's axes, m.
         sensor_position: of the LiDAR in body axes, m; the contract's by default.
-        clock: what the cycles' times are of. One offset, taken at the start, leads from them to the time of the day.
+        radius: the vehicle has arrived at this horizontal distance from the goal, m.
+        clock: what the cycles' times are of; ``time.time`` for those of a recording. One offset, taken at the start,
+            leads from them to the time of the day.
         about: what else the file should say, such as the command.
         waiting: how many cycles may wait for a slow disk before some are left out.
 
     Attributes:
         path: the file that is written.
-        outcome: ``"ended"``, or what the loop sets it to, ``"arrived"``.
         left_out: how many cycles the disk was too slow for.
 
     Raises:
@@ -66,6 +66,7 @@ class FlightLog:
         goal: Sequence[float],
         sensor_position: Vector | None = None,
         *,
+        radius: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
         about: dict[str, str] | None = None,
         waiting: int = 50,
@@ -80,7 +81,7 @@ class FlightLog:
             raise UavrlError(
                 f"{path} cannot be written ({error.strerror}): choose another file for the log."
             ) from error
-        self.path, self.outcome, self.left_out = Path(self._file.name), ENDED, 0
+        self.path, self.left_out = Path(self._file.name), 0
         self._queue: Queue[FlightCycle] = Queue(waiting)
         self._ending = False
         self._failure: Exception | None = None
@@ -91,6 +92,7 @@ class FlightLog:
             "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "clock_offset_ns": str(offset),
             "goal": json.dumps([float(number) for number in goal]),
+            "radius": json.dumps(float(radius)),
             "sensor_position": json.dumps([float(number) for number in sensor]),
             "versions": json.dumps({name: found for name, found in versions().items() if found is not None}),
         }
@@ -151,7 +153,7 @@ class FlightLog:
                 if time.monotonic() - saved >= FLUSH:
                     self._save()
                     saved = time.monotonic()
-            self._writer.add_metadata(END, {"outcome": self.outcome, "left_out": str(self.left_out)})
+            self._writer.add_metadata(END, {"left_out": str(self.left_out)})
             self._writer.finish()
             self._save()
         except Exception as error:  # of the disk, or a cycle of numbers that no message takes: the flight goes on

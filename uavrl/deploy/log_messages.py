@@ -116,6 +116,7 @@ class FlightMessages:
             control=VehicleStatus(**{**vehicle, "control": Control(vehicle["control"])}),
             status=SafetyStatus(**safety),
             latency=told["latency"],
+            arrived=bool(told["arrived"]),
         )
 
     # What messages are made of.
@@ -211,6 +212,7 @@ def _status_text(cycle: FlightCycle) -> str:
         "scan": scan,
         "distance": cycle.distance,
         "latency": cycle.latency,
+        "arrived": cycle.arrived,
     }
     return json.dumps(_plain(told), allow_nan=False)
 

@@ -9,11 +9,12 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from uavrl.deploy.contract import LARGEST, Contract, Three
-from uavrl.deploy.log import ABOUT, ARRIVED, END, ENDED, FORMAT
+from uavrl.deploy.log import ABOUT, END, FORMAT
 from uavrl.deploy.log_messages import STATUS, TOPICS, FlightMessages
 from uavrl.deploy.mcap_file import MAGIC, McapFile
 from uavrl.deploy.stages import FlightCycle
 from uavrl.errors import UavrlError
+from uavrl.ranges import Positive
 from uavrl.runs.names import CONTRACT
 
 REMEDY = "give a file that a flight has written"
@@ -30,10 +31,10 @@ class LoggedFlight:
     Attributes:
         contract: of the policy that flew.
         goal: x, y, z in the world's axes, m.
+        radius: the vehicle has arrived at this horizontal distance from the goal, m.
         sensor_position: of the LiDAR in body axes, m.
         about: what the file says of the flight: format, beginning, versions.
-        outcome: ``"arrived"`` or ``"ended"``; known once the cycles are read.
-        left_out: how many cycles the disk was too slow for; known then.
+        left_out: how many cycles the disk was too slow for; known once the cycles are read.
         whole: whether the file has its end; known then.
 
     Raises:
@@ -42,7 +43,7 @@ class LoggedFlight:
 
     def __init__(self, path: Path) -> None:
         self.path, self._file = path, McapFile(path)
-        self.outcome, self.left_out, self.whole = ENDED, 0, False
+        self.left_out, self.whole = 0, False
         try:
             with path.open("rb") as file:
                 if file.read(len(MAGIC)) != MAGIC:
@@ -55,6 +56,7 @@ class LoggedFlight:
             self.goal, self.sensor_position = (
                 TypeAdapter(Three).validate_json(self.about[name]) for name in ("goal", "sensor_position")
             )
+            self.radius = TypeAdapter(Positive).validate_json(self.about["radius"])
             offset = int(self.about["clock_offset_ns"])
         except (ValidationError, ValueError, KeyError) as error:
             raise UavrlError(f"The head of {path} is damaged: {REMEDY}.") from error
@@ -101,5 +103,4 @@ class LoggedFlight:
             raise UavrlError(f"{self.path} holds a message that no flight has written: {REMEDY}.") from error
 
     def _end(self, said: dict[str, Any]) -> None:
-        self.outcome = ARRIVED if said.get("outcome") == ARRIVED else ENDED
         self.left_out = int(said["left_out"]) if str(said.get("left_out")).isdecimal() else 0
