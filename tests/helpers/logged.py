@@ -76,7 +76,7 @@ def cycles(count: int = 60) -> Iterator[FlightCycle]:
 def write_log(path: Path, count: int = 60) -> tuple[Path, list[FlightCycle]]:
     """A log of such a flight, and its cycles."""
     flown = list(cycles(count))
-    with FlightLog(path, contract(), GOAL, clock=lambda: START, waiting=1000) as log:
+    with FlightLog(path, contract(), GOAL, live=False, clock=lambda: START) as log:
         for cycle in flown:
             log.write(cycle)
     return log.path, flown

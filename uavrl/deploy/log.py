@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 FORMAT = "uavrl.flight 1"
 ABOUT, END = "uavrl.flight", "uavrl.end"  # names of metadata records
 FLUSH = 1.0  # s of a flight that a crash or an empty battery can take from its log
+WAITING = 50  # cycles that may wait for a slow disk; then some are left out
 _CHUNK = 2**16  # bytes before compression: a scan is more, and so a chunk of its own
 _PATIENCE = 0.1  # s between two looks whether the flight has ended
 _LONGEST_END = 20.0  # s that the end waits for a slow disk
@@ -38,7 +39,7 @@ class FlightLog:
 
     A thread does the work: `write` only hands over. Where the disk is too slow, cycles are left out and counted. What
     is in the file is safe within a second, also from an empty battery, and a file that ends in the middle is read up to
-    there by `uavrl.deploy.log_reader`.
+    there by `uavrl.deploy.logged_flight`.
 
     Args:
         path: the file; where there is one already, the name gets a number.
@@ -46,10 +47,10 @@ class FlightLog:
         goal: x, y, z in the world's axes, m.
         sensor_position: of the LiDAR in body axes, m; the contract's by default.
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
-        clock: what the cycles' times are of; ``time.time`` for those of a recording. One offset, taken at the start,
-            leads from them to the time of the day.
+        live: whether a vehicle flies now. Those of a recording wait for the disk, and none is left out.
+        clock: what the cycles' times are of, by default ``time.monotonic``, of a recording ``time.time``. One offset,
+            taken at the start, leads from them to the time of the day.
         about: what else the file should say, such as the command.
-        waiting: how many cycles may wait for a slow disk before some are left out.
 
     Attributes:
         path: the file that is written.
@@ -67,12 +68,13 @@ class FlightLog:
         sensor_position: Vector | None = None,
         *,
         radius: float = 1.0,
-        clock: Callable[[], float] = time.monotonic,
+        live: bool = True,
+        clock: Callable[[], float] | None = None,
         about: dict[str, str] | None = None,
-        waiting: int = 50,
     ) -> None:
         sensor = sensor_position or contract.cloud.sensor_position
         writer = needed("mcap.writer", "A flight's log")
+        clock = clock or (time.monotonic if live else time.time)
         offset = time.time_ns() - round(clock() * 1e9)
         self.messages = FlightMessages(offset, goal, sensor)
         try:
@@ -82,7 +84,8 @@ class FlightLog:
                 f"{path} cannot be written ({error.strerror}): choose another file for the log."
             ) from error
         self.path, self.left_out = Path(self._file.name), 0
-        self._queue: Queue[FlightCycle] = Queue(waiting)
+        self._queue: Queue[FlightCycle] = Queue(WAITING)
+        self._patience = 0.0 if live else _LONGEST_END
         self._ending = False
         self._failure: Exception | None = None
         self._told = False
@@ -116,7 +119,7 @@ class FlightLog:
         self._tell()
         if self._failure is None:
             try:
-                self._queue.put_nowait(cycle)
+                self._queue.put(cycle, self._patience > 0.0, self._patience or None)
             except Full:
                 self.left_out += 1
 
