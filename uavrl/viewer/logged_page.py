@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from uavrl.deploy.frames import Vector
 from uavrl.deploy.logged_flight import LoggedFlight
 from uavrl.deploy.reduction import directions, is_return
 from uavrl.deploy.stages import FlightCycle
@@ -36,7 +37,7 @@ class LoggedMoments:
     def __init__(self, flight: LoggedFlight, points: int) -> None:
         self.flight, self._most, self._kept = flight, points, 0
         self.cycles: list[FlightCycle] = []  # their scans are in the lists below
-        self.positions: list[tuple[float, ...]] = []
+        self.positions: list[Vector] = []
         self.yaws: list[float] = []
         self.clouds: list[np.ndarray] = []
         self.cells: list[np.ndarray] = []
@@ -80,7 +81,7 @@ class LoggedMoments:
             self.clouds = [thinned(each, self._most) for each in self.clouds]
             self._kept = sum(map(len, self.clouds))
 
-    def _see(self, points: np.ndarray, position: tuple[float, ...], yaw: float) -> None:
+    def _see(self, points: np.ndarray, position: Vector, yaw: float) -> None:
         """Puts points of the sensor's frame into the world."""
         cos, sin = np.cos(yaw), np.sin(yaw)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -5,9 +5,8 @@ const TERM_COLOURS = { progress: "#0072B2", altitude: "#E69F00", heading: "#009E
   reward: "#0072B2" };
 const EVENTS = ["arrival", "collision"];
 const { body: BODY, plane: PLANE, goal: GOAL } = data.colours;
-const OUTCOMES = Object.fromEntries([["arrived", "success"], ["collided", "collision"], ["timed_out", "time-out"],
-  ["ended", "ended"]]
-  .map(([key, name]) => [key, [name, data.colours[key]]]));
+const OUTCOMES = Object.fromEntries([["arrived", data.states ? "arrived" : "success"], ["collided", "collision"],
+  ["timed_out", "time-out"], ["ended", "ended"]].map(([key, name]) => [key, [name, data.colours[key]]]));
 
 // ------------------------------------------------------------------ what is drawn
 
