@@ -202,7 +202,7 @@ function headings(flight) { // seen from above, smoothed so that the camera does
 function camera(flight, moment, fresh) {
   const box = boxOf(sceneries[flight.world_seed]), p = Array.from(row(flight.positions, moment));
   const middle = [0, 1].map((axis) => (box[axis][0] + box[axis][1]) / 2);
-  const wide = Math.max((box[0][1] - box[0][0]) / 42, (box[1][1] - box[1][0]) / 32, 0.3); // of the default valley
+  const wide = Math.max((box[0][1] - box[0][0]) / 32, (box[1][1] - box[1][0]) / 24, 0.3); // of what is in sight
   const far = away() * (data.states ? wide : 1);
   let { eye, center } = VIEWS[view](p, flight.headings[moment], [...middle, far]);
   if (view === "chase" && sceneries[flight.world_seed].triangles && !hidden.has("obstacles")) { // in front of what would hide the UAV, and slowly back again

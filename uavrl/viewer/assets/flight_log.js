@@ -17,7 +17,7 @@ function level({ box: [[left, right], [front, back]] }) { // a grid of 5 m at z 
   for (let x = 5 * Math.ceil(left / 5); x <= right; x += 5) add([x, front], [x, back]);
   for (let y = 5 * Math.ceil(front / 5); y <= back; y += 5) add([left, y], [right, y]);
   if (!out.x.length) add([left, front], [right, front]);
-  return line({ ...out, opacity: 0.5, line: { width: 1, color: "#8b949e" } });
+  return line({ ...out, opacity: 0.7, line: { width: 2, color: "#8b949e" } });
 }
 
 const stateColours = (flight) => Array.from(flight.told_at, (at) => STATES[flight.told[at][0]]);
@@ -49,7 +49,7 @@ function loggedCharts(flight) {
     one("Nearest return", "m from the sensor", flight.nearest, "#009E73", { low: 0 }),
     both("Forward", "m/s", 0),
     both("Yaw rate", "rad/s, left positive", 3),
-    one("Altitude", "m above the origin", of(flight.positions, 2, 3), "#CC79A7"),
+    one("Altitude", "m above the origin", of(flight.positions, 2, 3), "#CC79A7", { low: 0, high: 5 }),
     one("Speed", "m/s", speed, "#E69F00", { low: 0 }),
   ];
 }
