@@ -41,7 +41,7 @@ function pieces(values) {
 // lines there may be bands: [{name, colour, from, to}].
 // Values may be one fewer than the moments: those of steps stand at the moment that ends them.
 function makeChart(parent, spec, moments, seek) {
-  const box = element("div", { class: spec.series?.length > 1 ? "chart tall" : "chart" }, parent);
+  const box = element("div", { class: spec.bands ? "chart band" : spec.series.length > 1 ? "chart tall" : "chart" }, parent);
   const head = element("h2", {}, box);
   head.append(spec.title);
   element("span", {}, head, spec.unit ?? "");
