@@ -110,7 +110,8 @@ def logged_page_data(flight: LoggedFlight, points: int = 1500) -> dict[str, Any]
     moments = LoggedMoments(flight, points)
     cells, world = flight.contract.cells, moments.world()
     radius, height = flight.radius, max(2.0 * flight.goal[2], 1.0)  # its z is the middle of its height
-    reach = np.concatenate([moments.positions, [flight.goal], world])
+    below = [(*flight.goal[:2], 0.0)]  # where the grid at z = 0 lies
+    reach = np.concatenate([moments.positions, [flight.goal], below, world])
     low, high = reach.min(0) - 1.0, reach.max(0) + 1.0
     place = {
         "world": pack(world),
