@@ -12,8 +12,8 @@ _DRIFT = 1.1  # how much faster than its own the clock of a sender may seem
 class SenderClock:
     """Gives messages a time on our clock by their time on their sender's, of which we know no more than that it runs.
 
-    A message that waited somewhere is as old as the sender's clock says it is, from the stamp of the one before. One that
-    comes late or twice has none.
+    A message that waited somewhere is as old as the sender's clock says it is, from the stamp of the one before. One
+    that comes late or twice has none.
 
     Examples:
         >>> clock = SenderClock()
