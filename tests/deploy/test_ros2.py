@@ -371,3 +371,21 @@ def test_a_node_that_is_closed_leaves_no_thread(node: RosNode) -> None:
         assert threading.active_count() == before + 1
     closed.close()
     assert threading.active_count() == before
+
+
+def test_of_two_writers_the_first_is_heard_until_it_falls_silent(
+    node: RosNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavrl.deploy.dds.SILENCE", 0.1)
+    first, second = (node.writer("rt/points", idl_type(CLOUD)) for _ in range(2))
+    with Ros2Scans(f"ros2://{DOMAIN}/points") as scans:
+        assert scans.trouble().startswith("no message has come on /points: does a node in this domain")
+        until(lambda: first.get_matched_subscriptions() and second.get_matched_subscriptions(), "a match")
+        first.write(cloud(np.ones((2, 3), np.float32), 1.0))
+        until(lambda: scans.poll(0.0), "the first's cloud")
+        second.write(cloud(np.ones((3, 3), np.float32), 2.0))
+        time.sleep(0.05)
+        assert scans.poll(0.0) is None
+        time.sleep(0.1)
+        second.write(cloud(np.ones((3, 3), np.float32), 3.0))
+        assert until(lambda: scans.poll(0.0), "the second's cloud").rays == 3

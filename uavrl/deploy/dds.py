@@ -26,6 +26,7 @@ _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _LAST_DOMAIN = 232  # the ports of those above it do not exist
 _FIELD = re.compile(r"(?P<kind>[\w/]+)(?P<many>\[(?P<count>\d*)\])? (?P<name>\w+)")
 _PRIMITIVES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
+SILENCE = 1.0  # s without a message of a writer after which another one may take its place
 _TICK = 0.1  # s after which the thread looks whether it shall end
 _PAUSE = 0.01  # s after a message that cannot be read
 
@@ -96,7 +97,8 @@ class Node:
 
     Readers ask for best effort, as ROS's do for sensor data, and so get what is sent with either reliability and
     durability. Writers offer reliable and volatile, which readers of either reliability take. Only the newest message
-    is kept.
+    is kept. Of several writers of a topic the first is heard, and another one only when that has fallen silent: two
+    estimators would make a vehicle that jumps between two places.
 
     Args:
         domain: number of the domain.
@@ -123,6 +125,7 @@ class Node:
         self._conditions: list[Any] = []
         self._newest: dict[str, Arrived] = {}
         self._unreadable = set[str]()
+        self._heard: dict[str, tuple[int, float]] = {}  # by topic: the writer, and when it was last heard
         self._woken, self._waker = os.pipe()
         os.set_blocking(self._woken, False)
         os.set_blocking(self._waker, False)
@@ -207,11 +210,19 @@ class Node:
             self._closing.wait(_PAUSE)
             return False
         for sample in samples:
-            if sample.sample_info.valid_data:
+            if sample.sample_info.valid_data and self._is_first(topic, sample.sample_info.publication_handle, now):
                 self._newest[topic] = Arrived(sample, sample.sample_info.source_timestamp * 1e-9, wall, now)
                 with suppress(BlockingIOError):  # it is readable already
                     os.write(self._waker, b"\0")
         return bool(samples)
+
+    def _is_first(self, topic: str, writer: int, now: float) -> bool:
+        """Whether a writer is the one that is heard."""
+        first, at = self._heard.get(topic, (writer, now))
+        if writer != first and now - at <= SILENCE:
+            return False
+        self._heard[topic] = writer, now
+        return True
 
 
 def _cyclonedds(module: str) -> Any:

@@ -86,6 +86,12 @@ class Ros2Scans:
             return None
         return cloud_scan(arrived.message, stamp, self.skipped)
 
+    def trouble(self) -> str:
+        """Why no scan came out, as a sentence's second half."""
+        if self.skipped.sentences():
+            return f"no cloud on {self.topic} could be taken ({'; '.join(self.skipped.sentences())})."
+        return f"no message has come on {self.topic}: does a node in this domain and network publish {CLOUD} there, by DDS?"
+
     def fileno(self) -> int:
         """Becomes readable when a scan has come."""
         return self._node.fileno()
