@@ -90,7 +90,7 @@ class Ros2Scans:
         """Why no scan came out, as a sentence's second half."""
         if self.skipped.sentences():
             return f"no cloud on {self.topic} could be taken ({'; '.join(self.skipped.sentences())})."
-        return f"no message has come on {self.topic}: does a node in this domain and network publish {CLOUD} there, by DDS?"
+        return f"no message has come on {self.topic}: does a node in this domain publish {CLOUD} there, over DDS?"
 
     def fileno(self) -> int:
         """Becomes readable when a scan has come."""
