@@ -22,6 +22,7 @@ YAML = {
     "pretrain": "pretrain",
     "export": "export",
     "scan": "scan",
+    "fly": "fly",
 }
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/journal").glob("*.md"))]
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.helpers.exported import exported
 from tests.helpers.packets import RECORDED
 
 WITHOUT = """
@@ -73,3 +74,16 @@ main()
     assert done.returncode == 0 and done.stderr == "", done.stderr
     assert json.loads((tmp_path / "facts.json").read_text())["scans"] == 2
     assert (tmp_path / "scan.html").stat().st_size > 1_000_000
+
+
+def test_the_command_flies_a_recording(tmp_path: Path) -> None:
+    folder = exported(tmp_path, "algo.hidden=[16,8]")
+    run = f"""
+from uavrl.cli.fly import main
+sys.argv = ["uavrl-fly", "policy=" + {str(folder)!r}, "goal=[20,0,2.5]", "lidar=" + {str(RECORDED)!r}, "model=VLP16"]
+sys.argv += ["autopilot=null", "log=null", "json=facts.json"]
+main()
+"""
+    done = without(SIMULATOR, run, tmp_path)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert json.loads((tmp_path / "facts.json").read_text())["scans"] == 2

@@ -31,6 +31,7 @@ LIGHT = {
     },
     "evaluate": {"episodes=0": "episodes must be at least 1, got 0"},
     "pretrain": {"pretrain.stats=0": "There is no key 'pretrain.stats': did you mean pretrain.states?"},
+    "fly": {"policy=none": "goal must be three numbers"},
     "scan": {"source=none.bin": "There is no none.bin: give source=FILE"},
     "export": {"output=null": "output must be a folder to write the policy to"},
 }

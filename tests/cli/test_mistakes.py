@@ -72,6 +72,10 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         (["trainer.products=mkl"], "There is no key 'trainer.products': it is called trainer.matmul now."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
         (["--seed", "1"], "uavrl-train has no option --seed: write seed=VALUE."),
+        (["--seeds=1"], "uavrl-train has no option --seeds=1: did you mean seed?"),
+        (["--colour", "red"], "uavrl-train has no option --colour: values are written KEY=VALUE, and --help explains"),
+        (["-q"], "uavrl-train has no option -q: values are written KEY=VALUE"),
+        (["--cfg", "red"], "uavrl-train: argument --cfg/-c: invalid choice: 'red'"),
         (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
     ],
 )

@@ -207,9 +207,9 @@ def test_a_record_can_be_written_as_json(flying: Flight) -> None:
 @pytest.mark.parametrize(
     ("limits", "sentence"),
     [
-        ({"velocity": 0.0}, "velocity of the safety layer must be a finite number above 0, got 0.0"),
-        ({"hold": math.nan}, "hold of the safety layer"),
-        ({"scan_age": "0.2"}, "scan_age of the safety layer"),
+        ({"velocity": 0.0}, "velocity must be a finite number above 0, got 0.0"),
+        ({"hold": math.nan}, "hold must be a finite number above 0"),
+        ({"scan_age": "0.2"}, "scan_age must be a finite number above 0"),
         ({"floor": 5.0}, "The fence has no inside: floor 5 must be below ceiling 5"),
         ({"ceiling": math.nan}, "The fence has no inside"),
         ({"box": (1.0, 0.0, 0.0, 1.0)}, "x_min below x_max"),

@@ -11,6 +11,7 @@ from functools import wraps
 from pathlib import Path
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
@@ -119,10 +120,20 @@ def explained(error: Exception, name: str) -> str:
 
 
 def _refuse_options(name: str) -> None:
-    """Refuses ``--output FILE``, at which Hydra would print all options of its own."""
-    for option, _, value in (argument[2:].partition("=") for argument in sys.argv[1:] if argument.startswith("--")):
-        if option in known_keys(name):
-            raise UavrlError(f"{ABOUT[name][0]} has no option --{option}: write {option}={value or 'VALUE'}.")
+    """Refuses options that Hydra does not know, such as ``--output FILE``, at which it would print all of its own."""
+    command, known = ABOUT[name][0], known_keys(name)
+    parser = get_args_parser()
+    parser.exit_on_error = False
+    try:
+        others = parser.parse_known_args(sys.argv[1:])[1]
+    except argparse.ArgumentError as error:
+        raise UavrlError(f"{command}: {error}.") from error
+    for option in others:
+        key, _, value = option.lstrip("-").partition("=")
+        if key in known:
+            raise UavrlError(f"{command} has no option {option}: write {key}={value or 'VALUE'}.")
+        other = "values are written KEY=VALUE, and --help explains the keys."
+        raise UavrlError(f"{command} has no option {option}{did_you_mean(key, known, ': ', other, SLIP)}")
 
 
 def _readable(given: str, name: str) -> str:

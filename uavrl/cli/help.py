@@ -17,6 +17,7 @@ ABOUT = {
     "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
     "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
     "scan": ("uavrl-scan", "Shows what a LiDAR sees, and what a policy would see of it."),
+    "fly": ("uavrl-fly", "Flies a vehicle by its LiDAR with an exported policy, or pretends to."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
 EXAMPLES = {
@@ -26,6 +27,10 @@ EXAMPLES = {
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
     "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
     "scan": ["source=udp://:2368 model=VLP16", "source=FILE model=VLP16 json=FILE", "source=ROSBAG topic=/points"],
+    "fly": [
+        "policy=FOLDER model=VLP16 goal=[20,5,2.5] set_mode=true",
+        "policy=FOLDER model=VLP16 goal=[20,0,2.5] autopilot=null",
+    ],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
 MOST_USED = {
@@ -36,6 +41,7 @@ MOST_USED = {
     "report": "runs output window threshold title",
     "export": "run policy output checkpoint",
     "scan": "source model topic seconds vehicle reduction statistic radius output json",
+    "fly": "policy goal lidar model vehicle autopilot set_mode arm standing radius hold seconds log json",
     "pretrain": "run output seed",
 }
 LONGEST = 24  # characters of a name beside its meaning

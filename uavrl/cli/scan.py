@@ -15,6 +15,7 @@ from pydantic import Field
 
 from uavrl.cells import Statistic
 from uavrl.cli.command import command
+from uavrl.cli.lidar import LidarKeys
 from uavrl.config import validate
 from uavrl.config.sentences import require
 from uavrl.deploy.reduction import STATISTICS, Reduction
@@ -22,22 +23,18 @@ from uavrl.deploy.scans import Scan
 from uavrl.deploy.sources import ScanSource, without_vehicle
 from uavrl.deploy.summary import ScanSummary
 from uavrl.errors import Stopped, UavrlError
-from uavrl.ranges import Folder, Positive, Text
+from uavrl.ranges import Folder, Positive
 from uavrl.runs.files import replacing, writable
 
 LIVE = 1.0  # s between two lines while a sensor is listened to
 
 
 @dataclass
-class ScanConfig:
+class ScanConfig(LidarKeys):
     """conf/scan.yaml: one look."""
 
     source: Folder | None = None
-    model: Text | None = None
-    topic: Text | None = None
-    product: Annotated[int, Field(ge=0, le=255)] | None = None
     seconds: Positive = 10.0
-    vehicle: tuple[float, ...] | None = None
     reduction: Reduction = "truncated_icosahedron"
     statistic: Statistic | None = None
     radius: Annotated[float, Field(ge=0.1, le=1000)] = 4.0
@@ -45,19 +42,11 @@ class ScanConfig:
     json: Folder | None = None
 
     def __post_init__(self) -> None:
-        """Checks that there is a source, the box, and that page and numbers are two files."""
+        """Checks that there is a source, and that page and numbers are two files."""
         require(self.source is not None, "source", "a file, a rosbag's folder or udp://:PORT", self.source)
-        low, high = self.box
-        whole = self.vehicle is None or (len(self.vehicle) == 6 and bool((low < high).all()))
-        require(whole, "vehicle", "six numbers: the box's least corner, then its greatest", self.vehicle)
+        super().__post_init__()
         apart = self.json is None or self.output is None or Path(self.json).resolve() != Path(self.output).resolve()
         require(apart, "json", "another file than output", self.json)
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """The corners of the box around the vehicle, from the sensor."""
-        corners = np.asarray(self.vehicle or (), dtype=np.float64)
-        return corners[:3], corners[3:6]
 
 
 @command("scan")
@@ -100,11 +89,10 @@ def _write(summary: ScanSummary, source: ScanSource, settings: ScanConfig, files
 
 def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
     """The scans without the vehicle; while a sensor is listened to, a line each second."""
-    low, high = settings.box
     told = -np.inf
     for scan in source:
-        if settings.vehicle is not None:
-            scan = replace(scan, points=without_vehicle(scan.points, low, high))
+        if settings.box is not None:
+            scan = replace(scan, points=without_vehicle(scan.points, *settings.box))
         yield scan
         if source.kind == "udp" and scan.stamp - told >= LIVE:
             told = scan.stamp

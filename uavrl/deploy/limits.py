@@ -30,7 +30,7 @@ class SafetyLimits:
         return_after_silence: For how long they must hold before anything is sent again, s.
         floor: Lowest altitude, m.
         ceiling: Highest altitude, m.
-        box: Least x, least y, greatest x, greatest y in the world's axes, m; none by default.
+        box: Least x, least y, greatest x, greatest y in the world's axes, m; ``None`` for a fence without walls.
         margin: How far outside the fence the vehicle may drift before the policy is stopped, m.
         fence_time: The velocity towards a side of the fence is at most the distance to it in this time, s.
     """
@@ -46,7 +46,7 @@ class SafetyLimits:
     return_after_silence: float = 1.0
     floor: float = 1.0
     ceiling: float = 5.0
-    box: tuple[float, float, float, float] = (-math.inf, -math.inf, math.inf, math.inf)
+    box: tuple[float, float, float, float] | None = None
     margin: float = 0.5
     fence_time: float = 1.0
 
@@ -54,20 +54,21 @@ class SafetyLimits:
         for name in [field.name for field in fields(self) if field.name not in ("floor", "ceiling", "box")]:
             value = getattr(self, name)
             if not (isinstance(value, int | float) and 0.0 < value < math.inf):
-                raise UavrlError(f"{name} of the safety layer must be a finite number above 0, got {value!r}.")
-        if len(self.box) != 4:
+                raise UavrlError(f"{name} must be a finite number above 0, got {value!r}.")
+        if self.box is not None and len(self.box) != 4:
             raise UavrlError(f"box must be four numbers (x_min, y_min, x_max, y_max) in metres, got {self.box!r}.")
         low, high = self.corners
         if not (low < high).all():
             raise UavrlError(
-                f"The fence has no inside: floor {self.floor:g} must be below ceiling {self.ceiling:g}, and in box "
-                f"{tuple(self.box)} x_min below x_max and y_min below y_max."
+                f"The fence has no inside: floor {self.floor:g} must be below ceiling {self.ceiling:g}"
+                + (f", and in box {self.box} x_min below x_max and y_min below y_max." if self.box else ".")
             )
 
     @property
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
         """The fence's corners with the least and with the greatest coordinates."""
-        return np.array([*self.box[:2], self.floor], float), np.array([*self.box[2:], self.ceiling], float)
+        x_min, y_min, x_max, y_max = self.box or (-math.inf, -math.inf, math.inf, math.inf)
+        return np.array([x_min, y_min, self.floor], float), np.array([x_max, y_max, self.ceiling], float)
 
 
 class Limited(NamedTuple):

@@ -31,6 +31,12 @@ class Policy:
     Args:
         folder: the exported policy.
 
+    Attributes:
+        contract: what the folder says about the policy.
+        cells: ``[cells]`` in m, what it saw of the latest scan; ``None`` before the first.
+        last_action: ``[4]``, what it reads as its last action, which is the one it gave. Where the vehicle got another
+            one, set it to that.
+
     Raises:
         UavrlError: where a file is missing, damaged, too large or of another version, where contract and network do not
             belong together, or ONNX Runtime is not installed.
@@ -43,14 +49,16 @@ class Policy:
     """
 
     def __init__(self, folder: str | Path) -> None:
-        self.contract = read_contract(Path(folder))  #: what the folder says about the policy
+        self.contract = read_contract(Path(folder))
+        self.cells: np.ndarray | None
         self._network = _Network(Path(folder), self.contract)
         self._begin()
 
     def _begin(self) -> None:
         limit, frames = self.contract.action_limit, self.contract.state.frames
         self._state = NavigationState(frames, limit is not None, limit or 1.0)
-        self._last_action = np.zeros(len(self.contract.action.order), np.float32)
+        self.cells = None
+        self.last_action = np.zeros(len(self.contract.action.order), np.float32)
 
     def copy(self) -> Policy:
         """The same policy for another vehicle, at the beginning of an episode."""
@@ -62,7 +70,7 @@ class Policy:
     def reset(self) -> None:
         """Forgets observations and action, as at the beginning of an episode."""
         self._state.reset()
-        self._last_action = np.zeros_like(self._last_action)
+        self.last_action = np.zeros_like(self.last_action)
 
     def __call__(self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float) -> np.ndarray:
         """The action that answers one scan and the pose of its moment: call it ``contract.rate_hz`` times a second.
@@ -83,8 +91,8 @@ class Policy:
                 not: then the last action stays what it was.
         """
         state = self.state(cloud, altitude, heading_deg, elevation_deg)
-        self._last_action = self._network(state[None])[0]
-        return self._last_action.copy()
+        self.last_action = self._network(state[None])[0]
+        return self.last_action.copy()
 
     def state(self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float) -> np.ndarray:
         """Takes a scan and a pose in, and returns what the network reads of them and those before, ``float32 [S]``."""
@@ -92,10 +100,10 @@ class Policy:
         if not np.isfinite(pose).all():
             raise UavrlError(f"altitude, heading_deg and elevation_deg must be finite numbers, got {pose}.")
         cells, seen = terms.cells, np.full((1, 3), np.nan) if terms.cloud.blind else cloud
-        reduced = REDUCTIONS[cells.reduction](seen, cells.radius, cells.statistic)
+        self.cells = reduced = REDUCTIONS[cells.reduction](seen, cells.radius, cells.statistic)
         scales = {"radius": cells.radius, "flight_level": terms.flight_level}
         observed = navigation_observation(reduced, *pose, **scales, angles=terms.angles)
-        return self._state(observed, self._last_action)
+        return self._state(observed, self.last_action)
 
 
 class _Network:

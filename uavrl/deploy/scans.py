@@ -60,6 +60,7 @@ class Skipped:
     late: int = field(default=0, metadata={"says": "packets out of order"})
     incomplete: int = field(default=0, metadata={"says": "turns with a gap or without an end"})
     malformed: int = field(default=0, metadata={"says": "messages that could not be read"})
+    other_sender: int = field(default=0, metadata={"says": "packets of a second sender"})
     position: int = field(default=0, metadata={"says": "position packets, which hold no points"})
 
     def sentences(self) -> list[str]:
@@ -127,12 +128,13 @@ class ScanAssembler:
         ([(28928, 3)], 29184)
     """
 
-    def __init__(self, model: str, product: int | None = None) -> None:
-        self.model, self.product = check_model(model), PRODUCTS[model] if product is None else product
+    def __init__(self, model: str | None, product: int | None = None) -> None:
+        self.model = check_model(model)
+        self.product = PRODUCTS[self.model] if product is None else product
         self.skipped = Skipped()
         self.products = set[int]()
         self.heard = False
-        self._decode = make_decoder(model)
+        self._decode = make_decoder(self.model)
         self._single = self._decode is decode_vlp16
         self._newest: int | None = None  # the latest packet's time in microseconds
         self._azimuth = 0  # of its last block

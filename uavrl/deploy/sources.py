@@ -11,7 +11,7 @@ from uavrl.deploy import bags
 from uavrl.deploy.packets import FLAG, PACKET_SIZE
 from uavrl.deploy.pcap import PCAP, PCAPNG, read_pcap
 from uavrl.deploy.scans import Scan, ScanAssembler, Skipped, check_model
-from uavrl.deploy.udp import address, read_udp
+from uavrl.deploy.udp import NOTHING_CAME, address, read_udp
 from uavrl.errors import UavrlError
 
 _RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", bags.ROSBAG1)
@@ -104,7 +104,7 @@ class ScanSource:
 
     def _trouble(self, assembler: ScanAssembler) -> str:
         if self.kind == "udp" and not assembler.heard:
-            return "no packet arrived; the sensor sends to the address and the port that its own page has as host."
+            return NOTHING_CAME
         return assembler.trouble()
 
     def _packets(self) -> Iterator[tuple[float, bytes]]:

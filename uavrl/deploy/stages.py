@@ -61,8 +61,9 @@ class FlightCycle:
     scan: Scan | None  #: without the points on the vehicle; ``None`` where none has come since the last cycle
     cells: np.ndarray | None  #: ``[cells]``, what the policy sees of that scan, m
     pose: Pose | None
-    distance: float | None  #: to the goal, m
+    distance: float | None  #: to the goal, horizontally, m
     action: np.ndarray | None  #: ``[4]``, of the policy, before the safety layer
     control: VehicleStatus
     status: SafetyStatus
     latency: float | None  #: from the scan's last packet to the set-point, s; ``None`` without a new scan
+    arrived: bool = False  #: whether the vehicle is, or has been, at the goal

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import re
+import select
 import socket
 import struct
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 
 from uavrl.deploy.packets import PORT
 from uavrl.errors import UavrlError
 
+NOTHING_CAME = "no packet arrived; the sensor sends to the address and the port that its own page has as host."
 _ADDRESS = re.compile(r"udp://(?P<host>[^:/]*)(?::(?P<port>\d{1,5}))?/?")
 _BUFFER = 2**21  # bytes that the system keeps for us: some turns, in case we are late
 _LONGEST = 2048  # bytes of a packet that are read; no sensor sends as many
+_AT_ONCE = 1000  # packets that are read at once
 _TICK = 0.05  # s between two looks at the clock while nothing arrives
 _ARRIVAL = 35 if sys.platform == "linux" else None  # SO_TIMESTAMPNS: the system says when a packet arrived
 _TIMESPEC = "qq"  # seconds and nanoseconds of the system's clock
@@ -54,32 +58,60 @@ def listen(source: str, port: int = PORT) -> socket.socket:
     return opened
 
 
-def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes]]:
-    """The time of arrival and the content of each packet that is sent to this machine.
+class UdpPackets:
+    """The packets that are sent to a port of this machine, with their times of arrival. Nothing waits in it.
 
     Times are in seconds of ``time.monotonic``, as the safety layer's are. On Linux a packet that waited because we were
     busy has the time at which it arrived, elsewhere that at which it was read.
 
     Args:
         source: ``udp://:2368`` listens on all of this machine's addresses; ``udp://HOST:2368`` on one of them.
+
+    Raises:
+        UavrlError: where the port cannot be opened.
+    """
+
+    def __init__(self, source: str) -> None:
+        self._socket = listen(source)
+        self._socket.setblocking(False)
+        if _ARRIVAL is not None:
+            self._socket.setsockopt(socket.SOL_SOCKET, _ARRIVAL, 1)
+
+    def fileno(self) -> int:
+        """For ``select``."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Closes the port."""
+        self._socket.close()
+
+    def waiting(self) -> Iterator[tuple[float, bytes, str]]:
+        """Time, content and sender of each packet that has come, at most a thousand at once."""
+        for _ in range(_AT_ONCE):
+            try:
+                packet, said, _, sender = self._socket.recvmsg(_LONGEST, socket.CMSG_SPACE(struct.calcsize(_TIMESPEC)))
+            except OSError:  # nothing waits
+                return
+            yield time.monotonic() - _waited(said), packet, str(sender[0])
+
+
+def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes]]:
+    """The time of arrival and the content of each packet of :class:`UdpPackets`.
+
+    Args:
+        source: where to listen.
         seconds: how long to listen in all; None for as long as packets come.
         silence: after how many seconds without a packet it ends.
 
     Raises:
         UavrlError: where the port cannot be opened.
     """
-    with listen(source) as opened:
-        opened.settimeout(_TICK)
-        if _ARRIVAL is not None:
-            opened.setsockopt(socket.SOL_SOCKET, _ARRIVAL, 1)
+    with closing(UdpPackets(source)) as port:
         begun = heard = time.monotonic()
         while time.monotonic() - heard < silence and (seconds is None or time.monotonic() - begun < seconds):
-            try:
-                packet, said, _, _ = opened.recvmsg(_LONGEST, socket.CMSG_SPACE(struct.calcsize(_TIMESPEC)))
-            except TimeoutError:
-                continue
-            heard = time.monotonic()
-            yield heard - _waited(said), packet
+            if select.select([port], [], [], _TICK)[0]:
+                heard = time.monotonic()
+                yield from (each[:2] for each in port.waiting())
 
 
 def _waited(said: list[tuple[int, int, bytes]]) -> float:

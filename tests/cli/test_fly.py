@@ -1,0 +1,108 @@
+"""``uavrl-fly``: dry runs of a recording and of a sensor, and what a user may get wrong."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.commands import in_process
+from tests.helpers.exported import exported
+from tests.helpers.packets import RECORDED
+from uavrl.cli import fly
+from uavrl.deploy.packets import encode_scan
+from uavrl.envs.vlp16 import firing_directions
+
+RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
+GOAL = "goal=[20,0,2.5]"
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(tmp_path_factory.mktemp("exported"), "algo.hidden=[16,8]")
+
+
+def test_a_recording_is_flown_into_nothing(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers = tmp_path / "flight.json"
+    assert in_process(fly.main, f"policy={policy}", GOAL, *RECORDING, f"json={numbers}") == 0
+    out, err = capsys.readouterr()
+    assert "0.0 s  silent (settling): all rules must hold for 1 s first" in out and err == ""
+    assert "0.1 s, 2 scans: it did not arrive, 20.0 m from the goal at the nearest." in out
+    assert f"Written to {numbers}" in out
+    facts = json.loads(numbers.read_text())
+    assert (facts["scans"], facts["cycles"], facts["arrived"], facts["least_distance_m"]) == (2, 2, False, 20.0)
+    assert 0.0 < facts["latency_ms"]["median"] < 1000.0
+
+
+def test_a_sensor_is_flown_by_until_the_goal(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers, ended = tmp_path / "flight.json", threading.Event()
+
+    def turn() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+            begun = time.monotonic()
+            for number in range(100):
+                for packet in encode_scan(3.0 * firing_directions(), stamp=0.1 * number):
+                    sensor.sendto(packet, ("127.0.0.1", 23691))
+                if ended.wait(max(begun + 0.1 * number - time.monotonic(), 0.0)):
+                    return
+
+    sensor = threading.Thread(target=turn)
+    sensor.start()
+    try:
+        where = ("lidar=udp://127.0.0.1:23691", "model=VLP16", "autopilot=null", "standing=[19.5,0,3.5,0]", "hold=0.2")
+        assert in_process(fly.main, f"policy={policy}", GOAL, *where, "log=null", f"json={numbers}", "seconds=8") == 0
+    finally:
+        ended.set()
+        sensor.join()
+    facts = json.loads(numbers.read_text())
+    assert facts["arrived"] and facts["least_distance_m"] == 0.5
+    assert 1.0 <= facts["arrived_after_s"] <= facts["seconds"] < 8.0
+    assert "flying (in_control): the policy flies" in capsys.readouterr().out
+
+
+def test_without_a_scan_it_says_why(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    where = ("lidar=udp://127.0.0.1:23692", "model=VLP16", "autopilot=null", "log=null", "seconds=3.4")
+    assert in_process(fly.main, f"policy={policy}", GOAL, *where) == 0
+    out = capsys.readouterr().out
+    assert "0.0 s  silent (no_scan): there is no scan" in out
+    assert out.count("No scan has come for 3 s: no packet arrived; the sensor sends to the address") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([GOAL], "policy must be a folder that uavrl-export wrote, got None"),
+        (["policy=none", GOAL], "Expected an exported policy with none/contract.json"),
+        (["policy=none"], "goal must be three numbers, [x,y,z] in m from the autopilot's origin, got None"),
+        (["policy=none", "goal=[1,2]"], "goal must be three numbers"),
+        (["policy=none", GOAL, f"lidar={RECORDED}"], "a recording flies nothing but autopilot=null"),
+        (["policy=none", GOAL, "safety.velocity=0"], "safety.velocity must be a finite number above 0, got 0"),
+        (["policy=none", GOAL, "safety.floor=8"], "floor 8 must be below ceiling 5"),
+        (["policy=none", GOAL, "safety.box=[1,2,3]"], "safety.box must be a list of 4, got [1, 2, 3]"),
+        (["policy=none", GOAL, "vehicle=[1,2,3]"], "vehicle must be six numbers"),
+        (["policy=none", GOAL, "standing=[1,2,3]"], "standing must be a list of 4"),
+        (["policy=none", GOAL, "system=0"], "system must be"),
+        (["policy=none", GOAL, "safety.speed=1"], "There is no key 'safety.speed'"),
+    ],
+)
+def test_what_a_user_may_get_wrong(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(fly.main, *arguments) == 1
+    error = capsys.readouterr().err
+    assert said in error and "Traceback" not in error
+
+
+def test_a_port_that_is_taken(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 23693))
+        where = ("lidar=udp://127.0.0.1:23693", "model=VLP16", "autopilot=null", "log=null")
+        assert in_process(fly.main, f"policy={policy}", GOAL, *where) == 1
+    assert "udp://127.0.0.1:23693 cannot be listened to" in capsys.readouterr().err
+
+
+def test_the_model_is_named(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(fly.main, f"policy={policy}", GOAL, "autopilot=null", "log=null") == 1
+    assert "model must be one of VLP16" in capsys.readouterr().err

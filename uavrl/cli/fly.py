@@ -1,0 +1,188 @@
+"""``uavrl-fly``: an exported policy flies a vehicle by its LiDAR, or pretends to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, cast
+
+import numpy as np
+from omegaconf import DictConfig
+from pydantic import Field
+
+from uavrl.cli.command import command
+from uavrl.cli.lidar import LidarKeys
+from uavrl.config import validate
+from uavrl.config.sentences import require
+from uavrl.deploy.autopilot import Autopilot
+from uavrl.deploy.dry_run import DryRun
+from uavrl.deploy.feeds import UdpScans
+from uavrl.deploy.flight import Flight, fly, rehearse
+from uavrl.deploy.flight_summary import FlightSummary
+from uavrl.deploy.limits import SafetyLimits
+from uavrl.deploy.policy import Policy
+from uavrl.deploy.reduction import is_return
+from uavrl.deploy.safety import SafetyLayer
+from uavrl.deploy.sources import ScanSource
+from uavrl.deploy.stages import FlightCycle, VehicleLink
+from uavrl.deploy.vehicle import Control
+from uavrl.errors import Stopped
+from uavrl.ranges import Folder, NonNegative, Positive
+from uavrl.runs.files import replacing, writable
+
+UNHEARD = 3.0  # s without a scan after which it is told why
+
+
+@dataclass
+class FlyConfig(LidarKeys):
+    """conf/fly.yaml: one flight."""
+
+    policy: Folder | None = None
+    goal: tuple[float, ...] | None = None
+    lidar: Folder = "udp://:2368"
+    autopilot: Folder | None = "udp://:14540"
+    set_mode: bool = False
+    arm: bool = False
+    system: Annotated[int, Field(ge=1, le=255)] | None = None
+    standing: tuple[float, float, float, float] = (0.0, 0.0, 3.5, 0.0)
+    radius: Positive = 1.0
+    hold: NonNegative | None = None
+    seconds: Positive | None = None
+    log: Folder | None = "flight.mcap"
+    json: Folder | None = None
+    progress: bool = True
+    safety: SafetyLimits = field(default_factory=SafetyLimits)
+
+    def __post_init__(self) -> None:
+        """Checks that it knows what flies where, and that a recording flies nothing."""
+        super().__post_init__()
+        require(self.policy is not None, "policy", "a folder that uavrl-export wrote", self.policy)
+        goal = self.goal is not None and len(self.goal) == 3
+        require(goal, "goal", "three numbers, [x,y,z] in m from the autopilot's origin", self.goal)
+        dry = self.autopilot is None or self.is_live
+        require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether a sensor sends now."""
+        return self.lidar.startswith("udp:")
+
+
+@command("fly")
+def main(config: DictConfig) -> None:
+    """Flies until it has ended, prints how, and writes the numbers."""
+    settings = validate(config, FlyConfig)
+    policy = Policy(str(settings.policy))
+    numbers = None if settings.json is None else writable(Path(settings.json), "json=FILE")
+    summary, stopped = FlightSummary(), None
+    with ExitStack() as opened:
+        link = opened.enter_context(closing(_link(settings)))
+        assert settings.goal is not None
+        flight = Flight(
+            policy, settings.goal, link, SafetyLayer(settings.safety), radius=settings.radius, box=settings.box
+        )
+        cycles = _cycles(settings, flight, link, opened)
+        try:
+            for cycle in _until_the_end(cycles, settings):
+                summary.add(cycle)
+                if settings.progress:
+                    _tell(cycle, summary)
+        except KeyboardInterrupt as error:
+            stopped = error
+    _conclude(summary, numbers)
+    if stopped is not None:
+        raise Stopped("stopped: no more set-points are sent.") from stopped
+
+
+def _link(settings: FlyConfig) -> VehicleLink:
+    if settings.autopilot is None:
+        x, y, z, yaw = settings.standing
+        return DryRun((x, y, z), yaw)
+    return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
+
+
+def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:
+    """The flight's cycles, from a sensor or a recording."""
+    if not settings.is_live:
+        scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
+        return rehearse(flight, scans, link)
+    feed = opened.enter_context(closing(UdpScans(settings.lidar, settings.model, settings.product)))
+    return _explained(fly(flight, feed, link), feed)
+
+
+def _explained(cycles: Iterable[FlightCycle], feed: UdpScans) -> Iterator[FlightCycle]:
+    """Tells once why no scan comes, where none has come for some seconds."""
+    first: float | None = None
+    told = False
+    for cycle in cycles:
+        yield cycle
+        first = cycle.time if first is None or cycle.scan is not None else first
+        if not told and cycle.time - first > UNHEARD:
+            told = True
+            print(f"No scan has come for {UNHEARD:g} s: {feed.trouble()}", flush=True)
+
+
+def _until_the_end(cycles: Iterable[FlightCycle], settings: FlyConfig) -> Iterator[FlightCycle]:
+    """The cycles until the vehicle has hovered at the goal for long enough, was taken over there, or time is up."""
+    first, arrived = None, None
+    for cycle in cycles:
+        yield cycle
+        first = cycle.time if first is None else first
+        arrived = cycle.time if arrived is None and cycle.arrived else arrived
+        hovered = arrived is not None and settings.hold is not None and cycle.time - arrived >= settings.hold
+        taken_over = arrived is not None and cycle.control.control in (Control.TAKEN_OVER, Control.DISARMED)
+        if hovered or taken_over or (settings.seconds is not None and cycle.time - first >= settings.seconds):
+            return
+
+
+def _tell(cycle: FlightCycle, summary: FlightSummary) -> None:
+    """A line for each change of state, and one each second."""
+    status, seconds = cycle.status, summary.seconds
+    if status.changed:
+        print(f"{seconds:7.1f} s  {status.state} ({status.reason}): {status.sentence}", flush=True)
+    elif summary.is_new_second:
+        print(f"{seconds:7.1f} s  {status.state}  {_line(cycle, summary)}", flush=True)
+
+
+def _line(cycle: FlightCycle, summary: FlightSummary) -> str:
+    """What is known of one cycle: rate, ages, nearest return, way to the goal, set-point."""
+    told = [f"{summary.rate:4.1f} Hz"]
+    told += [
+        f"{name} {1000 * age:3.0f} ms old"
+        for name, age in (("scan", cycle.status.scan_age), ("pose", cycle.status.pose_age))
+        if age is not None
+    ]
+    if cycle.scan is not None:
+        points = cycle.scan.points[is_return(cycle.scan.points)]
+        told.append(f"nearest {np.sqrt((points**2).sum(-1)).min():.2f} m" if len(points) else "nothing near")
+    if cycle.distance is not None:
+        told.append(f"goal {cycle.distance:.1f} m")
+    if cycle.status.setpoint is not None:
+        forward, left, up, turn = cycle.status.setpoint
+        told.append(f"forward {forward:+.2f} left {left:+.2f} up {up:+.2f} m/s turn {turn:+.2f} rad/s")
+    return "  ".join(told)
+
+
+def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
+    """Says how it ended, and writes the numbers."""
+    facts = summary.facts()
+    after = cast(float | None, facts["arrived_after_s"])
+    ended = "it did not arrive" if after is None else f"it arrived after {after:.1f} s"
+    least = f", {facts['least_distance_m']:.1f} m from the goal at the nearest" if facts["least_distance_m"] else ""
+    print(f"{facts['seconds']:.1f} s, {facts['scans']:,} scans: {ended}{least}.")
+    if (latency := facts["latency_ms"])["median"] is not None:
+        print(
+            f"From a scan's last packet to the set-point: {latency['median']:.1f} ms (median), "
+            f"{latency['p99']:.1f} ms (99 %)."
+        )
+    if numbers is not None:
+        with replacing(numbers) as partial:
+            partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+        print(f"Written to {numbers}")
+
+
+if __name__ == "__main__":
+    main()
