@@ -85,8 +85,10 @@ def read_setpoint(message: Any, yaw: float) -> Setpoint:
         numbers[:3] = np.nan
         numbers[3:] = np.nan if ignored[3:].any() else numbers[3:]
     if np.isinf([*numbers, yaw_to, yaw_rate]).any() or np.isnan(numbers).all():
-        raise UavrlError("A set-point has finite numbers, and a position or a velocity that its type_mask does not ignore")
-    position, velocity = (np.array(swap_world(part)) for part in (numbers[:3], numbers[3:]))
+        raise UavrlError(
+            "A set-point has finite numbers, and a position or a velocity that its type_mask does not ignore"
+        )
+    position, velocity = (np.array(swap_world(part.tolist())) for part in (numbers[:3], numbers[3:]))
     turn, body = (math.nan if math.isnan(yaw_rate) else 0.0 - yaw_rate), None
     if in_body:
         body = np.array(to_command((*numbers[3:], 0.0 if math.isnan(yaw_rate) else yaw_rate)), dtype=np.float64)

@@ -112,7 +112,7 @@ class Telemetry:
         return self._messages.MAVLink_attitude_quaternion_message(boot_ms, *turn, *(_TO_FRD @ motion.rates))
 
     def _local(self, boot_ms: int, motion: Motion) -> Any:
-        place, speed = swap_world(motion.position), swap_world(motion.velocity)
+        place, speed = swap_world(motion.position.tolist()), swap_world(motion.velocity.tolist())
         return self._messages.MAVLink_local_position_ned_message(boot_ms, *place, *speed)
 
     def _place(self, motion: Motion) -> tuple[int, int, int]:
@@ -123,7 +123,7 @@ class Telemetry:
         return round(latitude * 1e7), round(longitude * 1e7), round((ORIGIN[2] + up) * 1000)
 
     def _global(self, boot_ms: int, motion: Motion) -> Any:
-        speed = [round(100 * each) for each in swap_world(motion.velocity)]
+        speed = [round(100 * each) for each in swap_world(motion.velocity.tolist())]
         heading = round(100 * math.degrees(euler(motion.rotation)[2])) % 36_000
         place, above = self._place(motion), round(1000 * motion.position[2])
         return self._messages.MAVLink_global_position_int_message(boot_ms, *place, above, *speed, heading)
@@ -147,7 +147,7 @@ class Telemetry:
 
 
 def euler(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Roll, pitch and yaw in rad, from north to the right, of a rotation ``[3, 3]`` from a vehicle's axes to the world's.
+    """Roll, pitch and yaw in rad, from north to the right, of a rotation ``[3, 3]`` from the body to the world.
 
     Examples:
         >>> [round(each, 6) for each in euler(np.eye(3))]  # it faces east

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from uavrl.envs.controller import VELOCITY_GAIN
 from uavrl.envs.goal import goal_distance
 from uavrl.envs.navigation import CONTROL_RATE, PHYSICS_RATE, NavigationEnv
 from uavrl.envs.simulation import TRACKING_PERIOD
@@ -25,12 +28,18 @@ class Motion:
     rotation: np.ndarray  #: ``[3, 3]``, from its axes (x forward, y left, z up) to the world's
     rates: np.ndarray  #: ``[3]`` in rad/s, in its axes
 
+    @property
+    def yaw(self) -> float:
+        """From east to the left, rad in [-π, π]."""
+        return math.atan2(self.rotation[1, 0], self.rotation[0, 0])
+
 
 class LiveEpisode:
     """One vehicle's episode in the simulator, in pieces of 12.5 ms or in steps of 0.1 s.
 
-    A piece obeys its command from its first moment on, and the LiDAR turns on by an eighth, seen from where the vehicle
-    is at the piece's end. A step is that of the environment: one command, then a whole scan from where it has led to.
+    A piece obeys a velocity in the world's axes from its first moment on, and the LiDAR turns on by an eighth, seen
+    from where the vehicle is at the piece's end. A step is that of the environment: one action, which turns with the
+    vehicle, then a whole scan from where it has led to.
 
     Args:
         env: the environment, of one vehicle.
@@ -38,7 +47,7 @@ class LiveEpisode:
 
     Attributes:
         points: ``float32 [28928, 3]``, the newest points in the sensor's frame in firing order, NaN for misses.
-        outcome: ``arrived`` or ``collided`` once the episode has ended, else None; time is not kept here.
+        outcome: ``success`` or ``collision`` once the episode has ended, else None; time is not kept here.
     """
 
     def __init__(self, env: NavigationEnv, task: int) -> None:
@@ -67,7 +76,7 @@ class LiveEpisode:
 
     @property
     def distance(self) -> float:
-        """To the goal, m, horizontally."""
+        """To the middle of the goal, m."""
         return float(goal_distance(self._env.simulation.position, self._goal[None])[0])
 
     def stop_motors(self) -> None:
@@ -81,21 +90,39 @@ class LiveEpisode:
         action = torch.as_tensor(command, dtype=torch.float32)[None]
         self._state = self._env.step(self._state.set("action", action))["next"]
         self.points = self._state["point_cloud"][0].numpy()
-        ended = [name for name in ("arrived", "collided") if self._state[name].any()]
-        self.outcome = self.outcome or (ended[0] if ended else None)
+        self._conclude(*(bool(self._state[name].any()) for name in ("collided", "arrived")))
 
-    def piece(self, command: np.ndarray) -> slice:
-        """Flies a piece by ``command [4]``; returns which rays of the turn were cast in it."""
+    def piece(self, velocity: np.ndarray, yaw_rate: float) -> slice:
+        """Flies a piece by a velocity ``[3]`` in the world's axes in m/s and a yaw rate in rad/s.
+
+        Returns:
+            The rays of the LiDAR's turn that were cast in it.
+        """
         env, simulation = self._env, self._env.simulation
         planes = len(env.traffic.positions)
         path = env.traffic.advance(TRACKING_PERIOD, 1 / PHYSICS_RATE) if planes else None
-        collided = simulation.step(command[None], path, TRACKING_PERIOD)
+        command = [*self._along(velocity), velocity[2], yaw_rate]
+        collided = simulation.step(np.array([command]), path, TRACKING_PERIOD)
         collided |= env.world.out_of_bounds(simulation.position, env._valley)
-        if self.outcome is None and collided[0]:
-            self.outcome = "collided"
-        elif self.outcome is None and env.world.arrived(simulation.position, self._goal[None])[0]:
-            self.outcome = "arrived"
+        self._conclude(bool(collided[0]), bool(env.world.arrived(simulation.position, self._goal[None])[0]))
         return self._look()
+
+    def _conclude(self, collided: bool, arrived: bool) -> None:
+        """Keeps how the episode has ended, if it has."""
+        if self.outcome is None and (collided or arrived):
+            self.outcome = "collision" if collided else "success"
+
+    def _along(self, velocity: np.ndarray) -> tuple[float, float]:
+        """Which velocity forward and to the left is flown as this one in the world's axes.
+
+        The controller lets a velocity turn with the vehicle, and accelerates sideways for that. One that does not turn
+        is that which, so accelerated, comes to it: with gain g and yaw rate r it is v / (1 + i r / g).
+        """
+        motion = self.motion
+        yaw_rate = float(motion.rotation[2] @ motion.rates)
+        flat = complex(velocity[0], velocity[1]) * cmath.exp(-1j * motion.yaw)
+        flat /= complex(1.0, yaw_rate / VELOCITY_GAIN[0])
+        return flat.real, flat.imag
 
     def _look(self) -> slice:
         """Casts the rays that are fired in a piece, from where it has ended."""
