@@ -64,8 +64,8 @@ def main(config: DictConfig) -> None:
     """Flies one task by a companion's set-points."""
     settings = validate(config, SitlConfig)
     mavlink()  # what is missing is told before torch is loaded
-    refuse = [key for key in given_overrides() if key.startswith("env.num_uavs=")]
-    require(not refuse, "env.num_uavs", "left out: a companion flies one vehicle", "a number")
+    if any(override.startswith("env.num_uavs=") for override in given_overrides()):
+        raise UavrlError("env.num_uavs is set by the command itself: leave it out, a companion flies one vehicle.")
     file = None if settings.json is None else writable(Path(settings.json), "json=FILE")
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch

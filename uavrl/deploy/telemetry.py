@@ -78,7 +78,8 @@ class Telemetry:
         """What is to be sent at ``now``, of a motion of that time; call it more often than 50 times a second."""
         late = [number for number, due in self._due.items() if now >= due - 1e-6]
         for number in late:
-            self._due[number] = max(self._due[number] + self._every[number], now)
+            after = self._due[number] + self._every[number]
+            self._due[number] = after if after > now else now + self._every[number]
         asked, self._asked = self._asked, []
         return [self.message(number, now, motion) for number in dict.fromkeys([*asked, *late])]
 
