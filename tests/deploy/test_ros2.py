@@ -251,7 +251,9 @@ def test_without_cyclonedds_it_says_what_to_install(monkeypatch: pytest.MonkeyPa
 
 def test_a_domain_that_cannot_be_entered_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     nowhere = '<NetworkInterface address="203.0.113.9"/>'
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK.replace('<NetworkInterface address="127.0.0.1" multicast="false"/>', nowhere))
+    monkeypatch.setenv(
+        "CYCLONEDDS_URI", LOOPBACK.replace('<NetworkInterface address="127.0.0.1" multicast="false"/>', nowhere)
+    )
     with pytest.raises(UavrlError, match=r"domain \d+ of ROS 2 cannot be entered .*does CYCLONEDDS_URI fit it\?"):
         Ros2Scans(f"ros2://{DOMAIN}/points")
 
