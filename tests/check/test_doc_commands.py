@@ -23,6 +23,7 @@ YAML = {
     "export": "export",
     "scan": "scan",
     "fly": "fly",
+    "sitl": "sitl",
 }
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/journal").glob("*.md"))]
 
@@ -34,7 +35,7 @@ def commands(page: Path) -> Iterator[str]:
             continue
         for line in block.replace("\\\n", " ").splitlines():
             yield from re.findall(
-                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export|scan) .*)", line
+                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export|scan|sitl) .*)", line
             )
 
 

@@ -32,6 +32,7 @@ LIGHT = {
     "evaluate": {"episodes=0": "episodes must be at least 1, got 0"},
     "pretrain": {"pretrain.stats=0": "There is no key 'pretrain.stats': did you mean pretrain.states?"},
     "fly": {"policy=none": "goal must be three numbers"},
+    "sitl": {"speed=0": "speed must be", "firmware=betaflight": "firmware must be one of px4, ardupilot"},
     "scan": {"source=none.bin": "There is no none.bin: give source=FILE"},
     "export": {"output=null": "output must be a folder to write the policy to"},
 }

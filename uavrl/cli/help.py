@@ -18,6 +18,7 @@ ABOUT = {
     "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
     "scan": ("uavrl-scan", "Shows what a LiDAR sees, and what a policy would see of it."),
     "fly": ("uavrl-fly", "Flies a vehicle by its LiDAR with an exported policy, or pretends to."),
+    "sitl": ("uavrl-sitl", "Plays a vehicle in the simulator: VLP-16 packets and MAVLink by UDP."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
 EXAMPLES = {
@@ -31,6 +32,7 @@ EXAMPLES = {
         "policy=FOLDER model=VLP16 goal=[20,5,2.5] set_mode=true",
         "policy=FOLDER model=VLP16 goal=[20,0,2.5] autopilot=null",
     ],
+    "sitl": ["task=3 json=task.json", "valleys=[100] randomize=real", "speed=lockstep firmware=ardupilot"],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
 MOST_USED = {
@@ -42,6 +44,7 @@ MOST_USED = {
     "export": "run policy output checkpoint",
     "scan": "source model topic seconds vehicle reduction statistic radius output json",
     "fly": "policy goal lidar model vehicle autopilot set_mode arm standing radius hold seconds log json",
+    "sitl": "task seed valleys lidar autopilot firmware armed speed patience linger pilot_takes_over json",
     "pretrain": "run output seed",
 }
 LONGEST = 24  # characters of a name beside its meaning

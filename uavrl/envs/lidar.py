@@ -137,6 +137,7 @@ class Lidar:
         angular_velocities: np.ndarray | None = None,
         rng: np.random.Generator | None = None,
         flaws: Sequence[Plant] | None = None,
+        rays: slice | None = None,
     ) -> np.ndarray:
         """Casts one scan per vehicle.
 
@@ -153,6 +154,7 @@ class Lidar:
             angular_velocities: ``[N, 3]``, world-frame angular velocities in rad/s.
             rng: source of range noise and dropout, which need it.
             flaws: N vehicles with a blind sector, or with noise and dropout in place of those of ``config``.
+            rays: those that are cast, without motion distortion; all others are NaN. None: all of a turn.
 
         Returns:
             ``float32 [N, 28928, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
@@ -177,11 +179,13 @@ class Lidar:
         dropout = [config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
         if rng is None and (any(noise) or any(dropout)):
             raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
-        moved = config.motion_distortion
+        moved = config.motion_distortion and rays is None
         if moved:
             velocities = _checked("velocities", velocities, positions.shape)
             angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
         ranges = np.full((len(positions), NUM_RAYS), np.nan, dtype=np.float32)
+        first, last, _ = slice(None).indices(NUM_RAYS) if rays is None else rays.indices(NUM_RAYS)
+        every = None if rays is None else np.arange(first, last)
         near = None if self._culler is None else self._culler.candidates(positions, rotations)
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
             origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ self._columns
@@ -191,10 +195,12 @@ class Lidar:
                 directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
                 speed = float(np.linalg.norm(velocities[vehicle]))
             if self._static_scene is not None:
-                rays = None if near is None else np.flatnonzero(near[vehicle])
-                _cast(self._static_scene, origins, directions, rays, ranges[vehicle], self._reach)
+                passing = every if near is None else np.flatnonzero(near[vehicle].ravel()[first:last]) + first
+                _cast(self._static_scene, origins, directions, passing, ranges[vehicle], self._reach)
             for pose in poses[vehicle]:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
+        if rays is not None:
+            ranges[:, :first] = ranges[:, last:] = np.nan
         for seen, flaw in zip(ranges, flaws, strict=True):
             if flaw.blind_sector:
                 hide_sector(seen, flaw.blind_azimuth, flaw.blind_sector)

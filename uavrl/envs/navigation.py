@@ -264,11 +264,15 @@ class NavigationEnv(EnvBase):
         """The shape of a plane at the origin, x forward, in m; :meth:`plane_poses` says where each one is."""
         return plane_mesh(self._world_config.plane_wingspan)
 
-    def _scan(self, index: np.ndarray) -> np.ndarray:
+    def look(self, rays: slice) -> np.ndarray:
+        """What all vehicles see now by some rays: ``[N, 28928, 3]``, NaN for all other rays and for misses."""
+        return self._scan(np.arange(self.num_uavs), rays)
+
+    def _scan(self, index: np.ndarray, rays: slice | None = None) -> np.ndarray:
         if self._lidar is None:
             return self._no_returns
         planes = self.plane_poses() if self.world.config.planes and self.blind_to != "planes" else None
-        points = self.simulation.scan(self._lidar, index, planes, self._lidar_rng)
+        points = self.simulation.scan(self._lidar, index, planes, self._lidar_rng, rays)
         if len(index) == self.num_uavs:
             return points
         cloud = self._no_returns.copy(order="K")

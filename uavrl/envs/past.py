@@ -1,10 +1,10 @@
-"""What vehicles and planes did during the last control period, for sensors that report late."""
+"""What vehicles and planes did during the time of a control period, for sensors that report late."""
 
 import numpy as np
 
 
 class Past:
-    """States before the last control period and after each of its physics steps; planes likewise.
+    """The newest state and those of the physics steps of a control period before it; planes likewise.
 
     Args:
         count: Number of vehicles N.
@@ -27,12 +27,15 @@ class Past:
         """Takes ``poses [K, 4]`` as those of now."""
         self._planes = np.array(poses)[None]
 
-    def begin_period(self, plane_path: np.ndarray | None) -> None:
-        """Forgets the period before; the planes will fly ``plane_path [T, K, 4]``, or stay where they are."""
-        del self._states[:-1]
-        self._age += self._steps
-        now = self._planes[-1:]
-        self._planes = now if plane_path is None else np.concatenate([now, plane_path])
+    def begin(self, steps: int, plane_path: np.ndarray | None) -> None:
+        """Takes in that physics steps follow, in which planes fly ``plane_path [steps, K, 4]`` or stay where they are.
+
+        What is older than a control period when they have been added is forgotten.
+        """
+        del self._states[: -(self._steps + 1 - steps)]
+        self._age += steps
+        if plane_path is not None:
+            self._planes = np.concatenate([self._planes, plane_path])[-(self._steps + 1) :]
 
     def add(self, states: np.ndarray) -> None:
         """Adds the states ``[N, 13]`` after a physics step."""

@@ -101,7 +101,7 @@ class Simulation:
         self._centre_of_mass = np.array(airframe.centre_of_mass)
         self._lidar_offset = np.array(airframe.lidar_position)
         self._gust = np.zeros((self.count, 3))
-        self._target = np.zeros((self.count, 4))
+        self._targets = np.zeros((self.substeps // self._tracking_period + 1, self.count, 4))  # oldest first
         self.rotor_speed = np.full((self.count, 4), airframe.hover_speed)
 
     def _build(self, meshes: Sequence[Mesh], plane_mesh: Mesh | None, plane_count: int) -> None:
@@ -136,7 +136,7 @@ class Simulation:
             pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)
             pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self._client)
         self.rotor_speed[index] = self.plants.hover_speed[index]
-        self._gust[index] = self._target[index] = 0.0
+        self._gust[index] = self._targets[:, index] = 0.0
         self._controller.reset(index, self.plants.hover_force[index])
         self._past.reset(index, self._read())
         self._publish()
@@ -154,30 +154,31 @@ class Simulation:
         self._move_planes(self._checked_poses(poses, (len(self._planes), 4)).tolist())
         self._past.place_planes(poses)
 
-    def step(self, commands: np.ndarray, plane_path: np.ndarray | None = None) -> np.ndarray:
+    def step(
+        self, commands: np.ndarray, plane_path: np.ndarray | None = None, substeps: int | None = None
+    ) -> np.ndarray:
         """Runs one control period; returns which vehicles touched anything in any of its physics steps, ``bool [N]``.
 
         Args:
             commands: ``[N, 4]``: velocities in the yaw-aligned body frame in m/s and yaw rate in rad/s, clipped to
                 [-2, 2].
             plane_path: ``[substeps, K, 4]``: x, y, z in m and yaw in rad of the planes in each physics step.
+            substeps: physics steps, if this is a part of a period: a multiple of 3. Parts and a whole come to the same.
         """
+        substeps = self._checked_substeps(substeps)
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
-        shape = (self.substeps, len(self._planes), 4)
+        shape = (substeps, len(self._planes), 4)
         path = [] if plane_path is None else self._checked_poses(plane_path, shape).tolist()
-        self._past.begin_period(plane_path)
-        wind = self._draw_wind()
+        self._past.begin(substeps, plane_path)
+        wind = self._draw_wind(substeps)
         touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
-        target_tm1, self._target = self._target, target
-        delay, longest = self.plants.action_delay, self.plants.action_delay.max()
-        for substep in range(self.substeps):
+        for substep in range(substeps):
             if path:
                 self._move_planes(path[substep])
             if substep % self._tracking_period == 0:
                 lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
                 velocity = self._twist_world[:, 0]
-                command = target if substep >= longest else np.where(substep < delay, target_tm1, target)
-                self._controller.track(command, self.rotation, velocity, self._twist, lift, period)
+                self._controller.track(self._delayed(target), self.rotation, velocity, self._twist, lift, period)
             self._push(None if wind is None else wind[substep])
             pybullet.stepSimulation(physicsClientId=self._client)
             self._past.add(self._read())
@@ -186,6 +187,21 @@ class Simulation:
                     touched[[self._row[body] for body in contact[1:3] if body in self._row]] = True
         self._publish()
         return touched
+
+    def _checked_substeps(self, substeps: int | None) -> int:
+        substeps = self.substeps if substeps is None else substeps
+        if not 0 < substeps <= self.substeps or substeps % self._tracking_period:
+            most = f"a multiple of {self._tracking_period}, at most {self.substeps}"
+            raise ValueError(f"A part of a control period has physics steps, {most}, got {substeps}.")
+        return substeps
+
+    def _delayed(self, target: np.ndarray) -> np.ndarray:
+        """The commands ``[N, 4]`` that act when ``target [N, 4]`` has just been given, each as late as its vehicle."""
+        delay = self.plants.action_delay[:, 0] // self._tracking_period
+        if not delay.any():
+            return target
+        self._targets = np.concatenate([self._targets[1:], target[None]])
+        return self._targets[-1 - delay, np.arange(self.count)]
 
     def _checked_commands(self, commands: np.ndarray) -> np.ndarray:
         commands = np.asarray(commands, dtype=np.float64)
@@ -248,16 +264,16 @@ class Simulation:
             pybullet.applyExternalForce(body, -1, force, centre, frame, client)
             pybullet.applyExternalTorque(body, -1, moment, frame, client)
 
-    def _draw_wind(self) -> np.ndarray | None:
-        """Draws the wind ``[T, N, 3]`` in m/s, world axes, of a period's physics steps; None in still air."""
+    def _draw_wind(self, substeps: int) -> np.ndarray | None:
+        """Draws the wind ``[T, N, 3]`` in m/s, world axes, of T physics steps; None in still air."""
         plants, gusts = self.plants, self._gust[None]
         if plants.still_air:
             return None
         if plants.gusty and self._rng is not None:
             intensity, time_constant = plants.gust_intensity, self.aerodynamics.gust_time_constant
-            gusts = gust_path(self._gust, intensity, time_constant, self._dt, self.substeps, self._rng)
+            gusts = gust_path(self._gust, intensity, time_constant, self._dt, substeps, self._rng)
             self._gust = gusts[-1]
-        return np.broadcast_to(plants.wind + gusts, (self.substeps, self.count, 3))
+        return np.broadcast_to(plants.wind + gusts, (substeps, self.count, 3))
 
     def _publish(self) -> None:
         """Turns the last state into the public quantities."""
@@ -271,16 +287,24 @@ class Simulation:
         self.lidar_position = self.position + rotation @ self._lidar_offset
 
     def scan(
-        self, lidar: "Lidar", index: np.ndarray, planes: np.ndarray | None, rng: np.random.Generator
+        self,
+        lidar: "Lidar",
+        index: np.ndarray,
+        planes: np.ndarray | None,
+        rng: np.random.Generator,
+        rays: slice | None = None,
     ) -> np.ndarray:
-        """Returns the newest scans of the vehicles ``int [M]``, as :meth:`uavrl.envs.Lidar.scan` gives them."""
+        """Returns the newest scans of the vehicles ``int [M]``, as :meth:`uavrl.envs.Lidar.scan` gives them.
+
+        Of some ``rays`` alone it gives what the sensor sees now, without motion distortion.
+        """
         position, rotation, velocity = self.lidar_position[index], self.rotation[index], self.velocity[index]
         spin = (rotation @ self.angular_velocity[index][:, :, None])[:, :, 0]
         delay = self._past.since_reset(self.plants.scan_delay[index], index)
         if delay.any():
             position, rotation, velocity, spin = self._at_lidar(self._past.states(delay, index))
             planes = None if planes is None else self._past.planes(delay)
-        if lidar.config.motion_distortion:  # the scan is the spin that ends now
+        if lidar.config.motion_distortion and rays is None:  # the scan is the spin that ends now
             from scipy.spatial.transform import Rotation  # here, so that it is PyBullet that is missed first
 
             position = position - velocity / self._control_rate
@@ -289,7 +313,7 @@ class Simulation:
             rotation = rotation @ self.plants.mount[index]
         flaws = [self.plants.each[row] for row in index] if self.plants.flawed else None
         motion = {"velocities": velocity, "angular_velocities": spin}
-        return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws)
+        return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws, rays=rays)
 
     def _at_lidar(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where LiDARs are in states ``[M, 13]``, how they stand and move: as :meth:`_publish` says it of now."""

@@ -1,0 +1,65 @@
+"""The loop of a simulated vehicle, with an episode by script: what is sent when, and how it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from tests.helpers.sitl import Ground, Scripted
+from uavrl.deploy.faults import Faults
+from uavrl.deploy.packets import PACKET, decode_vlp16
+from uavrl.deploy.sitl import Sitl
+from uavrl.envs.live import PIECE
+from uavrl.errors import UavrlError
+
+
+@pytest.fixture
+def ground() -> Iterator[Ground]:
+    made = Ground()
+    with closing(made.lidar):
+        yield made
+
+
+def test_a_turn_is_76_packets_each_of_what_was_seen_at_its_time(ground: Ground) -> None:
+    episode = Scripted()
+    sitl = Sitl(episode, *ground.addresses, speed=4.0, patience=0.5)  # type: ignore[arg-type]
+    with pytest.raises(UavrlError, match=r"No companion took control within 0.5 s: the vehicle is in AUTO\.LOITER"):
+        sitl.run()
+    packets = ground.packets()
+    read = np.frombuffer(b"".join(packets), PACKET)
+    firsts = np.flatnonzero(read["blocks"]["azimuth"][:, 0] == 0)
+    assert set(np.diff(firsts)) == {76} and len(packets) >= 4 * 76
+    times = read["time"][:76].astype(np.int64)
+    assert set(np.diff(times)) == {1327} or set(np.diff(times)) == {1327, 1328}
+    assert (read["time"][firsts] == 100_000 * np.arange(len(firsts))).all()
+    for number in (0, 30, 70):  # of the first turn: the wall's distance was 1 m and the age
+        ranges = np.linalg.norm(decode_vlp16([packets[number]]), axis=1)
+        age = (number + 1) * 1.327e-3
+        assert age - 0.001 <= ranges.mean() - 1.0 <= age + PIECE + 0.002
+    assert all(row == (0.0, 0.0, 0.0, 0.0) for row in episode.flown)
+    assert sitl.result.outcome == "stopped" and sitl.result.setpoints == 0
+
+
+def test_in_lockstep_a_companion_that_never_comes_is_told(ground: Ground) -> None:
+    sitl = Sitl(Scripted(), *ground.addresses, speed="lockstep", patience=0.3)  # type: ignore[arg-type]
+    with pytest.raises(UavrlError, match=r"No set-point was obeyed for 0.3 s: .* obeyed in OFFBOARD"):
+        sitl.run()
+
+
+def test_what_is_too_slow_says_so_once(ground: Ground, caplog: pytest.LogCaptureFixture) -> None:
+    sitl = Sitl(Scripted(slow=0.02), *ground.addresses, speed=4.0, patience=0.5)  # type: ignore[arg-type]
+    with pytest.raises(UavrlError, match="No companion"):
+        sitl.run()
+    assert sum("cannot hold speed=4" in record.getMessage() for record in caplog.records) == 1
+    assert sitl.result.rate < 0.5
+
+
+def test_faults_are_on_the_way(ground: Ground) -> None:
+    sitl = Sitl(Scripted(), *ground.addresses, speed=4.0, patience=0.4, faults=Faults(lose=0.5, product=33))  # type: ignore[arg-type]
+    with pytest.raises(UavrlError):
+        sitl.run()
+    packets = ground.packets()
+    assert {packet[-1] for packet in packets} == {33} and len(packets) == pytest.approx(4 * 38, rel=0.4)

@@ -1,0 +1,154 @@
+"""``uavrl-sitl``: our simulator as a vehicle, for a companion that speaks MAVLink and reads a VLP-16."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from omegaconf import DictConfig
+
+from uavrl.cli.command import command, given_overrides
+from uavrl.config import validate
+from uavrl.config.parts import Part
+from uavrl.config.sentences import require
+from uavrl.config.settings import Valleys
+from uavrl.deploy.autopilot import mavlink
+from uavrl.deploy.faults import Faults
+from uavrl.deploy.simulated_autopilot import FirmwareName
+from uavrl.deploy.udp import address
+from uavrl.errors import Stopped, UavrlError
+from uavrl.ranges import Folder, NonNegative, Positive, Seed, Text, Whole
+from uavrl.runs.files import replacing, writable
+
+if TYPE_CHECKING:
+    from uavrl.deploy.sitl import Result
+    from uavrl.envs.live import LiveEpisode
+    from uavrl.envs.navigation import NavigationEnv
+
+
+@dataclass
+class SitlConfig:
+    """conf/sitl.yaml: one task."""
+
+    env: Part
+    perception: Part
+    reward: Part
+    choices: dict[str, str] = field(default_factory=dict)
+    packages: tuple[Text, ...] = ()
+    task: Whole = 0
+    seed: Seed = 20_000
+    valleys: Valleys | None = None
+    lidar: Folder = "udp://127.0.0.1:2368"
+    autopilot: Folder = "udp://127.0.0.1:14540"
+    firmware: FirmwareName = "px4"
+    armed: bool = True
+    speed: Positive | Literal["lockstep"] = 1.0
+    patience: Positive = 60.0
+    linger: NonNegative = 1.0
+    pilot_takes_over: NonNegative | None = None
+    json: Folder | None = None
+    faults: Faults = field(default_factory=Faults)
+
+    def __post_init__(self) -> None:
+        """Checks the addresses, and that the environment is a valley."""
+        for key in ("lidar", "autopilot"):
+            require(bool(address(getattr(self, key))[0]), key, "udp://HOST:PORT, where to send to", getattr(self, key))
+        require("world" in self.env, "env", "a valley", self.choices.get("env"))
+
+
+@command("sitl")
+def main(config: DictConfig) -> None:
+    """Flies one task by a companion's set-points."""
+    settings = validate(config, SitlConfig)
+    mavlink()  # what is missing is told before torch is loaded
+    if any(override.startswith("env.num_uavs=") for override in given_overrides()):
+        raise UavrlError("env.num_uavs is set by the command itself: leave it out, a companion flies one vehicle.")
+    file = None if settings.json is None else writable(Path(settings.json), "json=FILE")
+    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
+    import torch
+
+    from uavrl.deploy.sitl import Sitl
+    from uavrl.envs.live import LiveEpisode
+
+    torch.set_num_threads(1)
+    env = _environment(settings)
+    try:
+        episode = LiveEpisode(env, settings.task)
+        told = _task(settings, episode)
+        _write(file, told)
+        options = {key: getattr(settings, key) for key in ("firmware", "armed", "speed", "patience", "linger")}
+        options |= {"pilot_takes_over": settings.pilot_takes_over, "faults": settings.faults}
+        sitl = Sitl(episode, settings.lidar, settings.autopilot, max_steps=env.max_steps, **options)
+        with closing(sitl):
+            _introduce(settings, told)
+            stopped = None
+            try:
+                sitl.run()
+            except (KeyboardInterrupt, UavrlError) as error:
+                stopped = error
+            _write(file, told | sitl.result.facts())
+    finally:
+        env.close()
+    if isinstance(stopped, KeyboardInterrupt):
+        raise Stopped(f"stopped: {_sentence(sitl.result)}") from stopped
+    if stopped is not None:
+        raise stopped
+    print(_sentence(sitl.result))
+
+
+def _environment(settings: SitlConfig) -> NavigationEnv:
+    from uavrl.envs.navigation import NavigationEnv
+    from uavrl.rollout.environment import make_env
+
+    if settings.valleys is not None:
+        settings.env["world"] = replace(settings.env.world, seeds=settings.valleys)
+    context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": 1}
+    base = make_env(settings.env, settings.perception, tasks=[settings.task], **context).base_env
+    require(isinstance(base, NavigationEnv), "env", "a valley", settings.choices.get("env"))
+    assert isinstance(base, NavigationEnv)
+    return base
+
+
+def _task(settings: SitlConfig, episode: LiveEpisode) -> dict[str, Any]:
+    """The task, in the axes of the autopilot's origin."""
+    motion = episode.motion
+    places = {"goal": episode.goal, "start": motion.position}
+    told: dict[str, Any] = {name: [round(float(each), 3) + 0.0 for each in place] for name, place in places.items()}
+    told |= {"yaw": round(motion.yaw, 4), "distance_at_start": round(episode.distance, 3)}
+    told |= {"task": settings.task, "seed": settings.seed, "valley": episode.world_seed}
+    told |= {key: getattr(settings, key) for key in ("lidar", "autopilot", "firmware", "speed")}
+    return told | {"env": settings.choices.get("env"), "outcome": None}
+
+
+def _introduce(settings: SitlConfig, told: dict[str, Any]) -> None:
+    goal = ",".join(f"{each:g}" for each in told["goal"])
+    start = ", ".join(f"{each:g}" for each in told["start"])
+    where = f"from ({start}) to goal=[{goal}], {told['distance_at_start']:.1f} m"
+    print(f"Task {settings.task} in valley {told['valley']}: {where}.")
+    print(f"LiDAR to {settings.lidar}, MAVLink ({settings.firmware}) to {settings.autopilot}.", flush=True)
+
+
+def _sentence(result: Result) -> str:
+    """How it went."""
+    if not result.setpoints:
+        return "No set-point was obeyed."
+    ended = result.outcome.replace("_", "-").capitalize()
+    went = f"{ended} after {result.seconds:.1f} s, {result.distance:.1f} m from the goal"
+    kept = ""
+    if any(result.packets_late_ms):
+        late = "{:.1f} ms (median), at most {:.0f} ms".format(*result.packets_late_ms)
+        kept = f"; {100 * result.rate:.0f} % of the speed was held, packets were late by {late}"
+    return f"{went} (nearest {result.least_distance:.1f} m){kept}."
+
+
+def _write(file: Path | None, told: dict[str, Any]) -> None:
+    if file is not None:
+        with replacing(file) as partial:
+            partial.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
