@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.deploy.frames import Vector
-from uavrl.deploy.logged_flight import LoggedFlight
+from uavrl.deploy.logged_flight import FARTHEST, LoggedFlight
 from uavrl.deploy.reduction import directions, is_return
 from uavrl.deploy.stages import FlightCycle
 from uavrl.errors import UavrlError
@@ -53,7 +53,7 @@ class LoggedMoments:
 
     def _add(self, cycle: FlightCycle) -> None:
         pose = cycle.pose
-        if pose is not None and np.isfinite([*pose.position, pose.yaw]).all():
+        if pose is not None and np.isfinite(pose.yaw) and (np.abs(pose.position) < FARTHEST).all():
             position, yaw = pose.position, pose.yaw
         elif self.cycles:
             position, yaw = self.positions[-1], self.yaws[-1]
