@@ -28,7 +28,8 @@ CHECKED = [
     "export",
     "onnx_export",
     "simulated",
-]  # pydantic checks a contract; the last three have torch
+    "logged_flight",
+]  # pydantic checks a contract; export, onnx_export and simulated have torch
 
 
 def without(blocked: list[str], run: str, folder: Path) -> subprocess.CompletedProcess[str]:

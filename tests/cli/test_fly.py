@@ -8,13 +8,16 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.helpers.commands import in_process
 from tests.helpers.exported import exported
 from tests.helpers.packets import RECORDED
 from uavrl.cli import fly
+from uavrl.deploy.logged_flight import LoggedFlight
 from uavrl.deploy.packets import encode_scan
+from uavrl.deploy.sources import ScanSource
 from uavrl.envs.vlp16 import firing_directions
 
 RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
@@ -70,6 +73,19 @@ def test_without_a_scan_it_says_why(policy: Path, capsys: pytest.CaptureFixture[
     out = capsys.readouterr().out
     assert "0.0 s  silent (no_scan): there is no scan" in out
     assert out.count("No scan has come for 3 s: no packet arrived; the sensor sends to the address") == 1
+
+
+def test_a_flight_is_logged(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = [each for each in RECORDING if each != "log=null"]
+    for name in ("flight.mcap", "flight_2.mcap"):
+        assert in_process(fly.main, f"policy={policy}", GOAL, *recording, f"log={tmp_path / 'flight.mcap'}") == 0
+        assert f"Log: {tmp_path / name}, which uavrl-replay" in capsys.readouterr().out
+        logged = LoggedFlight(tmp_path / name)
+        cycles = list(logged)
+        assert logged.whole and logged.goal == (20.0, 0.0, 2.5) and logged.about["autopilot"] == "None"
+        scans = [points for _, points in ScanSource(RECORDED, "VLP16")]
+        for cycle, points in zip(cycles, scans, strict=True):
+            assert cycle.scan is not None and np.array_equal(cycle.scan.points, points)
 
 
 @pytest.mark.parametrize(

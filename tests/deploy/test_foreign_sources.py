@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.captures import KINDS, PACKETS, captured, recorded
-from uavrl.deploy import bags
+from uavrl.deploy import libraries
 from uavrl.deploy.sources import ScanSource
 from uavrl.errors import UavrlError
 
@@ -88,6 +88,6 @@ def test_without_rosbags_it_says_what_to_install(tmp_path: Path, monkeypatch: py
         raise ImportError(name)
 
     path = recorded("db3")(tmp_path)
-    monkeypatch.setattr(bags, "import_module", missing)
+    monkeypatch.setattr(libraries, "import_module", missing)
     with pytest.raises(UavrlError, match="pip install rosbags"):
         ScanSource(path, "VLP16")

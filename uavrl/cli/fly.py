@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,13 +24,14 @@ from uavrl.deploy.feeds import UdpScans
 from uavrl.deploy.flight import Flight, fly, rehearse
 from uavrl.deploy.flight_summary import FlightSummary
 from uavrl.deploy.limits import SafetyLimits
+from uavrl.deploy.log import FlightLog
 from uavrl.deploy.policy import Policy
 from uavrl.deploy.reduction import is_return
 from uavrl.deploy.safety import SafetyLayer
 from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.stages import FlightCycle, VehicleLink
 from uavrl.deploy.vehicle import Control
-from uavrl.errors import Stopped
+from uavrl.errors import Stopped, UavrlError
 from uavrl.ranges import Folder, NonNegative, Positive
 from uavrl.runs.files import replacing, writable
 
@@ -84,15 +86,22 @@ def main(config: DictConfig) -> None:
         flight = Flight(
             policy, settings.goal, link, SafetyLayer(settings.safety), radius=settings.radius, box=settings.box
         )
+        log = _log(settings, policy)
+        if log is not None:
+            opened.callback(_told, log.close)
         cycles = _cycles(settings, flight, link, opened)
         try:
             for cycle in _until_the_end(cycles, settings):
                 summary.add(cycle)
+                if log is not None:
+                    _told(log.write, cycle)
                 if settings.progress:
                     _tell(cycle, summary)
         except KeyboardInterrupt as error:
             stopped = error
     _conclude(summary, numbers)
+    if log is not None:
+        print(f"Log: {log.path}, which uavrl-replay flight={log.path} shows")
     if stopped is not None:
         raise Stopped("stopped: no more set-points are sent.") from stopped
 
@@ -102,6 +111,24 @@ def _link(settings: FlyConfig) -> VehicleLink:
         x, y, z, yaw = settings.standing
         return DryRun((x, y, z), yaw)
     return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
+
+
+def _log(settings: FlyConfig, policy: Policy) -> FlightLog | None:
+    if settings.log is None:
+        return None
+    assert settings.goal is not None
+    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot)}
+    return FlightLog(
+        settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
+    )
+
+
+def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
+    """Writes to the log; where that fails, says so and flies on."""
+    try:
+        write(*arguments)
+    except UavrlError as error:
+        print(f"uavrl: {error}", file=sys.stderr)
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:

@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from uavrl.deploy.libraries import needed
+from uavrl.deploy.mcap_file import MAGIC, McapFile
 from uavrl.deploy.reduction import is_return
 from uavrl.deploy.scans import Scan, Skipped
 from uavrl.errors import UavrlError
@@ -41,8 +42,14 @@ class Topic(NamedTuple):
 
 def is_rosbag1(path: Path) -> bool:
     """Whether a file is a rosbag of ROS 1."""
+    return _begins(path, ROSBAG1)
+
+
+def _begins(path: Path, mark: bytes) -> bool:
+    if not path.is_file():
+        return False
     with path.open("rb") as file:
-        return file.read(len(ROSBAG1)) == ROSBAG1
+        return file.read(len(mark)) == mark
 
 
 def scan_topic(path: Path, topic: str | None = None) -> Topic:
@@ -113,7 +120,7 @@ def _seconds(stamp: Any) -> float:
 
 def _messages(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[float, Any]]:
     """The messages of one topic; those that cannot be read are counted."""
-    read = _reader_of_messages(path.is_file() and is_rosbag1(path))
+    read = _reader_of_messages(is_rosbag1(path))
     with _opened(path) as bag:
         connections = [connection for connection in bag.connections if connection.topic == topic]
         messages = bag.messages(connections=connections)
@@ -134,21 +141,20 @@ def _messages(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[float,
 
 
 def _rosbags(module: str) -> Any:
-    try:
-        return import_module(f"rosbags.{module}")
-    except ImportError as error:
-        raise UavrlError("A recording of ROS needs rosbags, which is not installed: pip install rosbags.") from error
+    return needed(f"rosbags.{module}", "A recording of ROS")
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """A reader of a recording; what cannot be opened is one sentence."""
-    module = _rosbags("rosbag1" if path.is_file() and is_rosbag1(path) else "rosbag2")
+    module = _rosbags("rosbag1" if is_rosbag1(path) else "rosbag2")
     with ExitStack() as stack:
         try:
             bag = stack.enter_context(module.Reader(path))
         except Exception as error:  # `rosbags` meets damage with errors of many kinds
-            raise UavrlError(f"{path} is no recording of ROS, or is damaged: give another one.") from error
+            bag = McapFile(path) if _begins(path, MAGIC) else None  # cut off: nobody has written its index
+            if bag is None or not bag.connections:
+                raise UavrlError(f"{path} is no recording of ROS, or is damaged: give another one.") from error
         yield bag
 
 

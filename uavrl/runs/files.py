@@ -4,8 +4,9 @@ import errno
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
+from typing import BinaryIO
 
 from uavrl.errors import FolderTaken, UavrlError
 
@@ -87,15 +88,30 @@ def made_folder(folder: Path, holding: str, *, another: bool = False) -> Iterato
 
 def _made(folder: Path, another: bool) -> tuple[Path, bool]:
     """The folder, and whether it was made here."""
-    names = chain([folder.name], (f"{folder.name}_{number}" for number in count(2)))
-    while True:
-        made = folder.with_name(next(names))
+    for made in _numbered(folder, ""):
         try:
             made.mkdir()
             return made, True
         except FileExistsError:
             if not another:
                 return folder, False
+    raise AssertionError("there are numbers enough")
+
+
+def new_file(path: Path) -> BinaryIO:
+    """Opens a file to write to, which nobody else has: where there is one of this name, its name ends in a number."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for free in _numbered(path, path.suffix):
+        with suppress(FileExistsError):
+            return free.open("xb")
+    raise AssertionError("there are numbers enough")
+
+
+def _numbered(path: Path, suffix: str) -> Iterator[Path]:
+    """The path itself, and then with a number before its suffix."""
+    yield path
+    stem = path.name.removesuffix(suffix)
+    yield from (path.with_name(f"{stem}_{number}{suffix}") for number in count(2))
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:

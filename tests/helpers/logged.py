@@ -1,0 +1,82 @@
+"""A short flight along a corridor, cycle by cycle, as a flight's loop would log it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from uavrl.deploy.contract import Contract, read_contract
+from uavrl.deploy.frames import Pose, to_goal
+from uavrl.deploy.log import FlightLog
+from uavrl.deploy.reduction import range_image
+from uavrl.deploy.safety import Cycle, SafetyLayer
+from uavrl.deploy.scans import Scan
+from uavrl.deploy.stages import FlightCycle
+from uavrl.deploy.vehicle import Control, VehicleStatus
+from uavrl.envs.vlp16 import firing_directions
+from uavrl.rollout.policies import PACKAGED
+
+GOAL = (12.0, 1.0, 2.5)
+WALLS = 3.0  # m from the corridor's middle, y = 0
+START, YAW = 1000.0, 0.3  # of the loop's clock, s, and of the vehicle, rad
+SILENT = (30, 40)  # cycles without a scan: the sensor is silent
+IN_CONTROL = VehicleStatus(Control.IN_CONTROL, "PX4 flies by set-points (OFFBOARD)", "PX4", "OFFBOARD", True)
+DISARMED = VehicleStatus(Control.DISARMED, "PX4 is in OFFBOARD, and not armed", "PX4", "OFFBOARD", False)
+
+
+@cache
+def contract() -> Contract:
+    return read_contract(PACKAGED / "best")
+
+
+def corridor(position: np.ndarray, yaw: float) -> np.ndarray:
+    """What a level sensor sees of two walls and the ground, ``float32 [P, 3]`` in its frame; misses are NaN."""
+    rays = firing_directions().reshape(-1, 3)[::4]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    across, down = sin * rays[:, 0] + cos * rays[:, 1], rays[:, 2]
+    with np.errstate(divide="ignore"):
+        walls = np.maximum((WALLS - position[1]) / across, (-WALLS - position[1]) / across)
+        ground = np.where(down < 0, -position[2] / down, np.inf)
+    far = np.minimum(walls, ground)
+    return np.where(far[:, None] < 30.0, rays * far[:, None], np.nan).astype(np.float32)
+
+
+def cycles(count: int = 60) -> Iterator[FlightCycle]:
+    """A flight of some cycles; for one second the sensor is silent, and before the third there is no pose."""
+    layer, sensor = SafetyLayer(), np.array(contract().cloud.sensor_position)
+    scanned = START
+    for number in range(count):
+        now = START + 0.1 * number
+        place = np.array([0.2 * number, 0.05 * number - 1.0, 2.5])
+        pose = Pose(now - 0.02, tuple(place.tolist()), (2.0, 0.5, 0.0), YAW) if number > 2 else None
+        scan = None
+        if not SILENT[0] <= number < SILENT[1]:
+            points, scanned = corridor(place + sensor, YAW), now - 0.01
+            scan = Scan(scanned, points, len(points), int(np.isnan(points[:, 0]).sum()))
+        action = np.array([1.0, 0.25, -0.125, 0.5 - 0.01 * number], np.float32)
+        control = IN_CONTROL if number > 15 else DISARMED
+        known = (None, None, None) if pose is None else (pose.stamp, pose.position, pose.yaw)
+        yield FlightCycle(
+            time=now,
+            scan=scan,
+            cells=None if scan is None else range_image(scan.points, 4.0),
+            pose=pose,
+            distance=None if pose is None else to_goal(pose, GOAL)["distance"],
+            action=None if pose is None else action,
+            control=control,
+            status=layer.step(Cycle(now, action, scanned, *known, control.control is Control.IN_CONTROL)),
+            latency=None if scan is None else 0.012,
+            arrived=number >= 50,
+        )
+
+
+def write_log(path: Path, count: int = 60) -> tuple[Path, list[FlightCycle]]:
+    """A log of such a flight, and its cycles."""
+    flown = list(cycles(count))
+    with FlightLog(path, contract(), GOAL, live=False, clock=lambda: START) as log:
+        for cycle in flown:
+            log.write(cycle)
+    return log.path, flown
