@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import random
+import socket
 from collections.abc import Iterator
 from contextlib import closing
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common
 
+from tests.helpers.autopilot_peer import garbage
 from tests.helpers.sitl import Ground, Scripted
 from uavrl.deploy.faults import Faults
 from uavrl.deploy.packets import PACKET, decode_vlp16
@@ -55,6 +59,25 @@ def test_what_is_too_slow_says_so_once(ground: Ground, caplog: pytest.LogCapture
         sitl.run()
     assert sum("cannot hold speed=4" in record.getMessage() for record in caplog.records) == 1
     assert sitl.result.rate < 0.5
+
+
+def test_noise_on_its_port_does_no_harm(ground: Ground) -> None:
+    sitl, rng = Sitl(Scripted(), *ground.addresses, patience=0.2), random.Random(0)  # type: ignore[arg-type]
+
+    class Sender:
+        messages = common.MAVLink(None)
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for _ in range(500):
+            stranger.sendto(garbage(Sender, rng), sitl._socket.getsockname())  # type: ignore[arg-type]
+    with pytest.raises(UavrlError, match="No companion"):
+        sitl.run()
+    assert len(ground.packets()) > 76 and sitl.result.modes == [(0.0, "AUTO.LOITER", "start")]
+
+
+def test_an_address_that_is_none_is_told() -> None:
+    with pytest.raises(UavrlError, match=r"udp://no\.such\.host\.invalid:2368 cannot be sent to"):
+        Sitl(Scripted(), "udp://no.such.host.invalid:2368")  # type: ignore[arg-type]
 
 
 def test_faults_are_on_the_way(ground: Ground) -> None:

@@ -31,6 +31,7 @@ _logger = logging.getLogger(__name__)
 LATE = 0.1  # s behind its time, after which the simulator gives up catching up
 TURN = 0.1  # s of the LiDAR
 _FIRINGS = 24 * 16  # rays in a packet
+_TICK = 0.02  # s between two looks while a set-point is waited for
 _AT_ONCE = 1000  # datagrams that one call reads at most
 
 
@@ -96,14 +97,15 @@ class Sitl:
     ) -> None:
         self._messages = mavlink()
         self._episode, self._faults = episode, faults or Faults()
-        self._lidar_to, self._mavlink_to = address(lidar, LIDAR_PORT), address(autopilot, AUTOPILOT_PORT)
+        self._lidar_to, self._mavlink_to = _found(lidar, LIDAR_PORT), _found(autopilot, AUTOPILOT_PORT)
         self._lockstep, self._speed = speed == "lockstep", 1.0 if speed == "lockstep" else float(speed)
         self._max_steps, self._patience, self._linger, self._pilot = max_steps, patience, linger, pilot_takes_over
         self.autopilot = SimulatedAutopilot(self._messages, firmware, armed=armed)
         self._telemetry = Telemetry(self._messages, self.autopilot)
         self._writer = self._messages.MAVLink(None, srcSystem=self.autopilot.system, srcComponent=1)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("", 0))
+        here = self._mavlink_to[0].startswith("127.")
+        self._socket.bind(("127.0.0.1" if here else "", 0))
         self._socket.setblocking(False)
         self._sensor = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._packets: deque[tuple[float, bytes]] = deque()  # with their times
@@ -152,22 +154,30 @@ class Sitl:
             self._wait(piece * PIECE)
 
     def _run_in_step(self) -> None:
-        waited = time.monotonic()
-        obeyed, step = 0, 0
+        step, waited = 0, time.monotonic()
         while not self._is_over(now := self._now):
-            self._govern(now)
+            before = self.autopilot.setpoints
             self._tell(now, pose=True)
             self._send(encode_scan(self._episode.points, now), now)
-            while self.autopilot.setpoints == obeyed and self._now < now + TURN:
-                self._hear_within(now + TURN - self._now)
+            self._await_setpoint(now + TURN, waited + self._patience)
             target = self.autopilot.setpoint(self._now)
-            if self.autopilot.setpoints > obeyed and target is not None and self._ended is None:
-                obeyed, waited = self.autopilot.setpoints, time.monotonic()
+            if self.autopilot.setpoints > before and target is not None and self._ended is None:
                 motion = self._episode.motion
                 self._episode.step(target.command(motion.position, motion.yaw))
-                step += 1
+                step, waited = step + 1, time.monotonic()
                 self._note(self._now, step)
-            elif time.monotonic() - waited > self._patience:
+
+    def _await_setpoint(self, scan: float, latest: float) -> None:
+        """Waits for a set-point that is obeyed; while none is, and at the end, only until the next scan is due."""
+        before = self.autopilot.setpoints
+        while self.autopilot.setpoints == before:
+            self._hear_within(_TICK)
+            now = self._now
+            self._govern(now)
+            self._tell(now)
+            if now >= scan and (not self.autopilot.in_control or self._ended is not None):
+                return
+            if time.monotonic() > latest and self._ended is None:
                 raise UavrlError(f"No set-point was obeyed for {self._patience:g} s: {self._who_flies()}.")
 
     def _is_over(self, now: float) -> bool:
@@ -298,3 +308,12 @@ class Sitl:
                 self.autopilot.hear(message, now, self._episode.motion.yaw)
         answers, self.autopilot.answers = self.autopilot.answers, []
         self._answer(answers)
+
+
+def _found(where: str, port: int) -> tuple[str, int]:
+    """The numbers of an address, found once and not for each packet."""
+    host, number = address(where, port)
+    try:
+        return socket.gethostbyname(host or "127.0.0.1"), number
+    except OSError as error:
+        raise UavrlError(f"{where} cannot be sent to ({error.strerror}): give a host of this network.") from error
