@@ -60,7 +60,7 @@ print(len(list(ScanSource({str(RECORDED)!r}, "VLP16"))))
 print(sorted(set(sys.modules) & {{"hydra", "pydantic", "torch", "scipy", "rosbags", "velodyne_decoder"}}))
 """
     libraries = ["hydra", "omegaconf", "pydantic", "scipy", "plotly"]
-    libraries += ["mcap", "pymavlink", "rosbags", "velodyne_decoder"]
+    libraries += ["cyclonedds", "mcap", "pymavlink", "rosbags", "velodyne_decoder"]
     done = without([*SIMULATOR, *libraries], run, tmp_path)
     assert done.stdout.splitlines() == ["2", "[]"], done.stderr
 

@@ -9,8 +9,9 @@ import pytest
 
 from tests.helpers.packets import turns
 from uavrl.deploy import scans
-from uavrl.deploy.packets import PACKET, PRODUCTS
+from uavrl.deploy.packets import PACKET, PRODUCTS, encode_scan
 from uavrl.deploy.scans import Scan, ScanAssembler
+from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
 
 
@@ -35,6 +36,15 @@ def test_the_model_is_named_and_never_guessed() -> None:
     for name in (None, "vlp16", "VLP-16", "HDL64E"):
         with pytest.raises(UavrlError, match=r"model must be one of VLP16, PuckHiRes, .* is not guessed"):
             ScanAssembler(name)  # type: ignore[arg-type]
+
+
+def test_turns_that_were_sent_one_by_one_overlap_and_have_no_gap() -> None:
+    packets = [packet for turn in range(4) for packet in encode_scan(3.0 * firing_directions(), stamp=1.0 + 0.1 * turn)]
+    for begin in (0, 1, 40, 75):
+        found, assembler = pushed(packets[begin:])
+        assert len(found) == (4 if begin == 0 else 3), begin
+        assert {scan.rays for scan in found} <= {75 * 384, 76 * 384, 77 * 384}
+        assert assembler.skipped.sentences() == []
 
 
 def test_packets_of_another_model_are_left_out_and_their_byte_is_told() -> None:

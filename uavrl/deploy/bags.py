@@ -1,6 +1,7 @@
 """Recordings of ROS: rosbag1, rosbag2 (a folder or its .db3) and MCAP, read by `rosbags`.
 
-Messages are read by the definitions below, never by those that a file brings: nothing that a file says is executed.
+Messages are read by the definitions in `uavrl.deploy.messages`, never by those that a file brings: nothing that a file
+says is executed.
 """
 
 from __future__ import annotations
@@ -15,21 +16,12 @@ import numpy as np
 
 from uavrl.deploy.libraries import needed
 from uavrl.deploy.mcap_file import MAGIC, McapFile
+from uavrl.deploy.messages import CLOUD, DEFINITIONS, ROS1, SCAN
 from uavrl.deploy.reduction import is_return
 from uavrl.deploy.scans import Scan, Skipped
 from uavrl.errors import UavrlError
 
-SCAN, CLOUD = "velodyne_msgs/msg/VelodyneScan", "sensor_msgs/msg/PointCloud2"
 ROSBAG1 = b"#ROSBAG V2.0"
-_DEFINITIONS = {
-    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
-    "std_msgs/msg/Header": "{seq}builtin_interfaces/Time stamp\nstring frame_id",
-    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
-    SCAN: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
-    "sensor_msgs/msg/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count",
-    CLOUD: "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n"
-    "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense",
-}
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField's numbers for float32 and float64
 
 
@@ -77,17 +69,23 @@ def read_packets(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[flo
     """The stamp in seconds and the bytes of each packet in a recording's messages of VelodyneScan."""
     for _, message in _messages(path, topic, skipped):
         for packet in message.packets:
-            yield _seconds(packet.stamp), packet.data.tobytes()
+            yield seconds(packet.stamp), packet.data.tobytes()
 
 
 def read_clouds(path: Path, topic: str, skipped: Skipped) -> Iterator[Scan]:
     """The scans in a recording's messages of PointCloud2."""
     for _, message in _messages(path, topic, skipped):
-        points = cloud_points(message)
-        if points is None:
-            skipped.malformed += 1
-        else:
-            yield Scan(_seconds(message.header.stamp), points, len(points), int((~is_return(points)).sum()))
+        if scan := cloud_scan(message, seconds(message.header.stamp), skipped):
+            yield scan
+
+
+def cloud_scan(message: Any, stamp: float, skipped: Skipped) -> Scan | None:
+    """The scan in a PointCloud2; one whose fields and data do not fit each other is counted."""
+    points = cloud_points(message)
+    if points is None:
+        skipped.malformed += 1
+        return None
+    return Scan(stamp, points, len(points), int((~is_return(points)).sum()))
 
 
 def cloud_points(message: Any) -> np.ndarray | None:
@@ -98,10 +96,10 @@ def cloud_points(message: Any) -> np.ndarray | None:
     order = ">" if message.is_bigendian else "<"
     kinds = [_FLOATS.get(fields[axis].datatype) for axis in "xyz"]
     offsets = [fields[axis].offset for axis in "xyz"]
-    data = np.asarray(message.data, dtype=np.uint8)
     rows, width, step, row_step = message.height, message.width, message.point_step, message.row_step
     if rows * width == 0:
         return np.empty((0, 3), np.float32)
+    data = np.frombuffer(message.data, np.uint8)
     if None in kinds or step == 0 or row_step < width * step or len(data) < rows * row_step:
         return None
     if any(offset + int(str(kind)[1]) > step for offset, kind in zip(offsets, kinds, strict=True)):
@@ -114,7 +112,8 @@ def cloud_points(message: Any) -> np.ndarray | None:
         return np.stack([read[axis].astype(np.float32) for axis in "xyz"], -1)
 
 
-def _seconds(stamp: Any) -> float:
+def seconds(stamp: Any) -> float:
+    """A time of ROS."""
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
@@ -163,6 +162,6 @@ def _reader_of_messages(ros1: bool) -> Callable[[bytes, str], Any]:
     """What makes a message of its bytes and the name of its type."""
     types = _rosbags("typesys")
     store = types.get_typestore(types.Stores.EMPTY)
-    for name, text in _DEFINITIONS.items():
-        store.register(types.get_types_from_msg(text.format(seq="uint32 seq\n" if ros1 else ""), name))
+    for name, text in (ROS1 if ros1 else DEFINITIONS).items():
+        store.register(types.get_types_from_msg(text, name))
     return store.deserialize_ros1 if ros1 else store.deserialize_cdr

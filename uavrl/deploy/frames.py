@@ -17,6 +17,7 @@ from uavrl.envs.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 from uavrl.errors import UavrlError
 
 Vector = tuple[float, float, float]
+_UNIT = 0.01  # by which the squared length of a rotation may differ from 1
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ def swap_yaw(yaw: float) -> float:
 
 
 def to_command(setpoint: Sequence[float] | np.ndarray) -> Command:
-    """What MAVLink calls a set-point (l_x, l_y, l_z, a_z), or back.
+    """What MAVLink calls a set-point (l_x, l_y, l_z, a_z).
 
     Raises:
         UavrlError: for anything but four numbers that are finite in float32.
@@ -69,12 +70,45 @@ def to_command(setpoint: Sequence[float] | np.ndarray) -> Command:
         >>> to_command((1.0, 0.5, -0.25, 2.0))
         Command(vx=1.0, vy=-0.5, vz=0.25, yaw_rate=-2.0)
     """
+    forward, left, up, to_the_left = check_setpoint(setpoint)
+    return Command(forward, 0.0 - left, 0.0 - up, 0.0 - to_the_left)
+
+
+def check_setpoint(setpoint: Sequence[float] | np.ndarray) -> tuple[float, float, float, float]:
+    """A set-point's numbers, if they are four that are finite in float32."""
     with np.errstate(over="ignore", invalid="ignore"):
         numbers = np.asarray(setpoint, dtype=np.float32)
     if numbers.shape != (4,) or not np.isfinite(numbers).all():
         raise UavrlError(f"A set-point is four finite numbers (l_x, l_y, l_z, a_z), got {setpoint!r}: it was not sent.")
     forward, left, up, to_the_left = numbers.tolist()
-    return Command(forward, 0.0 - left, 0.0 - up, 0.0 - to_the_left)
+    return forward, left, up, to_the_left
+
+
+def yaw_of(quaternion: Sequence[float]) -> float:
+    """The yaw of a rotation (w, x, y, z), about its world's z axis; NaN for what is none.
+
+    Examples:
+        >>> round(yaw_of((math.cos(0.5), 0.0, 0.0, math.sin(0.5))), 9), yaw_of((0.0, 0.0, 0.0, 0.0))
+        (1.0, nan)
+    """
+    w, x, y, z = quaternion
+    if not abs(w * w + x * x + y * y + z * z - 1.0) < _UNIT:
+        return math.nan
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def turned(vector: Sequence[float], quaternion: Sequence[float]) -> Vector:
+    """A vector in body axes in those of the world, by the body's rotation (w, x, y, z).
+
+    Examples:
+        >>> forward = turned((1.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))  # by 90 degrees to the left
+        >>> [round(abs(number), 9) for number in forward]
+        [0.0, 1.0, 0.0]
+    """
+    w, axis, v = quaternion[0], np.array(quaternion[1:]), np.array(vector)
+    across = 2.0 * np.cross(axis, v)
+    x, y, z = (v + w * across + np.cross(axis, across)).tolist()
+    return x, y, z
 
 
 def to_goal(pose: Pose, goal: Sequence[float]) -> dict[str, float]:

@@ -219,7 +219,8 @@ class ScanAssembler:
         self._packets.clear()
         blocks = np.frombuffer(b"".join(packets), PACKET)["blocks"]
         azimuth = blocks["azimuth"].astype(np.int64)
-        if ((azimuth[1:, 0] - azimuth[:-1, -1]) % FULL_TURN > WIDEST_GAP).any():
+        forth = (azimuth[1:, 0] - azimuth[:-1, -1]) % FULL_TURN  # turns that were sent one by one overlap: it is back
+        if ((forth > WIDEST_GAP) & (forth < FULL_TURN - WIDEST_GAP)).any():
             self.skipped.incomplete += 1
             return None
         hit = blocks["returns"]["distance"] > 0

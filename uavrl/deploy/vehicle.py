@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from uavrl.deploy.ages import SenderClock
 from uavrl.deploy.firmware import FIRMWARES, MULTIROTORS, Firmware
 from uavrl.deploy.frames import Pose, Vector, swap_world, swap_yaw
 
 HEARTBEAT_TIMEOUT = 3.0  # s; heartbeats come once a second
 _NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a ground station, a camera, a companion
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
-_RESTART = 10_000  # ms by which an autopilot's clock goes back when it has restarted, and not for a late packet
-_DRIFT = 1.1  # how much faster than its own the clock of an autopilot may seem
 
 
 class Control(StrEnum):
@@ -39,13 +38,18 @@ class VehicleStatus:
     armed: bool = False
 
 
-@dataclass
-class _Heard:
-    """The latest message of a kind."""
+class _Latest:
+    """The latest message of a kind; packets may come late or twice, and an autopilot may start anew."""
 
-    boot_ms: int
-    stamp: float
-    fields: Any
+    def __init__(self) -> None:
+        self._clock = SenderClock()
+        self.stamp = 0.0
+        self.fields: Any = None
+
+    def hear(self, message: Any, now: float) -> None:
+        stamp = self._clock.stamp(message.time_boot_ms / 1000.0, now)
+        if stamp is not None:
+            self.stamp, self.fields = stamp, message
 
 
 class Vehicle:
@@ -67,8 +71,7 @@ class Vehicle:
         self.had_mode = False  #: whether it was ever seen in the mode for set-points
         self._beat: Any = None
         self._beat_at = 0.0
-        self._position: _Heard | None = None
-        self._attitude: _Heard | None = None
+        self._position, self._attitude = _Latest(), _Latest()
 
     @property
     def firmware(self) -> Firmware | None:
@@ -88,19 +91,19 @@ class Vehicle:
         elif source != self.source:
             return False
         elif kind == "LOCAL_POSITION_NED":
-            self._position = _later(self._position, message, now)
+            self._position.hear(message, now)
         elif kind == "ATTITUDE":
-            self._attitude = _later(self._attitude, message, now)
+            self._attitude.hear(message, now)
         return source == self.source
 
     def pose(self) -> Pose | None:
         """Where the vehicle was last, which may not be finite; ``None`` before position and attitude have come."""
-        if self._position is None or self._attitude is None:
+        at, attitude = self._position.fields, self._attitude.fields
+        if at is None or attitude is None:
             return None
-        at = self._position.fields
         position: Vector = swap_world((at.x, at.y, at.z))
         stamp = min(self._position.stamp, self._attitude.stamp)
-        return Pose(stamp, position, swap_world((at.vx, at.vy, at.vz)), swap_yaw(self._attitude.fields.yaw))
+        return Pose(stamp, position, swap_world((at.vx, at.vy, at.vz)), swap_yaw(attitude.yaw))
 
     def status(self, now: float) -> VehicleStatus:
         """Who flies the vehicle at ``now``."""
@@ -131,16 +134,3 @@ class Vehicle:
         if self._only is not None:
             return source[0] == self._only
         return self.source in (None, source) or now - self._beat_at > HEARTBEAT_TIMEOUT
-
-
-def _later(before: _Heard | None, message: Any, now: float) -> _Heard:
-    """The later of two messages of a kind: packets may come late or twice, and an autopilot may start anew.
-
-    A message that waited somewhere is as old as the autopilot's own clock says it is, from the stamp of the one before.
-    """
-    if before is None or before.boot_ms - message.time_boot_ms > _RESTART:
-        return _Heard(message.time_boot_ms, now, message)
-    passed = (message.time_boot_ms - before.boot_ms) / 1000.0
-    if passed <= 0.0:
-        return before
-    return _Heard(message.time_boot_ms, min(now, before.stamp + _DRIFT * passed), message)
