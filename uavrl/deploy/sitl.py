@@ -16,8 +16,8 @@ import numpy as np
 from uavrl.deploy.autopilot import PORT as AUTOPILOT_PORT
 from uavrl.deploy.autopilot import mavlink
 from uavrl.deploy.faults import Faults
-from uavrl.deploy.packets import PACKET_TIME, encode_scan
 from uavrl.deploy.packets import PORT as LIDAR_PORT
+from uavrl.deploy.packets import PacketStream, encode_scan
 from uavrl.deploy.simulated_autopilot import FirmwareName, SimulatedAutopilot
 from uavrl.deploy.telemetry import POSE, Telemetry
 from uavrl.deploy.udp import address
@@ -30,7 +30,6 @@ _logger = logging.getLogger(__name__)
 
 LATE = 0.1  # s behind its time, after which the simulator gives up catching up
 TURN = 0.1  # s of the LiDAR
-_FIRINGS = 24 * 16  # rays in a packet
 _TICK = 0.02  # s between two looks while a set-point is waited for
 _AT_ONCE = 1000  # datagrams that one call reads at most
 
@@ -109,6 +108,7 @@ class Sitl:
         self._socket.setblocking(False)
         self._sensor = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._packets: deque[tuple[float, bytes]] = deque()  # with their times
+        self._stream = PacketStream()
         self._lateness: list[float] = []
         self._wanted: float | None = None  # when the first set-point was obeyed
         self._ended: float | None = None
@@ -148,7 +148,7 @@ class Sitl:
             self._tell(now)
             velocity, yaw_rate = self._demand(now)
             rays = self._episode.piece(velocity, yaw_rate)
-            self._queue(turn * TURN, rays)
+            self._packets += self._stream.add(self._episode.points[rays], rays.start, turn * TURN)
             self._note(now + PIECE)
             piece += 1
             self._wait(piece * PIECE)
@@ -233,14 +233,6 @@ class Sitl:
             late = 1000.0 * np.array(self._lateness)
             self.result.packets_late_ms = (round(float(np.median(late)), 3), round(float(late.max()), 3))
         self.close()
-
-    def _queue(self, turn: float, rays: slice) -> None:
-        """Takes in the packets whose last rays were cast among ``rays``, of a turn that began at a time in s."""
-        first, last = rays.start // _FIRINGS, rays.stop // _FIRINGS
-        packets = encode_scan(self._episode.points, turn)
-        last = len(packets) if rays.stop == len(self._episode.points) else last
-        for number in range(first, last):
-            self._packets.append((turn + (number + 1) * PACKET_TIME, packets[number]))
 
     def _wait(self, until: float) -> None:
         """Sends what is due and hears what comes until a time of the vehicle's clock."""
