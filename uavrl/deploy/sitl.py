@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import select
-import socket
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, field
@@ -19,8 +17,8 @@ from uavrl.deploy.faults import Faults
 from uavrl.deploy.packets import PORT as LIDAR_PORT
 from uavrl.deploy.packets import PacketStream, encode_scan
 from uavrl.deploy.simulated_autopilot import FirmwareName, SimulatedAutopilot
+from uavrl.deploy.sitl_ports import SitlPorts
 from uavrl.deploy.telemetry import POSE, Telemetry
-from uavrl.deploy.udp import address
 from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
@@ -31,7 +29,6 @@ _logger = logging.getLogger(__name__)
 LATE = 0.1  # s behind its time, after which the simulator gives up catching up
 TURN = 0.1  # s of the LiDAR
 _TICK = 0.02  # s between two looks while a set-point is waited for
-_AT_ONCE = 1000  # datagrams that one call reads at most
 
 
 @dataclass
@@ -94,19 +91,13 @@ class Sitl:
         pilot_takes_over: float | None = None,
         faults: Faults | None = None,
     ) -> None:
-        self._messages = mavlink()
+        messages = mavlink()
         self._episode, self._faults = episode, faults or Faults()
-        self._lidar_to, self._mavlink_to = _found(lidar, LIDAR_PORT), _found(autopilot, AUTOPILOT_PORT)
         self._lockstep, self._speed = speed == "lockstep", 1.0 if speed == "lockstep" else float(speed)
         self._max_steps, self._patience, self._linger, self._pilot = max_steps, patience, linger, pilot_takes_over
-        self.autopilot = SimulatedAutopilot(self._messages, firmware, armed=armed)
-        self._telemetry = Telemetry(self._messages, self.autopilot)
-        self._writer = self._messages.MAVLink(None, srcSystem=self.autopilot.system, srcComponent=1)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        here = self._mavlink_to[0].startswith("127.")
-        self._socket.bind(("127.0.0.1" if here else "", 0))
-        self._socket.setblocking(False)
-        self._sensor = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.autopilot = SimulatedAutopilot(messages, firmware, armed=armed)
+        self._telemetry = Telemetry(messages, self.autopilot)
+        self._ports = SitlPorts(messages, lidar, autopilot, self.autopilot.system)
         self._packets: deque[tuple[float, bytes]] = deque()  # with their times
         self._stream = PacketStream()
         self._lateness: list[float] = []
@@ -117,8 +108,7 @@ class Sitl:
 
     def close(self) -> None:
         """Gives its ports back."""
-        self._socket.close()
-        self._sensor.close()
+        self._ports.close()
 
     def run(self) -> Result:
         """Flies until the episode has ended and the vehicle has lingered.
@@ -217,6 +207,7 @@ class Sitl:
             self._wanted = now
         if self._wanted is None or self._ended is not None:
             return
+        result.setpoints = self.autopilot.setpoints
         result.seconds = now - self._wanted if steps is None else steps * TURN
         result.steps = math.ceil(result.seconds / TURN - 1e-6)
         result.distance = self._episode.distance
@@ -226,7 +217,6 @@ class Sitl:
 
     def _conclude(self) -> None:
         passed = time.monotonic() - self._begun
-        self.result.setpoints = self.autopilot.setpoints
         if not self._lockstep and passed > 0:
             self.result.rate = 1.0 - self._lost / passed
         if self._lateness:
@@ -255,8 +245,7 @@ class Sitl:
             self._lost += behind
 
     def _send(self, packets: list[bytes], now: float) -> None:
-        for packet in self._faults.of_lidar(packets, self._since(now)):
-            self._give(self._sensor, packet, self._lidar_to)
+        self._ports.send_packets(self._faults.of_lidar(packets, self._since(now)))
 
     def _since(self, now: float) -> float | None:
         """Seconds since the first obeyed set-point."""
@@ -270,42 +259,15 @@ class Sitl:
             told = {message.get_msgId() for message in due}
             due += [self._telemetry.message(number, now, motion) for number in POSE if number not in told]
         silent = self._faults.hides_pose(self._since(now))
-        self._answer([message for message in due if not (silent and message.get_msgId() in POSE)])
-
-    def _answer(self, messages: list[Any]) -> None:
-        for message in messages:
-            self._give(self._socket, message.pack(self._writer), self._mavlink_to)
-
-    @staticmethod
-    def _give(sender: socket.socket, packet: bytes, to: tuple[str, int]) -> None:
-        try:
-            sender.sendto(packet, to)
-        except OSError as error:  # nobody listens, or the network is down
-            _logger.debug("A packet was not sent: %s", error)
+        self._ports.send_messages(message for message in due if not (silent and message.get_msgId() in POSE))
 
     def _hear_within(self, seconds: float) -> None:
-        if select.select([self._socket], [], [], max(seconds, 0.0))[0]:
+        if self._ports.wait(seconds):
             self._hear(self._now)
 
     def _hear(self, now: float) -> None:
         """Reads all that has come, and answers."""
-        for _ in range(_AT_ONCE):
-            try:
-                data, _ = self._socket.recvfrom(65535)
-            except OSError:
-                break
-            parser = self._messages.MAVLink(None)
-            parser.robust_parsing = True
-            for message in parser.parse_buffer(data) or []:
-                self.autopilot.hear(message, now, self._episode.motion.yaw)
+        for message in self._ports.heard():
+            self.autopilot.hear(message, now, self._episode.motion.yaw)
         answers, self.autopilot.answers = self.autopilot.answers, []
-        self._answer(answers)
-
-
-def _found(where: str, port: int) -> tuple[str, int]:
-    """The numbers of an address, found once and not for each packet."""
-    host, number = address(where, port)
-    try:
-        return socket.gethostbyname(host or "127.0.0.1"), number
-    except OSError as error:
-        raise UavrlError(f"{where} cannot be sent to ({error.strerror}): give a host of this network.") from error
+        self._ports.send_messages(answers)
