@@ -43,7 +43,7 @@ class Stopped(KeyboardInterrupt):
 
     def __init__(self, how_to_go_on: str = "stopped.", number: int = signal.SIGINT) -> None:
         super().__init__(how_to_go_on)
-        self.exit_code = 128 + number
+        self.number, self.exit_code = number, 128 + number
 
 
 def was_interrupted(error: BaseException | None) -> bool:

@@ -101,6 +101,8 @@ def test_a_flight_is_logged(policy: Path, tmp_path: Path, capsys: pytest.Capture
         (["policy=none", GOAL, "safety.box=[1,2,3]"], "safety.box must be a list of 4, got [1, 2, 3]"),
         (["policy=none", GOAL, "vehicle=[1,2,3]"], "vehicle must be six numbers"),
         (["policy=none", GOAL, "standing=[1,2,3]"], "standing must be a list of 4"),
+        (["policy=none", GOAL, "autopilot=ros2:///odom", "arm=true"], "autopilot must be udp://:14540 with arm"),
+        (["policy=none", GOAL, "autopilot=ros2:///odom", "ros2.kind=px5"], "ros2.kind must be one of"),
         (["policy=none", GOAL, "system=0"], "system must be"),
         (["policy=none", GOAL, "safety.speed=1"], "There is no key 'safety.speed'"),
     ],

@@ -13,7 +13,7 @@ from uavrl.deploy.dds import idl_type
 from uavrl.deploy.messages import CLOUD, HEADER, ODOMETRY, PX4_CONTROL_MODE, PX4_ODOMETRY
 
 LOOPBACK = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>'
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
     "<AllowMulticast>false</AllowMulticast></General>"
     "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
@@ -127,3 +127,17 @@ def px4_odometry(
 def px4_mode(*, armed: bool, offboard: bool) -> Any:
     """The beginning of a VehicleControlMode."""
     return idl_type(PX4_CONTROL_MODE)(0, armed, False, not offboard, False, offboard)
+
+
+def same(ours: Any, theirs: Any) -> bool:
+    """Whether a message of cyclonedds has the fields and the values of one of `rosbags`."""
+    if isinstance(theirs, list):
+        return all(same(*pair) for pair in zip(ours, theirs, strict=True))
+    if isinstance(theirs, np.ndarray):
+        return list(ours) == theirs.tolist()
+    if hasattr(theirs, "__dataclass_fields__"):
+        names = [name for name in theirs.__dataclass_fields__ if name[0].islower()]  # not constants
+        return list(ours.__dataclass_fields__) == names and all(
+            same(getattr(ours, name), getattr(theirs, name)) for name in names
+        )
+    return bool(ours == theirs)

@@ -7,6 +7,7 @@ import os
 import select
 import signal
 import sys
+import threading
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -57,6 +58,23 @@ def one_sentence() -> Iterator[None]:
         stopped = error if isinstance(error, Stopped) else Stopped()
         print(f"uavrl: {stopped}", file=sys.stderr)
         raise SystemExit(stopped.exit_code) from stopped
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Lets SIGTERM end what a command does as Ctrl-C does, so that it writes what it has."""
+
+    def stop(number: int, _: object) -> None:
+        raise Stopped(number=number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def configure_logging() -> None:

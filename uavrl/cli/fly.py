@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import numpy as np
 from omegaconf import DictConfig
 from pydantic import Field
 
 from uavrl.cli.command import command
+from uavrl.cli.errors import terminable
 from uavrl.cli.lidar import LidarKeys
 from uavrl.config import validate
 from uavrl.config.sentences import require
@@ -32,10 +34,23 @@ from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.stages import FlightCycle, VehicleLink
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import Stopped, UavrlError
-from uavrl.ranges import Folder, NonNegative, Positive
+from uavrl.ranges import Folder, NonNegative, Positive, Text
 from uavrl.runs.files import replacing, writable
 
+if TYPE_CHECKING:
+    from uavrl.deploy.ros2 import Ros2Scans
+
+ROS2 = "ros2:"  # how addresses of ROS 2 begin
 UNHEARD = 3.0  # s without a scan after which it is told why
+
+
+@dataclass
+class Ros2Config:
+    """How a vehicle at ``autopilot=ros2:///TOPIC`` is sent set-points."""
+
+    kind: Literal["twist", "twist_stamped", "px4"] = "twist"
+    setpoints: Text = "/cmd_vel"
+    frame_id: Text = "base_link"
 
 
 @dataclass
@@ -56,6 +71,7 @@ class FlyConfig(LidarKeys):
     log: Folder | None = "flight.mcap"
     json: Folder | None = None
     progress: bool = True
+    ros2: Ros2Config = field(default_factory=Ros2Config)
     safety: SafetyLimits = field(default_factory=SafetyLimits)
 
     def __post_init__(self) -> None:
@@ -66,11 +82,15 @@ class FlyConfig(LidarKeys):
         require(goal, "goal", "three numbers, [x,y,z] in m from the autopilot's origin", self.goal)
         dry = self.autopilot is None or self.is_live
         require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
+        asked = [key for key in ("set_mode", "arm", "system") if getattr(self, key)]
+        by_ros = self.autopilot is not None and self.autopilot.startswith(ROS2)
+        apart = not (by_ros and asked)
+        require(apart, "autopilot", f"udp://:14540 with {' and '.join(asked)}: only MAVLink has that", self.autopilot)
 
     @property
     def is_live(self) -> bool:
         """Whether a sensor sends now."""
-        return self.lidar.startswith("udp:")
+        return self.lidar.startswith(("udp:", ROS2))
 
 
 @command("fly")
@@ -91,25 +111,34 @@ def main(config: DictConfig) -> None:
             opened.callback(_told, log.close)
         cycles = _cycles(settings, flight, link, opened)
         try:
-            for cycle in _until_the_end(cycles, settings):
-                summary.add(cycle)
-                if log is not None:
-                    _told(log.write, cycle)
-                if settings.progress:
-                    _tell(cycle, summary)
+            with terminable():
+                for cycle in _until_the_end(cycles, settings):
+                    summary.add(cycle)
+                    if log is not None:
+                        _told(log.write, cycle)
+                    if settings.progress:
+                        _tell(cycle, summary)
         except KeyboardInterrupt as error:
             stopped = error
     _conclude(summary, numbers)
     if log is not None:
         print(f"Log: {log.path}, which uavrl-replay flight={log.path} shows")
     if stopped is not None:
-        raise Stopped("stopped: no more set-points are sent.") from stopped
+        number = getattr(stopped, "number", signal.SIGINT)
+        raise Stopped("stopped: no more set-points are sent.", number) from stopped
 
 
 def _link(settings: FlyConfig) -> VehicleLink:
     if settings.autopilot is None:
         x, y, z, yaw = settings.standing
         return DryRun((x, y, z), yaw)
+    if settings.autopilot.startswith(ROS2):
+        from uavrl.deploy.ros2 import Ros2Vehicle  # these need a library that few have
+        from uavrl.deploy.ros2_px4 import Px4Ros2
+
+        if settings.ros2.kind == "px4":
+            return Px4Ros2(settings.autopilot)
+        return Ros2Vehicle(settings.autopilot, **asdict(settings.ros2))
     return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
 
 
@@ -136,11 +165,19 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
     if not settings.is_live:
         scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
         return rehearse(flight, scans, link)
-    feed = opened.enter_context(closing(UdpScans(settings.lidar, settings.model, settings.product)))
+    feed = opened.enter_context(closing(_feed(settings)))
     return _explained(fly(flight, feed, link), feed)
 
 
-def _explained(cycles: Iterable[FlightCycle], feed: UdpScans) -> Iterator[FlightCycle]:
+def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
+    if settings.lidar.startswith(ROS2):
+        from uavrl.deploy.ros2 import Ros2Scans
+
+        return Ros2Scans(settings.lidar)
+    return UdpScans(settings.lidar, settings.model, settings.product)
+
+
+def _explained(cycles: Iterable[FlightCycle], feed: UdpScans | Ros2Scans) -> Iterator[FlightCycle]:
     """Tells once why no scan comes, where none has come for some seconds."""
     first: float | None = None
     told = False
