@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
+from uavrl.cli.errors import terminable
 from uavrl.config import validate
 from uavrl.config.parts import Part
 from uavrl.config.sentences import require
@@ -91,9 +93,11 @@ def _play(settings: SitlConfig, env: NavigationEnv, file: Path | None) -> Result
         _write(file, told)
         _introduce(settings, told)
         try:
-            sitl.run()
+            with terminable():
+                sitl.run()
         except KeyboardInterrupt as error:
-            raise Stopped(f"stopped: {_sentence(sitl.result)}") from error
+            number = getattr(error, "number", signal.SIGINT)
+            raise Stopped(f"stopped: {_sentence(sitl.result)}", number) from error
         finally:
             _write(file, told | sitl.result.facts())
     return sitl.result
