@@ -116,7 +116,8 @@ def test_a_command_plays_a_task_and_says_how_it_went(tmp_path: Path) -> None:
     assert result["rate"] > 0.5
 
 
-def test_ctrl_c_ends_it_with_what_came_of_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_it_with_what_came_of_it(tmp_path: Path, number: int, code: int) -> None:
     told = tmp_path / "task.json"
     ground = Ground()
     options = [f"lidar={ground.addresses[0]}", f"autopilot={ground.addresses[1]}", f"json={told}"]
@@ -125,9 +126,9 @@ def test_ctrl_c_ends_it_with_what_came_of_it(tmp_path: Path) -> None:
     with closing(ground.lidar), subprocess.Popen(command, **pipes) as process:  # type: ignore[call-overload]
         process.stdout.readline()
         time.sleep(0.5)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, errors = process.communicate(timeout=20)
-    assert process.returncode == 130 and errors.endswith("uavrl: stopped: No set-point was obeyed.\n")
+    assert process.returncode == code and errors.endswith("uavrl: stopped: No set-point was obeyed.\n")
     assert json.loads(told.read_text())["outcome"] == "stopped"
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from tests.helpers.lidar_scans import same_after, tilted_scans
-from uavrl.deploy.packets import PACKET, decode_vlp16, encode_scan
+from uavrl.deploy.packets import PACKET, PacketStream, decode_vlp16, encode_scan
 from uavrl.deploy.scans import ScanAssembler, make_decoder
 from uavrl.envs.vlp16 import FIRING_TIMES, firing_directions
 from uavrl.errors import UavrlError
@@ -78,3 +80,23 @@ def test_scans_one_after_the_other_come_back_each_as_itself() -> None:
     assert [round(float(np.linalg.norm(scan.points, axis=1).mean()), 3) for scan in scans] == [2.0, 3.0, 4.0]
     assert [scan.stamp for scan in scans] == pytest.approx([0.075, 0.175, 0.275])
     assert assembler.skipped.sentences() == []
+
+
+def test_a_stream_is_the_packets_of_a_sensor_that_turns_on() -> None:
+    turns, parts, whole = [wall(1.0 + turn) for turn in range(4)], PacketStream(), PacketStream()
+    cut = [0, 7 * 32, 8 * 32, 500 * 32, len(wall())]
+    sent = [
+        packet
+        for number, points in enumerate(turns)
+        for first, last in pairwise(cut)
+        for packet in parts.add(points[first:last], first, 0.1 * number)
+    ]
+    assert sent == [packet for number, points in enumerate(turns) for packet in whole.add(points, 0, 0.1 * number)]
+    times, packets = zip(*sent, strict=True)
+    assert len(packets) == 4 * 904 // 12 and np.diff(times) == pytest.approx([0.00132710] * 300, abs=3e-5)
+    assert times[0] == pytest.approx(24 * 55.296e-6)
+    assert np.linalg.norm(decode_vlp16([packets[75]]), axis=1).round(2).tolist() == [1.0] * 128 + [2.0] * 256
+    assembler = ScanAssembler("VLP16")
+    scans = [scan for at, packet in sent if (scan := assembler.push(at, packet))]
+    assert len(scans) == 3 and not assembler.skipped.sentences()
+    assert {scan.rays for scan in scans} <= {76 * 384, 77 * 384}

@@ -56,7 +56,7 @@ def test_a_turn_in_pieces_is_a_scan_where_nothing_moves(make: Make, reach: float
     before, cast = episode.points, []
     for _ in range(PIECES):
         cast.append(episode.piece(np.zeros(3), 0.0))
-    assert [(rays.start, rays.stop) for rays in cast][:2] == [(0, 227 * 16), (227 * 16, 453 * 16)]
+    assert [(rays.start, rays.stop) for rays in cast][:2] == [(0, 228 * 16), (228 * 16, 454 * 16)]
     assert all(one.stop == two.start for one, two in pairwise(cast)) and cast[-1].stop == NUM_RAYS
     np.testing.assert_allclose(episode.points, before, atol=1e-4)
 

@@ -55,7 +55,7 @@ class Scripted:
         time.sleep(self._slow)
         self._fly(velocity, yaw_rate, PIECE)
         now, self._pieces = self._pieces % PIECES, self._pieces + 1
-        cycles = [math.ceil(AZIMUTH_STEPS * piece / PIECES) * 16 for piece in (now, now + 1)]
+        cycles = [round(AZIMUTH_STEPS / 2 * piece / PIECES) * 32 for piece in (now, now + 1)]
         self.points[slice(*cycles)] = (1.0 + self.age) * DIRECTIONS[slice(*cycles)]
         return slice(*cycles)
 

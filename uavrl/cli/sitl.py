@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
+from uavrl.cli.errors import terminable
 from uavrl.config import validate
 from uavrl.config.parts import Part
 from uavrl.config.sentences import require
@@ -70,33 +72,35 @@ def main(config: DictConfig) -> None:
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
-    from uavrl.deploy.sitl import Sitl
-    from uavrl.envs.live import LiveEpisode
-
     torch.set_num_threads(1)
     env = _environment(settings)
     try:
-        episode = LiveEpisode(env, settings.task)
-        told = _task(settings, episode)
-        _write(file, told)
-        options = {key: getattr(settings, key) for key in ("firmware", "armed", "speed", "patience", "linger")}
-        options |= {"pilot_takes_over": settings.pilot_takes_over, "faults": settings.faults}
-        sitl = Sitl(episode, settings.lidar, settings.autopilot, max_steps=env.max_steps, **options)
-        with closing(sitl):
-            _introduce(settings, told)
-            stopped = None
-            try:
-                sitl.run()
-            except (KeyboardInterrupt, UavrlError) as error:
-                stopped = error
-            _write(file, told | sitl.result.facts())
+        print(_sentence(_play(settings, env, file)))
     finally:
         env.close()
-    if isinstance(stopped, KeyboardInterrupt):
-        raise Stopped(f"stopped: {_sentence(sitl.result)}") from stopped
-    if stopped is not None:
-        raise stopped
-    print(_sentence(sitl.result))
+
+
+def _play(settings: SitlConfig, env: NavigationEnv, file: Path | None) -> Result:
+    """Flies the task, and writes it before and after."""
+    from uavrl.deploy.sitl import Sitl
+    from uavrl.envs.live import LiveEpisode
+
+    episode = LiveEpisode(env, settings.task)
+    told = _task(settings, episode)
+    keys = ("firmware", "armed", "speed", "patience", "linger", "pilot_takes_over", "faults")
+    options = {key: getattr(settings, key) for key in keys}
+    with closing(Sitl(episode, settings.lidar, settings.autopilot, max_steps=env.max_steps, **options)) as sitl:
+        _write(file, told)
+        _introduce(settings, told)
+        try:
+            with terminable():
+                sitl.run()
+        except KeyboardInterrupt as error:
+            number = getattr(error, "number", signal.SIGINT)
+            raise Stopped(f"stopped: {_sentence(sitl.result)}", number) from error
+        finally:
+            _write(file, told | sitl.result.facts())
+    return sitl.result
 
 
 def _environment(settings: SitlConfig) -> NavigationEnv:

@@ -43,6 +43,7 @@ PACKET = np.dtype([("blocks", _BLOCK, BLOCKS), ("time", "<u4"), ("mode", "u1"), 
 _LASERS = len(LASER_ELEVATIONS)
 _BLOCK_TIME = CHANNELS // _LASERS * CYCLE  # s, from one block of a VLP-16 to the next
 PACKET_TIME = BLOCKS * _BLOCK_TIME  # s, from one packet of a VLP-16 to the next: 1.327 ms
+PACKETS = -(-AZIMUTH_STEPS * _LASERS // (BLOCKS * CHANNELS))  # that hold a turn: 76
 _REFLECTIVITY = 100  # of what is simulated: that of a diffuse white thing
 
 
@@ -75,22 +76,62 @@ def encode_scan(points: np.ndarray, stamp: float = 0.0) -> list[bytes]:
             f"A scan to be written has {AZIMUTH_STEPS * _LASERS} points [P, 3] in firing order, NaN for misses, got "
             f"{list(points.shape)}: give a scan of the simulated LiDAR."
         )
+    rays = np.full((PACKETS * BLOCKS * CHANNELS, 3), np.nan, np.float32)
+    rays[: len(points)] = points
+    return _packed(_blocks(rays, 0), stamp + np.arange(PACKETS) * PACKET_TIME)
+
+
+class PacketStream:
+    """The packets of a VLP-16 that turns on and on: one of them may end a turn and begin the next.
+
+    Examples:
+        >>> from uavrl.envs.vlp16 import firing_directions
+        >>> stream, turn = PacketStream(), 3.0 * firing_directions()
+        >>> [len(stream.add(turn, 0, 0.1 * number)) for number in range(3)]  # 904 blocks in a turn, 12 in a packet
+        [75, 75, 76]
+    """
+
+    def __init__(self) -> None:
+        self._kept: np.ndarray = np.zeros(0, _BLOCK)
+        self._times: np.ndarray = np.zeros(0)
+
+    def add(self, points: np.ndarray, first: int, begun: float) -> list[tuple[float, bytes]]:
+        """Takes in what some rays have met; gives the packets that are full, each with the time of its end in s.
+
+        Args:
+            points: ``[P, 3]``, as of :func:`encode_scan`: those of whole blocks of 32 rays.
+            first: number of the first ray in its turn.
+            begun: when the turn began, s.
+        """
+        blocks = _blocks(points, first // CHANNELS)
+        times = begun + (first // CHANNELS + np.arange(len(blocks))) * _BLOCK_TIME
+        blocks, times = np.concatenate([self._kept, blocks]), np.concatenate([self._times, times])
+        full = len(blocks) // BLOCKS * BLOCKS
+        self._kept, self._times = blocks[full:], times[full:]
+        ends = times[BLOCKS - 1 : full : BLOCKS] + _BLOCK_TIME
+        return list(zip(ends.tolist(), _packed(blocks[:full], times[:full:BLOCKS]), strict=True))
+
+
+def _blocks(points: np.ndarray, first: int) -> np.ndarray:
+    """The blocks of points ``[B * 32, 3]``, whose first one is a turn's block of that number."""
     with np.errstate(over="ignore", invalid="ignore"):
         ranges = np.sqrt((points.astype(np.float64) ** 2).sum(-1))
         steps = np.round(ranges / STEP)
-        steps = np.where((ranges > NEAREST_RETURN) & (steps < 2**16), steps, 0).astype("<u2")
-    blocks = AZIMUTH_STEPS * _LASERS // CHANNELS
-    packets = np.zeros(-(-blocks // BLOCKS), PACKET)
-    every = np.arange(packets.size * BLOCKS)
-    block_step = np.degrees(AZIMUTH_STEP) * CHANNELS / _LASERS
-    azimuths = np.round(every * block_step * 100).astype(np.int64) % FULL_TURN
-    distances = np.zeros((every.size, CHANNELS), "<u2")
-    distances[:blocks] = steps.reshape(blocks, CHANNELS)
-    packets["blocks"]["flag"] = FLAG
-    packets["blocks"]["azimuth"] = azimuths.reshape(-1, BLOCKS)
-    packets["blocks"]["returns"]["distance"] = distances.reshape(-1, BLOCKS, CHANNELS)
-    packets["blocks"]["returns"]["reflectivity"] = np.where(distances, _REFLECTIVITY, 0).reshape(-1, BLOCKS, CHANNELS)
-    packets["time"] = np.round((stamp + np.arange(packets.size) * PACKET_TIME) * 1e6).astype(np.int64) % HOUR
+        steps = np.where((ranges > NEAREST_RETURN) & (steps < 2**16), steps, 0).astype("<u2").reshape(-1, CHANNELS)
+    blocks = np.zeros(len(steps), _BLOCK)
+    step = np.degrees(AZIMUTH_STEP) * CHANNELS / _LASERS
+    blocks["flag"] = FLAG
+    blocks["azimuth"] = np.round((first + np.arange(len(steps))) * step * 100).astype(np.int64) % FULL_TURN
+    blocks["returns"]["distance"] = steps
+    blocks["returns"]["reflectivity"] = np.where(steps, _REFLECTIVITY, 0)
+    return blocks
+
+
+def _packed(blocks: np.ndarray, times: np.ndarray) -> list[bytes]:
+    """Packets of 12 ``blocks`` each, whose first rays were fired at ``times`` in s."""
+    packets = np.zeros(len(times), PACKET)
+    packets["blocks"] = blocks.reshape(-1, BLOCKS)
+    packets["time"] = np.round(times * 1e6).astype(np.int64) % HOUR
     packets["mode"], packets["product"] = STRONGEST, PRODUCTS["VLP16"]
     return [packet.tobytes() for packet in packets]
 

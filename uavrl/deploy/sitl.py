@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import select
-import socket
 import time
 from collections import deque
 from dataclasses import asdict, dataclass, field
@@ -16,11 +14,11 @@ import numpy as np
 from uavrl.deploy.autopilot import PORT as AUTOPILOT_PORT
 from uavrl.deploy.autopilot import mavlink
 from uavrl.deploy.faults import Faults
-from uavrl.deploy.packets import PACKET_TIME, encode_scan
 from uavrl.deploy.packets import PORT as LIDAR_PORT
+from uavrl.deploy.packets import PacketStream, encode_scan
 from uavrl.deploy.simulated_autopilot import FirmwareName, SimulatedAutopilot
+from uavrl.deploy.sitl_ports import SitlPorts
 from uavrl.deploy.telemetry import POSE, Telemetry
-from uavrl.deploy.udp import address
 from uavrl.errors import UavrlError
 
 if TYPE_CHECKING:
@@ -30,8 +28,7 @@ _logger = logging.getLogger(__name__)
 
 LATE = 0.1  # s behind its time, after which the simulator gives up catching up
 TURN = 0.1  # s of the LiDAR
-_FIRINGS = 24 * 16  # rays in a packet
-_AT_ONCE = 1000  # datagrams that one call reads at most
+_TICK = 0.02  # s between two looks while a set-point is waited for
 
 
 @dataclass
@@ -94,19 +91,15 @@ class Sitl:
         pilot_takes_over: float | None = None,
         faults: Faults | None = None,
     ) -> None:
-        self._messages = mavlink()
+        messages = mavlink()
         self._episode, self._faults = episode, faults or Faults()
-        self._lidar_to, self._mavlink_to = address(lidar, LIDAR_PORT), address(autopilot, AUTOPILOT_PORT)
         self._lockstep, self._speed = speed == "lockstep", 1.0 if speed == "lockstep" else float(speed)
         self._max_steps, self._patience, self._linger, self._pilot = max_steps, patience, linger, pilot_takes_over
-        self.autopilot = SimulatedAutopilot(self._messages, firmware, armed=armed)
-        self._telemetry = Telemetry(self._messages, self.autopilot)
-        self._writer = self._messages.MAVLink(None, srcSystem=self.autopilot.system, srcComponent=1)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("", 0))
-        self._socket.setblocking(False)
-        self._sensor = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.autopilot = SimulatedAutopilot(messages, firmware, armed=armed)
+        self._telemetry = Telemetry(messages, self.autopilot)
+        self._ports = SitlPorts(messages, lidar, autopilot, self.autopilot.system)
         self._packets: deque[tuple[float, bytes]] = deque()  # with their times
+        self._stream = PacketStream()
         self._lateness: list[float] = []
         self._wanted: float | None = None  # when the first set-point was obeyed
         self._ended: float | None = None
@@ -115,8 +108,7 @@ class Sitl:
 
     def close(self) -> None:
         """Gives its ports back."""
-        self._socket.close()
-        self._sensor.close()
+        self._ports.close()
 
     def run(self) -> Result:
         """Flies until the episode has ended and the vehicle has lingered.
@@ -146,28 +138,36 @@ class Sitl:
             self._tell(now)
             velocity, yaw_rate = self._demand(now)
             rays = self._episode.piece(velocity, yaw_rate)
-            self._queue(turn * TURN, rays)
+            self._packets += self._stream.add(self._episode.points[rays], rays.start, turn * TURN)
             self._note(now + PIECE)
             piece += 1
             self._wait(piece * PIECE)
 
     def _run_in_step(self) -> None:
-        waited = time.monotonic()
-        obeyed, step = 0, 0
+        step, waited = 0, time.monotonic()
         while not self._is_over(now := self._now):
-            self._govern(now)
+            before = self.autopilot.setpoints
             self._tell(now, pose=True)
             self._send(encode_scan(self._episode.points, now), now)
-            while self.autopilot.setpoints == obeyed and self._now < now + TURN:
-                self._hear_within(now + TURN - self._now)
+            self._await_setpoint(now + TURN, waited + self._patience)
             target = self.autopilot.setpoint(self._now)
-            if self.autopilot.setpoints > obeyed and target is not None and self._ended is None:
-                obeyed, waited = self.autopilot.setpoints, time.monotonic()
+            if self.autopilot.setpoints > before and target is not None and self._ended is None:
                 motion = self._episode.motion
                 self._episode.step(target.command(motion.position, motion.yaw))
-                step += 1
+                step, waited = step + 1, time.monotonic()
                 self._note(self._now, step)
-            elif time.monotonic() - waited > self._patience:
+
+    def _await_setpoint(self, scan: float, latest: float) -> None:
+        """Waits for a set-point that is obeyed; while none is, and at the end, only until the next scan is due."""
+        before = self.autopilot.setpoints
+        while self.autopilot.setpoints == before:
+            self._hear_within(_TICK)
+            now = self._now
+            self._govern(now)
+            self._tell(now)
+            if now >= scan and (not self.autopilot.in_control or self._ended is not None):
+                return
+            if time.monotonic() > latest and self._ended is None:
                 raise UavrlError(f"No set-point was obeyed for {self._patience:g} s: {self._who_flies()}.")
 
     def _is_over(self, now: float) -> bool:
@@ -207,6 +207,7 @@ class Sitl:
             self._wanted = now
         if self._wanted is None or self._ended is not None:
             return
+        result.setpoints = self.autopilot.setpoints
         result.seconds = now - self._wanted if steps is None else steps * TURN
         result.steps = math.ceil(result.seconds / TURN - 1e-6)
         result.distance = self._episode.distance
@@ -216,21 +217,12 @@ class Sitl:
 
     def _conclude(self) -> None:
         passed = time.monotonic() - self._begun
-        self.result.setpoints = self.autopilot.setpoints
         if not self._lockstep and passed > 0:
             self.result.rate = 1.0 - self._lost / passed
         if self._lateness:
             late = 1000.0 * np.array(self._lateness)
             self.result.packets_late_ms = (round(float(np.median(late)), 3), round(float(late.max()), 3))
         self.close()
-
-    def _queue(self, turn: float, rays: slice) -> None:
-        """Takes in the packets whose last rays were cast among ``rays``, of a turn that began at a time in s."""
-        first, last = rays.start // _FIRINGS, rays.stop // _FIRINGS
-        packets = encode_scan(self._episode.points, turn)
-        last = len(packets) if rays.stop == len(self._episode.points) else last
-        for number in range(first, last):
-            self._packets.append((turn + (number + 1) * PACKET_TIME, packets[number]))
 
     def _wait(self, until: float) -> None:
         """Sends what is due and hears what comes until a time of the vehicle's clock."""
@@ -253,8 +245,7 @@ class Sitl:
             self._lost += behind
 
     def _send(self, packets: list[bytes], now: float) -> None:
-        for packet in self._faults.of_lidar(packets, self._since(now)):
-            self._give(self._sensor, packet, self._lidar_to)
+        self._ports.send_packets(self._faults.of_lidar(packets, self._since(now)))
 
     def _since(self, now: float) -> float | None:
         """Seconds since the first obeyed set-point."""
@@ -268,33 +259,15 @@ class Sitl:
             told = {message.get_msgId() for message in due}
             due += [self._telemetry.message(number, now, motion) for number in POSE if number not in told]
         silent = self._faults.hides_pose(self._since(now))
-        self._answer([message for message in due if not (silent and message.get_msgId() in POSE)])
-
-    def _answer(self, messages: list[Any]) -> None:
-        for message in messages:
-            self._give(self._socket, message.pack(self._writer), self._mavlink_to)
-
-    @staticmethod
-    def _give(sender: socket.socket, packet: bytes, to: tuple[str, int]) -> None:
-        try:
-            sender.sendto(packet, to)
-        except OSError as error:  # nobody listens, or the network is down
-            _logger.debug("A packet was not sent: %s", error)
+        self._ports.send_messages(message for message in due if not (silent and message.get_msgId() in POSE))
 
     def _hear_within(self, seconds: float) -> None:
-        if select.select([self._socket], [], [], max(seconds, 0.0))[0]:
+        if self._ports.wait(seconds):
             self._hear(self._now)
 
     def _hear(self, now: float) -> None:
         """Reads all that has come, and answers."""
-        for _ in range(_AT_ONCE):
-            try:
-                data, _ = self._socket.recvfrom(65535)
-            except OSError:
-                break
-            parser = self._messages.MAVLink(None)
-            parser.robust_parsing = True
-            for message in parser.parse_buffer(data) or []:
-                self.autopilot.hear(message, now, self._episode.motion.yaw)
+        for message in self._ports.heard():
+            self.autopilot.hear(message, now, self._episode.motion.yaw)
         answers, self.autopilot.answers = self.autopilot.answers, []
-        self._answer(answers)
+        self._ports.send_messages(answers)

@@ -128,8 +128,8 @@ class LiveEpisode:
         """Casts the rays that are fired in a piece, from where it has ended."""
         now = self._pieces % PIECES
         self._pieces += 1
-        cycles = FIRING_TIMES[::_LASERS]
-        first, last = np.searchsorted(cycles, [now * PIECE, (now + 1) * PIECE]) * _LASERS
+        pairs = FIRING_TIMES[:: 2 * _LASERS]  # of firing cycles, which share an azimuth in the sensor's packets
+        first, last = np.searchsorted(pairs, [now * PIECE, (now + 1) * PIECE]) * 2 * _LASERS
         rays = slice(int(first), NUM_RAYS if now == PIECES - 1 else int(last))
         if now == 0:
             self.points = np.full_like(self.points, np.nan)

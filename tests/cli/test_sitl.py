@@ -1,0 +1,46 @@
+"""``uavrl-sitl``: what a user may get wrong, and what stands in its file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.autopilot_peer import free_port
+from tests.helpers.commands import VALLEY, in_process
+from uavrl.cli import sitl
+
+
+@pytest.mark.parametrize(
+    ("argument", "says"),
+    [
+        ("speed=fast", "speed must be a number or one of lockstep"),
+        ("lidar=udp://:2368", "lidar must be udp://HOST:PORT, where to send to"),
+        ("autopilot=tcp://127.0.0.1:1", "An address is udp://:PORT or udp://HOST:PORT"),
+        ("env.num_uavs=3", "env.num_uavs is set by the command itself"),
+        ("pilot_takes_over=-1", "pilot_takes_over must be at least 0"),
+        ("faults.lidar_silent=[3,1]", "faults.lidar_silent must be two times in s, the earlier first"),
+        ("faults.lose=2", "faults.lose must be a share"),
+        ("task=-1", "task must be at least 0"),
+        ("firmware=betaflight", "firmware must be one of px4, ardupilot"),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(argument: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(sitl.main, argument) == 1
+    out, err = capsys.readouterr()
+    assert says in err and len(err.splitlines()) == 1 and out == ""
+
+
+def test_a_task_without_a_companion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = tmp_path / "task.json"
+    addresses = [f"lidar=udp://127.0.0.1:{free_port()}", f"autopilot=udp://127.0.0.1:{free_port()}"]
+    assert in_process(sitl.main, *VALLEY, *addresses, "valleys=[3,4]", "task=2", "patience=0.2", f"json={told}") == 1
+    out, err = capsys.readouterr()
+    task = json.loads(told.read_text())
+    assert f"Task 2 in valley {task['valley']}: from (" in out and task["valley"] in (3, 4)
+    goal = ",".join(f"{each:g}" for each in task["goal"])
+    assert f"goal=[{goal}], {task['distance_at_start']:.1f} m." in out
+    assert err.endswith("the vehicle is in AUTO.LOITER; set-points are obeyed in OFFBOARD.\n")
+    assert (task["outcome"], task["setpoints"], task["start"][2]) == ("stopped", 0, 3.5)
+    assert abs(task["goal"][0]) <= 7.0 and abs(task["goal"][1]) <= 6.0 and task["least_distance"] is None
