@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 from pathlib import Path
 
@@ -57,3 +58,10 @@ def test_pictures_and_tables_stay_small() -> None:
     most = {".gif": 600_000, ".png": 150_000, ".svg": 150_000}
     for file in tracked("docs"):
         assert file.stat().st_size <= most.get(file.suffix, 100_000), f"{file}: quantise, compress or shorten it"
+
+
+def test_what_a_policy_may_be_trusted_with_is_what_its_suite_found() -> None:
+    example = runpy.run_path(str(ROOT / "examples/suite_table.py"))
+    rows = example["table"](ROOT / "uavrl/policies/best/suite.json")
+    again = "python examples/suite_table.py uavrl/policies/best/suite.json --page docs/deploy.md"
+    assert example["BEGIN"] + rows + example["END"] in (ROOT / "docs/deploy.md").read_text(encoding="utf-8"), again

@@ -35,7 +35,7 @@ def commands(page: Path) -> Iterator[str]:
             continue
         for line in block.replace("\\\n", " ").splitlines():
             yield from re.findall(
-                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export|scan|sitl) .*)", line
+                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export|scan|fly|sitl) .*)", line
             )
 
 

@@ -1,4 +1,4 @@
-"""Whole recordings of real sensors, which lie outside the repository: docs/deploy.md says where they come from."""
+"""Whole recordings of real sensors, which lie outside the repository: docs/lidar.md says where they come from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the frames of an autopilot to ours and back; docs/deploy.md has the table.
+"""From the frames of an autopilot to ours and back; docs/autopilot.md has the table.
 
 The world's axes are x east, y north, z up, from the autopilot's local origin. A vehicle's are x forward, y left, z up,
 turned with its yaw and not tilted. MAVLink's are north, east, down and forward, right, down.

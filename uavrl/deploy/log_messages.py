@@ -1,4 +1,4 @@
-"""Cycles of a flight as messages of ROS 2, and back; docs/deploy.md lists the topics."""
+"""Cycles of a flight as messages of ROS 2, and back; docs/flight_log.md lists the topics."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ _Why = tuple[Reason, str]
 
 
 class SafetyLayer:
-    """The state machine; docs/deploy.md has its table.
+    """The state machine; docs/safety_layer.md has its table.
 
     Args:
         limits: what passes.
