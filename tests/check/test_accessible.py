@@ -12,12 +12,15 @@ import pytest
 
 from tests.helpers.flights import small_recording
 from tests.helpers.folders import several_runs
+from tests.helpers.logged import write_log
 from tests.helpers.packets import RECORDED
+from uavrl.deploy.logged_flight import LoggedFlight
 from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.summary import ScanSummary
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
-from uavrl.viewer.flight_page import make_page
+from uavrl.viewer.flight_page import make_page, write_data
+from uavrl.viewer.logged_page import logged_page_data
 from uavrl.viewer.scan_page import write_scan_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -58,6 +61,8 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
     (folder / "report.html").write_text(page(make_report(several_runs(folder / "runs"), window=10)), encoding="utf-8")
     (folder / "flight.html").write_text(make_page(small_recording()), encoding="utf-8")
+    log, _ = write_log(folder / "flight.mcap")
+    write_data(logged_page_data(LoggedFlight(log)), folder / "logged.html")
     summary = ScanSummary()
     for scan in ScanSource(RECORDED, "VLP16"):
         summary.add(scan)
@@ -66,7 +71,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("name", ["report", "flight", "scan"])
+@pytest.mark.parametrize("name", ["report", "flight", "logged", "scan"])
 def test_axe_finds_nothing(browser: Any, pages: Path, name: str, theme: str) -> None:
     wanted = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,10 @@ import pytest
 
 from tests.helpers.browser import browser_with
 from tests.helpers.flights import small_recording
-from uavrl.viewer.flight_page import write_page
+from tests.helpers.logged import SILENT, write_log
+from uavrl.deploy.logged_flight import LoggedFlight
+from uavrl.viewer.flight_page import write_data, write_page
+from uavrl.viewer.logged_page import logged_page_data
 
 
 @pytest.fixture(scope="module")
@@ -92,3 +97,36 @@ def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
     assert f"task{flight.summary.task}" in shown["task"]
     errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert not errors, errors
+
+
+def test_a_browser_plays_the_log_of_a_real_flight(tmp_path: Path) -> None:
+    log, flown = write_log(tmp_path / "flight.mcap")
+    write_data(logged_page_data(LoggedFlight(log)), tmp_path / "page.html")
+    shown = [cycle for cycle in flown if cycle.pose is not None]
+    move = """
+        show(arguments[0]);
+        const gd = document.getElementById("scene"), mark = gd.data[MARK];
+        return {uav: [mark.x[0], mark.y[0], mark.z[0]], told: document.getElementById("told").innerText,
+                clock: document.getElementById("clock").textContent, points: gd.data[POINTS].x[0] !== null};
+    """
+    with browser_with(tmp_path / "page.html") as browser:
+        for moment in (0, SILENT[0] + 2, 56):
+            seen, cycle = browser.execute_script(move, moment), shown[moment]
+            assert cycle.pose is not None
+            np.testing.assert_allclose(seen["uav"], cycle.pose.position, atol=1e-5)
+            told = [f"{cycle.status.state} ({cycle.status.reason})", cycle.status.sentence, cycle.control.sentence]
+            assert seen["told"].split("\n") == told and f"cycle {moment} / 56" in seen["clock"]
+            assert seen["points"] == (moment != SILENT[0] + 2)
+        heads = "return [...document.querySelectorAll('.chart h2')].map((head) => head.firstChild.data)"
+        charts = ["Safety layer", "Distance to goal", "Nearest return", "Forward", "Yaw rate", "Altitude", "Speed"]
+        assert browser.execute_script(heads) == charts
+        bands = browser.execute_script("return document.querySelectorAll('#charts svg rect').length")
+        changes = sum(one.status.state != other.status.state for one, other in pairwise(shown))
+        assert bands == changes + 1
+        visible = "return [...document.querySelectorAll('aside > h2')].filter((head) => head.offsetParent).length"
+        assert browser.execute_script(visible) == 0, "what a log does not know has no heading"
+        assert "drawn level" in browser.find_element("id", "notes").text
+        for button in browser.find_elements("css selector", "#views button, #layers button"):
+            browser.execute_script("arguments[0].click()", button)
+        errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+        assert not errors, errors

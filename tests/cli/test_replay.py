@@ -16,6 +16,7 @@ from tensordict import TensorDict
 from tests.helpers.commands import TINY, in_process
 from tests.helpers.finished import finished_run
 from tests.helpers.flights import unpack
+from tests.helpers.logged import write_log
 from tests.helpers.pages import Page
 from uavrl.cli import replay as command
 from uavrl.rollout.actor import load_policy
@@ -93,6 +94,15 @@ def test_flights_in_a_file_make_the_same_page_again(tmp_path: Path) -> None:
     assert data_of(tmp_path / "a.html")["flights"][0]["risks"]["shape"] == [0]
 
 
+def test_the_log_of_a_real_flight_makes_a_page_beside_it(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    log, _ = write_log(tmp_path / "evening.mcap", 20)
+    assert in_process(command.main, f"flight={log}", "points=40") == 0
+    out = capfd.readouterr().out
+    assert f"{log}: ended, time 1.6 s" in out and "drawn level" in out
+    assert content(tmp_path) == ["evening.html", "evening.mcap"]
+    assert data_of(tmp_path / "evening.html")["source"]["log"] == "evening.mcap"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -108,6 +118,8 @@ def test_flights_in_a_file_make_the_same_page_again(tmp_path: Path) -> None:
         (["run=nothing"], "Expected a run folder at nothing and found none"),
         (["flight=nothing.npz"], "found no such file"),
         (["flight=nothing.npz", "task=1"], "leave task out"),
+        (["flight=nothing.mcap"], "nothing.mcap cannot be read (No such file or directory)"),
+        (["flight=nothing.mcap", "data=f.npz"], "data must be left out with a log"),
     ],
 )
 def test_bad_input_is_refused_by_name(

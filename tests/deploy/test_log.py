@@ -30,6 +30,7 @@ from uavrl.deploy.mcap_file import McapFile, unpacked
 from uavrl.deploy.safety import State
 from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.stages import FlightCycle
+from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.errors import UavrlError
 
 NEAR = {"abs": 2e-9}  # s: a log's times are whole nanoseconds
@@ -299,6 +300,39 @@ def test_what_is_no_log_ends_in_one_sentence(tmp_path: Path, logged: tuple[Path,
             foreign(tmp_path / f"{name}.mcap", write)
         with pytest.raises(UavrlError, match=said):
             LoggedFlight(tmp_path / f"{name}.mcap")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_damaged_bytes_end_in_what_is_whole_or_in_a_sentence(
+    seed: int, logged: tuple[Path, list[FlightCycle]], tmp_path: Path
+) -> None:
+    content, chance = logged[0].read_bytes(), np.random.default_rng(seed)
+    for trial in range(20):
+        damaged = np.frombuffer(content, np.uint8).copy()
+        end = 40_000 if trial % 2 else len(damaged)  # the head, which no checksum protects, or anywhere
+        damaged[chance.integers(9, end, 3)] = chance.integers(0, 256, 3, np.uint8)
+        path = tmp_path / "damaged.mcap"
+        path.write_bytes(damaged.tobytes())
+        try:
+            assert len(list(LoggedFlight(path))) <= 60
+        except UavrlError as error:
+            assert str(path) in str(error)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"cells": np.zeros(7, np.float32)},
+        {"distance": "far"},
+        {"latency": [1]},
+        {"control": VehicleStatus(Control.LOST, "gone", armed="perhaps")},  # type: ignore[arg-type]
+    ],
+)
+def test_a_message_of_other_contents_is_refused(change: dict[str, Any], tmp_path: Path) -> None:
+    with FlightLog(tmp_path / "f.mcap", contract(), GOAL, clock=lambda: START) as log:
+        log.write(replace(next(cycles()), **change))
+    with pytest.raises(UavrlError, match="holds a message that no flight has written"):
+        list(LoggedFlight(log.path))
 
 
 def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 
 MOST_FLIGHTS = 50  # in one page
+LOG = ".mcap"  # the suffix of what uavrl-fly writes
 
 
 @dataclass
@@ -66,7 +67,12 @@ def main(config: DictConfig) -> None:
     """Makes one page."""
     settings, overrides = validate(config, ReplayConfig), given_overrides()
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
-        raise UavrlError("Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz, and no two of them.")
+        raise UavrlError(
+            "Give one of run=RUN_FOLDER, policy=NAME and flight=FILE.npz (or a log, FILE.mcap), and no two of them."
+        )
+    if settings.flight and Path(settings.flight).suffix == LOG:
+        _show_log(settings, Path(settings.flight))
+        return
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     from uavrl.rollout.position_stats import whereabouts_lines
     from uavrl.rollout.recording import load_recording, save_recording
@@ -96,6 +102,24 @@ def main(config: DictConfig) -> None:
         save_recording(shown, outputs["data"])
     for path in outputs.values():
         print(f"Written to {path}")
+
+
+def _show_log(settings: ReplayConfig, log: Path) -> None:
+    """Makes the page of a real flight."""
+    from uavrl.deploy.logged_flight import LoggedFlight
+    from uavrl.viewer.assembly import needs_plotly
+    from uavrl.viewer.flight_page import write_data
+    from uavrl.viewer.logged_page import logged_page_data
+
+    require(settings.data is None, "data", "left out with a log, which holds the numbers itself", settings.data)
+    needs_plotly()
+    data = logged_page_data(LoggedFlight(log), settings.points)
+    output = writable(Path(settings.output or log.with_suffix(".html")), "output=FILE")
+    (flight,) = data["flights"]
+    facts = ", ".join(f"{name} {value}" for name, value in flight["facts"].items())
+    print("\n".join([f"{log}: {flight['outcome']}, {facts}", *(f"  {note}" for note in flight["notes"])]))
+    write_data(data, output)
+    print(f"Written to {output}")
 
 
 def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:

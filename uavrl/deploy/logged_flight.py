@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,15 @@ from uavrl.deploy.contract import LARGEST, Contract, Three
 from uavrl.deploy.log import ABOUT, END, FORMAT
 from uavrl.deploy.log_messages import STATUS, TOPICS, FlightMessages
 from uavrl.deploy.mcap_file import MAGIC, McapFile
+from uavrl.deploy.safety import SafetyStatus
 from uavrl.deploy.stages import FlightCycle
+from uavrl.deploy.vehicle import VehicleStatus
 from uavrl.errors import UavrlError
 from uavrl.ranges import Positive
 from uavrl.runs.names import CONTRACT
 
+FARTHEST = 1e6  # m
+_STATUS, _CONTROL, _NUMBER = TypeAdapter(SafetyStatus), TypeAdapter(VehicleStatus), TypeAdapter(float | None)
 REMEDY = "give a file that a flight has written"
 
 
@@ -57,6 +62,8 @@ class LoggedFlight:
                 TypeAdapter(Three).validate_json(self.about[name]) for name in ("goal", "sensor_position")
             )
             self.radius = TypeAdapter(Positive).validate_json(self.about["radius"])
+            if not max(map(abs, [*self.goal, *self.sensor_position, self.radius])) < FARTHEST:
+                raise ValueError("a place beyond all flights")
             offset = int(self.about["clock_offset_ns"])
         except (ValidationError, ValueError, KeyError) as error:
             raise UavrlError(f"The head of {path} is damaged: {REMEDY}.") from error
@@ -98,7 +105,14 @@ class LoggedFlight:
 
     def _cycle(self, log_time: int, messages: dict[str, bytes]) -> FlightCycle:
         try:
-            return self._messages.decode(log_time, messages)
+            cycle = self._messages.decode(log_time, messages)
+            _STATUS.validate_python(asdict(cycle.status))
+            _CONTROL.validate_python(asdict(cycle.control))
+            for number in (cycle.distance, cycle.latency):
+                _NUMBER.validate_python(number, strict=True)
+            if cycle.cells is not None and cycle.cells.shape != (self.contract.cells.count,):
+                raise ValueError(f"{len(cycle.cells)} cells")
+            return cycle
         except Exception as error:  # a damaged message meets any of its fields' types
             raise UavrlError(f"{self.path} holds a message that no flight has written: {REMEDY}.") from error
 

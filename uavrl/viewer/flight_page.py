@@ -11,8 +11,21 @@ from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.rollout.smoothness import smoothness_texts
 from uavrl.runs.files import replacing
 from uavrl.viewer.assembly import filled, pack
-from uavrl.viewer.flight_shapes import BODY, GOAL, KINDS, OTHER_KIND, OUTCOMES, PLANE, football, shell, vehicle
+from uavrl.viewer.flight_shapes import (
+    BODY,
+    ENDED,
+    GOAL,
+    KINDS,
+    OTHER_KIND,
+    OUTCOMES,
+    PLANE,
+    Shell,
+    football,
+    shell,
+    vehicle,
+)
 
+PARTS = ("flight.css", "flight_charts.js", "drawing.js", "flight_log.js", "flight.js")
 POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four characters of three bytes
 
 
@@ -23,16 +36,32 @@ def page_data(recording: Recording) -> dict[str, Any]:
     place = next(iter(recording.sceneries.values()), None)
     shape = football(4.0) if place is None else shell(place.directions, place.ball)
     return {
+        **drawn_parts(shape),
         "source": recording.source,
-        "colours": {**OUTCOMES, "body": BODY, "plane": PLANE, "goal": GOAL},
+        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in recording.sceneries.items()},
+        "flights": [_flight(flight, most) for flight in recording.flights],
+    }
+
+
+def drawn_parts(shape: Shell) -> dict[str, Any]:
+    """What every page draws: the vehicle, the cells around it, and the colours."""
+    return {
+        "colours": {**OUTCOMES, "ended": ENDED, "body": BODY, "plane": PLANE, "goal": GOAL},
         "vehicle": [
             {"vertices": pack(mesh.vertices), "triangles": pack(mesh.faces), "colour": colour}
             for mesh, colour in vehicle()
         ],
         "ball": {name: pack(value) for name, value in shape._asdict().items()},
-        "sceneries": {str(seed): _scenery(scenery) for seed, scenery in recording.sceneries.items()},
-        "flights": [_flight(flight, most) for flight in recording.flights],
     }
+
+
+def packed_points(clouds: list[np.ndarray], most: int) -> dict[str, Any]:
+    """At most ``most`` points ``[M, 3]`` of each scan, and where each scan ends."""
+    clouds = [thinned(cloud, most) for cloud in clouds]
+    points = np.concatenate(clouds)
+    farthest = float(np.abs(points).max(initial=1e-3))
+    ends = pack(np.cumsum([len(cloud) for cloud in clouds]))
+    return {"points": pack(points, scale=farthest / 32767), "point_ends": ends}
 
 
 def above_ground(scenery: Scenery) -> dict[str, np.ndarray]:
@@ -58,15 +87,11 @@ def _scenery(scenery: Scenery) -> dict[str, Any]:
 def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
     values = {field.name: getattr(flight, field.name) for field in fields(flight)}
     data = {name: pack(value) for name, value in values.items() if isinstance(value, np.ndarray)}
-    clouds = [thinned(flight.cloud(moment), most) for moment in range(len(flight.times))]
-    points = np.concatenate(clouds)
-    farthest = float(np.abs(points).max(initial=1e-3))
     shown = ("task", "world_seed", "outcome", "steps", "path_efficiency", "clearance")
     return {
         **data,
         "observations": None,  # the page shows the scans instead
-        "points": pack(points, scale=farthest / 32767),
-        "point_ends": pack(np.cumsum([len(cloud) for cloud in clouds])),
+        **packed_points([flight.cloud(moment) for moment in range(len(flight.times))], most),
         "reward_names": list(flight.reward_names),
         **{name: getattr(flight.summary, name) for name in shown},
         "whereabouts": flight.whereabouts,
@@ -76,11 +101,16 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
 
 def make_page(recording: Recording) -> str:
     """The page, with its data, its programs and plotly's inside."""
-    return filled("flight.html", ("flight.css", "flight_charts.js", "drawing.js", "flight.js"), page_data(recording))
+    return filled("flight.html", PARTS, page_data(recording))
 
 
 def write_page(recording: Recording, output: Path) -> None:
     """Writes the page of some flights."""
-    text = make_page(recording)
+    write_data(page_data(recording), output)
+
+
+def write_data(data: dict[str, Any], output: Path) -> None:
+    """Writes the page of what :func:`page_data` gives, or a log."""
+    text = filled("flight.html", PARTS, data)
     with replacing(output) as partial:
         partial.write_text(text, encoding="utf-8")

@@ -5,15 +5,15 @@ const TERM_COLOURS = { progress: "#0072B2", altitude: "#E69F00", heading: "#009E
   reward: "#0072B2" };
 const EVENTS = ["arrival", "collision"];
 const { body: BODY, plane: PLANE, goal: GOAL } = data.colours;
-const OUTCOMES = Object.fromEntries([["arrived", "success"], ["collided", "collision"], ["timed_out", "time-out"]]
-  .map(([key, name]) => [key, [name, data.colours[key]]]));
+const OUTCOMES = Object.fromEntries([["arrived", data.states ? "arrived" : "success"], ["collided", "collision"],
+  ["timed_out", "time-out"], ["ended", "ended"]].map(([key, name]) => [key, [name, data.colours[key]]]));
 
 // ------------------------------------------------------------------ what is drawn
 
 const sceneries = Object.fromEntries(Object.entries(data.sceneries).map(([seed, item]) =>
-  [seed, { ...unpackAll(item), grid: item.heights.shape }]));
+  [seed, { ...unpackAll(item), grid: item.heights?.shape }]));
 const flights = data.flights.map((item) => ({ ...unpackAll(item), moments: item.times.shape[0],
-  planeCount: item.planes.shape[1], rewardCount: item.rewards.shape[1] }));
+  planeCount: item.planes?.shape[1] ?? 0, rewardCount: item.rewards?.shape[1] ?? 0 }));
 
 function ground({ heights, grid: [rows, across], size }) {
   const x = [], y = [], i = [], j = [], k = [];
@@ -58,7 +58,7 @@ function goalShape([x, y, z], [radius, height]) {
 const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, VEHICLE, MARK, POINTS,
   EDGES, FACES] = Array(16).keys();
 const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], "#fdc066"],
-  ["obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
+  [data.states ? "all scans" : "obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
 
 function traces(flight) {
@@ -72,20 +72,21 @@ function traces(flight) {
   }
   const [wall, rings] = goalShape(flight.goal, place.goal), all = [];
   const share = data.flights.length > 1;
-  all[GROUND] = ground(place);
-  all[OBSTACLES] = obstacles(place);
+  all[GROUND] = place.heights ? ground(place) : level(place);
+  all[OBSTACLES] = place.world ? seen(place) : obstacles(place);
   all[GOAL_WALL] = wall;
   all[GOAL_RINGS] = rings;
   all[GOAL_NAME] = { type: "scatter3d", mode: "text", ...still, x: [flight.goal[0]], y: [flight.goal[1]],
     z: [flight.goal[2] + place.goal[1] / 2 + 0.6], text: ["<b>goal</b>"], textfont: { color: theme("goal-name"), size: 14 } };
   all[OTHERS] = line({ ...others, opacity: 0.75, line: { width: 3, color: others.colour } });
-  all[WAY] = line({ ...way, opacity: share ? 0.9 : 0.7, line: { width: 3, color: colour, dash: "dot" } });
+  all[WAY] = line({ ...way, opacity: share ? 0.9 : 0.7, line: flight.told ? { width: 5, color: stateColours(flight) } :
+    { width: 3, color: colour, dash: "dot" } });
   all[START] = { type: "scatter3d", mode: "markers+text", ...still, x: [way.x[0]], y: [way.y[0]], z: [way.z[0]],
     text: ["start"], textposition: "bottom center", textfont: { color: theme("ink"), size: 12 },
     marker: { size: 5, color: theme("paper"), line: { color: theme("ink"), width: 2 } } };
-  all[FLOWN] = line({ x: [], y: [], z: [], line: { width: 8, color: colour } });
+  all[FLOWN] = line({ x: [], y: [], z: [], opacity: flight.told ? 0.4 : 1, line: { width: 8, color: colour } });
   all[DROP] = line({ x: [], y: [], z: [], line: { width: 2, color: BODY } });
-  all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...manyPlanes(place, flight.planeCount), color: PLANE, flatshading: true,
+  all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...(flight.planeCount ? manyPlanes(place, flight.planeCount) : corners([])), color: PLANE, flatshading: true,
     lighting: { ...light, ambient: 0.9, diffuse: 0.4 } });
   all[VEHICLE] = vehicleTrace();
   all[MARK] = { type: "scatter3d", mode: "markers", ...still, x: [], y: [], z: [],
@@ -134,7 +135,9 @@ function changes(flight, moment) {
   };
 }
 
-function groundAt({ heights, grid: [rows, across], size }, x, y) {
+function groundAt({ heights, grid, size }, x, y) {
+  if (!heights) return 0;
+  const [rows, across] = grid;
   const at = (share, count) => Math.min(Math.max(Math.round((share + 0.5) * (count - 1)), 0), count - 1);
   return heights[at(x / size[0], rows) * across + at(y / size[1], across)];
 }
@@ -142,10 +145,10 @@ function groundAt({ heights, grid: [rows, across], size }, x, y) {
 // ------------------------------------------------------------------ camera
 
 const ASPECT = 1 / 18; // of the scene's units to a metre
-const boxOf = ({ size }) => [[-size[0] / 2 - 1, size[0] / 2 + 1], [-size[1] / 2 - 1, size[1] / 2 + 1], [-2, 9]];
+const boxOf = ({ size, box }) => box ?? [[-size[0] / 2 - 1, size[0] / 2 + 1], [-size[1] / 2 - 1, size[1] / 2 + 1], [-2, 9]];
 const VIEWS = {
-  overview: () => ({ eye: [0, -32 * away(), 30 * away()], center: [0, -0.8, 0] }),
-  top: () => ({ eye: [0, -0.5, 46 * away()], center: [0, 0, 0] }),
+  overview: (p, h, [x, y, far]) => ({ eye: [x, y - 32 * far, 30 * far], center: [x, y - 0.8, 0] }),
+  top: (p, h, [x, y, far]) => ({ eye: [x, y - 0.5, 46 * far], center: [x, y, 0] }),
   follow: (p, h) => ({ eye: [p[0] - 9 * h[0] - 4 * h[1], p[1] - 9 * h[1] + 4 * h[0], p[2] + 8], center: p }),
   chase: (p, h) => ({ eye: [p[0] - 5.4 * h[0], p[1] - 5.4 * h[1], p[2] + 2.3], // outside of the faces
     center: [p[0] + 2 * h[0], p[1] + 2 * h[1], p[2]] }),
@@ -198,8 +201,11 @@ function headings(flight) { // seen from above, smoothed so that the camera does
 
 function camera(flight, moment, fresh) {
   const box = boxOf(sceneries[flight.world_seed]), p = Array.from(row(flight.positions, moment));
-  let { eye, center } = VIEWS[view](p, flight.headings[moment]);
-  if (view === "chase" && !hidden.has("obstacles")) { // in front of what would hide the UAV, and slowly back again
+  const middle = [0, 1].map((axis) => (box[axis][0] + box[axis][1]) / 2);
+  const wide = Math.max((box[0][1] - box[0][0]) / 32, (box[1][1] - box[1][0]) / 24, 0.3); // of what is in sight
+  const far = away() * (data.states ? wide : 1);
+  let { eye, center } = VIEWS[view](p, flight.headings[moment], [...middle, far]);
+  if (view === "chase" && sceneries[flight.world_seed].triangles && !hidden.has("obstacles")) { // in front of what would hide the UAV, and slowly back again
     const free = Math.max(0.9 * clearShare(sceneries[flight.world_seed], p, eye), 0.3);
     reach = fresh ? free : Math.min(free, reach + 0.04);
     eye = eye.map((x, i) => p[i] + reach * (x - p[i]));
@@ -219,8 +225,9 @@ function show(next) {
   hand($("scene"), changes(flight, moment));
   if (view === "follow" || view === "chase") Plotly.relayout($("scene"), { "scene.camera": camera(flight, moment, false) });
   for (const chart of charts) chart.move(moment);
+  if (flight.told) tell(flight, moment);
   $("slider").value = moment;
-  $("clock").textContent = `${number(flight.times[moment], 1)} s · step ${moment} / ${flight.moments - 1}`;
+  $("clock").textContent = `${number(flight.times[moment], 1)} s · ${flight.told ? "cycle" : "step"} ${moment} / ${flight.moments - 1}`;
 }
 
 function play(on) {
@@ -229,9 +236,10 @@ function play(on) {
   $("play").textContent = on ? "❚❚" : "▶";
   if (!on) return;
   if (moment >= flight.moments - 1) show(0);
+  const pace = 1000 * (flight.times[flight.moments - 1] - flight.times[0]) / Math.max(flight.moments - 1, 1); // 0.1 s
   let last = performance.now(), owed = 0;
   const tick = (now) => {
-    owed += (now - last) / 100 * Number($("speed").value); // a step is 0.1 s
+    owed += (now - last) / pace * Number($("speed").value);
     last = now;
     if (owed >= 1) { show(moment + Math.floor(owed)); owed %= 1; }
     if (moment >= flight.moments - 1) play(false); else playing = requestAnimationFrame(tick);
@@ -246,10 +254,12 @@ function choose(index) {
   const place = sceneries[flight.world_seed], box = boxOf(place), [name, colour] = OUTCOMES[flight.outcome];
   $("outcome").textContent = name;
   $("outcome").style.background = colour;
-  list($("facts"), { task: flight.task, valley: flight.world_seed, time: `${number(flight.steps / 10, 1)} s`,
+  list($("facts"), flight.facts ?? { task: flight.task, valley: flight.world_seed, time: `${number(flight.steps / 10, 1)} s`,
     "path efficiency": number(flight.path_efficiency), "least clearance": `${number(flight.clearance)} m` });
-  list($("whereabouts"), went(flight.whereabouts));
-  list($("smoothness"), flight.smoothness);
+  list($("whereabouts"), flight.whereabouts ? went(flight.whereabouts) : {});
+  list($("smoothness"), flight.smoothness ?? {});
+  $("notes").replaceChildren();
+  for (const note of flight.notes ?? []) element("p", {}, $("notes"), note);
   $("flight").value = index;
   $("slider").max = flight.moments - 1;
   drawCharts();
@@ -269,6 +279,14 @@ function went({ altitude, height_quarters: quarters, wall_distance: wall }) { //
 }
 
 function drawCharts() {
+  const specs = flight.told ? loggedCharts(flight) : simulatedCharts();
+  $("charts").replaceChildren();
+  charts = specs.map((spec) => makeChart($("charts"), spec, flight.moments, (next) => { play(false); show(next); }));
+  for (const chart of charts) chart.move(0); // the names take their place
+  for (const chart of charts) chart.draw();
+}
+
+function simulatedCharts() {
   const take = (name) => Array.from({ length: flight.moments - 1 },
     (_, i) => flight.rewards[i * flight.rewardCount + flight.reward_names.indexOf(name)]);
   const happened = EVENTS.filter((name) => flight.reward_names.includes(name))
@@ -283,7 +301,7 @@ function drawCharts() {
     return Math.max(Math.hypot(x - flight.goal[0], y - flight.goal[1]) - goalRadius, 0);
   });
   const one = (title, unit, values, colour, more = {}) => ({ title, unit, series: [{ name: title, colour, values }], ...more });
-  const specs = [
+  return [
     { title: "Reward", unit: happened ? `at the end: ${happened}` : "per step", low: 0,
       series: terms.map((name) => ({ name, colour: TERM_COLOURS[name] ?? "#64707d", values: take(name) })) },
     one("Distance to goal", "m", distance, "#0072B2", { low: 0 }),
@@ -292,10 +310,6 @@ function drawCharts() {
     one("Altitude", "m", altitude, "#CC79A7", { low: 3, high: 4 }),
     one("Speed", "m/s", speed, "#E69F00", { low: 0 }),
   ];
-  $("charts").replaceChildren();
-  charts = specs.map((spec) => makeChart($("charts"), spec, flight.moments, (next) => { play(false); show(next); }));
-  for (const chart of charts) chart.move(0); // the names take their place
-  for (const chart of charts) chart.draw();
 }
 
 // ------------------------------------------------------------------ controls
@@ -309,10 +323,11 @@ function othersColours() { // equal stripes of the colours that the flights have
 function start() {
   const { source } = data;
   $("source").textContent = "A quadrotor finds its way by LiDAR";
-  const parts = [`flown by ${source.run ?? source.policy}`, source.env && `${source.env} valley`, source.seed !== undefined && `tasks of seed ${source.seed}`,
+  const name = source.log ?? source.run ?? source.policy;
+  const parts = source.log ? [source.log, source.started.replace("T", " ").slice(0, 19), "UTC"] : [`flown by ${name}`, source.env && `${source.env} valley`, source.seed !== undefined && `tasks of seed ${source.seed}`,
     source.training_steps && `after ${source.training_steps.toLocaleString("en")} steps of training`];
   $("setting").textContent = parts.filter(Boolean).join(" · ");
-  document.title = `${source.run ?? source.policy} – uavrl replay`;
+  document.title = `${name} – uavrl replay`;
   flights.forEach((item, i) => element("option", { value: i }, $("flight"),
     `task ${item.task}: ${OUTCOMES[item.outcome][0]}, ${item.steps} steps`));
   $("flight").hidden = flights.length < 2;
@@ -344,7 +359,8 @@ function start() {
   };
   legend(BODY, "UAV (its nose pink)");
   const happened = new Set(flights.map((item) => item.outcome));
-  for (const [key, [name, colour]] of Object.entries(OUTCOMES)) if (happened.has(key)) legend(colour, `path: ${name}`);
+  for (const [key, [name, colour]] of Object.entries(OUTCOMES)) if (happened.has(key) && !data.states) legend(colour, `path: ${name}`);
+  for (const [state, colour] of Object.entries(STATES)) legend(colour, `path: ${state}`);
   const { ball: radius } = Object.values(sceneries)[0];
   distanceScale($("legend"), radius);
   $("slider").addEventListener("input", (event) => { play(false); show(Number(event.target.value)); });

@@ -1,0 +1,104 @@
+"""The page of a real flight's log: its numbers are the log's, and what no log knows is not in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.helpers.flights import unpack
+from tests.helpers.logged import GOAL, SILENT, WALLS, contract, write_log
+from uavrl.deploy.log import FlightLog
+from uavrl.deploy.logged_flight import LoggedFlight
+from uavrl.deploy.stages import FlightCycle
+from uavrl.errors import UavrlError
+from uavrl.viewer import logged_page
+from uavrl.viewer.logged_page import logged_page_data
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[FlightCycle]]:
+    return write_log(tmp_path_factory.mktemp("log") / "flight.mcap")
+
+
+@pytest.fixture(scope="module")
+def data(log: tuple[Path, list[FlightCycle]]) -> dict[str, Any]:
+    return logged_page_data(LoggedFlight(log[0]), points=500)
+
+
+def test_the_numbers_in_the_page_are_those_of_the_log(
+    data: dict[str, Any], log: tuple[Path, list[FlightCycle]]
+) -> None:
+    shown = [cycle for cycle in log[1] if cycle.pose is not None]
+    (flight,) = data["flights"]
+    assert len(shown) == 57 and flight["steps"] == 56 and flight["outcome"] == "arrived"
+    np.testing.assert_allclose(unpack(flight["times"]), 0.1 * np.arange(57), atol=1e-5)
+    np.testing.assert_allclose(unpack(flight["positions"]), [c.pose.position for c in shown if c.pose], rtol=1e-6)
+    np.testing.assert_allclose(unpack(flight["distances"]), [c.distance for c in shown], rtol=1e-6)
+    np.testing.assert_allclose(unpack(flight["actions"]), [c.action for c in shown], rtol=1e-6)
+    nothing = np.full(4, np.nan)
+    sent = [nothing if c.status.setpoint is None else c.status.setpoint for c in shown]
+    np.testing.assert_allclose(unpack(flight["setpoints"]), sent, rtol=1e-6)
+    told = [flight["told"][at] for at in unpack(flight["told_at"])]
+    assert told == [(c.status.state, c.status.reason, c.status.sentence, c.control.sentence) for c in shown]
+    assert set(data["states"]) >= {state for state, *_ in told} >= {"silent", "standby", "flying", "holding"}
+    assert flight["facts"]["time"] == "5.6 s" and flight["facts"]["at the goal after"] == "4.7 s"
+    for name in ("rewards", "clearances", "planes", "whereabouts", "path_efficiency"):
+        assert name not in flight, "no log knows it"
+
+
+def test_cells_and_points_are_shown_while_the_scan_is_one_to_fly_by(
+    data: dict[str, Any], log: tuple[Path, list[FlightCycle]]
+) -> None:
+    shown = [cycle for cycle in log[1] if cycle.pose is not None]
+    (flight,) = data["flights"]
+    faces, ends = unpack(flight["faces"]), unpack(flight["point_ends"])
+    counts = np.diff(ends, prepend=0)
+    for moment, cycle in enumerate(shown):
+        if cycle.cells is not None:
+            np.testing.assert_array_equal(faces[moment], cycle.cells)
+            assert 0 < counts[moment] <= 500
+    fresh, stale = SILENT[0] - 3, SILENT[0] - 3 + 3
+    np.testing.assert_array_equal(faces[fresh], faces[fresh - 1])
+    assert not faces[stale : SILENT[1] - 3].any() and not counts[stale : SILENT[1] - 3].any()
+    assert np.isnan(unpack(flight["nearest"])[stale])
+
+
+def test_the_world_is_what_the_scans_saw_where_the_vehicle_was(data: dict[str, Any]) -> None:
+    place = data["sceneries"]["log"]
+    world = unpack(place["world"])
+    assert len(world) > 1000
+    off = np.minimum(np.abs(np.abs(world[:, 1]) - WALLS), np.abs(world[:, 2]))
+    assert off.max() < 1e-4, "each point lies on a wall or on the ground"
+    low, high = np.array(place["box"]).T
+    assert (world > low).all() and (world < high).all() and (low < GOAL).all() and (high > GOAL).all()
+    assert unpack(place["goal"]).tolist() == [1.0, 5.0] and "heights" not in place
+    assert place["ball"] == contract().cells.radius and place["statistic"] == contract().cells.statistic
+
+
+def test_a_cut_log_and_missing_cycles_are_told(log: tuple[Path, list[FlightCycle]], tmp_path: Path) -> None:
+    content = log[0].read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
+    (flight,) = logged_page_data(LoggedFlight(tmp_path / "cut.mcap"))["flights"]
+    assert flight["outcome"] == "ended"
+    assert flight["notes"] == ["The log ends in the middle: what came after is not in it.", logged_page.LEVEL]
+
+
+def test_a_long_log_keeps_fewer_points_and_one_that_is_too_long_is_refused(
+    log: tuple[Path, list[FlightCycle]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logged_page, "MOST_POINTS", 5000)
+    moments = logged_page.LoggedMoments(LoggedFlight(log[0]), 1500)
+    assert 1000 < sum(map(len, moments.clouds)) <= 5000
+    monkeypatch.setattr(logged_page, "MOST_CYCLES", 20)
+    with pytest.raises(UavrlError, match="more than 20 cycles, too many for a page: open it in Foxglove"):
+        logged_page_data(LoggedFlight(log[0]))
+
+
+def test_a_log_without_a_pose_is_refused(tmp_path: Path) -> None:
+    with FlightLog(tmp_path / "f.mcap", contract(), GOAL) as log:
+        pass
+    with pytest.raises(UavrlError, match="holds no cycle with a pose"):
+        logged_page_data(LoggedFlight(log.path))
