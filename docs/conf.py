@@ -83,6 +83,11 @@ nitpick_ignore_regex = [
         r".*\._(AcceptedKeys|ClassHistory)|uavrl\.config\.validation\.T|uavrl\.config\.settings\.(TrainerConfig|FlyingConfig)|uavrl\.config\.parts\.Part",
     ),
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
+    (
+        r"py:.*",
+        r"uavrl\.deploy\.(contract\.Contract|firmware\.Firmware|limits\.Limited)|Contract|FirmwareName|LiveEpisode|Motion|Vector",
+    ),
+    (r"py:.*", r"Path|np\.ndarray"),
     (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task|traffic\.Traffic)"),
     (r"py:.*", r"(typing\.|collections\.abc\.)?(Annotated|Literal|Mapping|tuple|dict)\[[^\]]*"),
 ]

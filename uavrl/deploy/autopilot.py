@@ -17,6 +17,7 @@ from uavrl.errors import UavrlError
 _logger = logging.getLogger(__name__)
 
 PORT = 14540  # where PX4 sends what is meant for a companion computer
+ADDRESS = f"udp://:{PORT}"
 TYPE_MASK = 1479  # of SET_POSITION_TARGET_LOCAL_NED: ignore position, acceleration and yaw; take velocity and yaw rate
 BODY_NED = 8  # MAV_FRAME_BODY_NED, which autopilots turn with the yaw alone
 SYSTEM, COMPONENT = 1, 191  # ours: the vehicle's system, MAV_COMP_ID_ONBOARD_COMPUTER
@@ -58,7 +59,7 @@ class Autopilot:
     """
 
     def __init__(
-        self, source: str = f"udp://:{PORT}", *, set_mode: bool = False, arm: bool = False, system: int | None = None
+        self, source: str = ADDRESS, *, set_mode: bool = False, arm: bool = False, system: int | None = None
     ) -> None:
         self._messages = mavlink()
         self._socket = listen(source, PORT)

@@ -17,7 +17,7 @@ import numpy as np
 from uavrl.deploy.limits import SafetyLimits, distance_outside, limit
 
 SetPoint = tuple[float, float, float, float]
-"""(l_x, l_y, l_z, a_z): forward, left and up in m/s, yaw rate to the left in rad/s, as a policy's action."""
+"""Forward, left and up in m/s and the yaw rate to the left in rad/s, as a policy's action."""
 
 ZEROS: SetPoint = (0.0, 0.0, 0.0, 0.0)
 _ROUNDING = 1e-6  # s: an age that is at its limit in decimals is within it
@@ -29,10 +29,10 @@ class State(StrEnum):
     """What the layer does."""
 
     SILENT = "silent"  #: sends nothing, so that the autopilot refuses Offboard, or leaves it
-    STANDBY = "standby"  #: sends zeros: all rules hold, but the autopilot does not fly by set-points
+    STANDBY = "standby"  #: sends zeros, as all rules hold but the autopilot does not fly by set-points
     FLYING = "flying"  #: sends the policy's action within its limits
     FENCED = "fenced"  #: the same, less what leads out of the fence
-    HOLDING = "holding"  #: sends zeros: a rule is broken, or was a moment ago
+    HOLDING = "holding"  #: sends zeros, as a rule is broken or was a moment ago
 
 
 class Reason(StrEnum):

@@ -35,8 +35,8 @@ MOST_PACKETS = 4096  # of a scan, whatever the clock in the packets says
 class Scan:
     """One turn of the sensor, which can be unpacked as ``stamp, points``."""
 
-    #: Time of its last packet in s: by UDP that of its arrival on the clock of ``time.monotonic``, as the safety layer
-    #: has it; of a recording by the recorder's clock, or the sensor's where it has no other.
+    #: Time of its last packet in s. By UDP it is that of its arrival on the clock of ``time.monotonic``, as the safety
+    #: layer has it; of a recording by the recorder's clock, or the sensor's where it has no other.
     stamp: float
     points: np.ndarray  #: ``float32 [P, 3]`` in m in the sensor frame: x forward, y left, z up
     rays: int  #: How many rays it is made of

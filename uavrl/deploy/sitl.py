@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
+LIDAR, AUTOPILOT = (f"udp://127.0.0.1:{port}" for port in (LIDAR_PORT, AUTOPILOT_PORT))
 LATE = 0.1  # s behind its time, after which the simulator gives up catching up
 TURN = 0.1  # s of the LiDAR
 _TICK = 0.02  # s between two looks while a set-point is waited for
@@ -79,8 +80,8 @@ class Sitl:
     def __init__(
         self,
         episode: LiveEpisode,
-        lidar: str = f"udp://127.0.0.1:{LIDAR_PORT}",
-        autopilot: str = f"udp://127.0.0.1:{AUTOPILOT_PORT}",
+        lidar: str = LIDAR,
+        autopilot: str = AUTOPILOT,
         *,
         firmware: FirmwareName = "px4",
         armed: bool = True,

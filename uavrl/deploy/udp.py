@@ -96,7 +96,7 @@ class UdpPackets:
 
 
 def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes]]:
-    """The time of arrival and the content of each packet of :class:`UdpPackets`.
+    """The time of arrival and the content of each packet of ``UdpPackets``.
 
     Args:
         source: where to listen.

@@ -22,7 +22,7 @@ class Control(StrEnum):
     UNSUPPORTED = "unsupported"  #: it is neither PX4 nor ArduPilot, or flies no multirotor
     LOST = "lost"  #: its heartbeats have ceased
     OTHER_MODE = "other_mode"  #: the pilot, or a mode of the autopilot
-    DISARMED = "disarmed"  #: nobody: the mode is for set-points, the motors are off
+    DISARMED = "disarmed"  #: nobody, as the mode is for set-points and the motors are off
     IN_CONTROL = "in_control"  #: our set-points
     TAKEN_OVER = "taken_over"  #: the pilot or a failsafe, who took the mode for set-points away
 

@@ -29,7 +29,7 @@ class Flight:
     flown: float | None = None  #: the path between them
     clearance: float | None = None  #: the least distance between the hull and the nearest thing
     episode_return: float | None = None  #: as the environment gives it, where lengths are None
-    #: mean absolute change of each component of the action per step: of forward, left and up in m/s and of the yaw rate
+    #: mean absolute change of each component of the action per step, of forward, left and up in m/s and of the yaw rate
     #: in rad/s, within the limits of the action; of other environments in their units. None in an episode of one step
     action_change: list[float] | None = None
     yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
