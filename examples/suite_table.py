@@ -19,7 +19,7 @@ WORLDS = {
     "real": "the ten valleys, in which all of the following comes together",
     "real_vehicle": "mass and inertia ± 20 %, thrust ± 15 %, motors half to twice as slow, drag ± 50 %",
     "real_delay": "actions and scans each up to 0.1 s late",
-    "real_sensor": "LiDAR 3° askew, noise 3 cm, 10 % lost, blind for 60°; altitude 0.2 m, heading 5° wrong; each up to that",
+    "real_sensor": "up to: LiDAR 3° askew, noise 3 cm, 10 % lost, blind for 60°; altitude 0.2 m, heading 5° off",
     "real_wind": "wind up to 2 m/s, gusts up to 0.5 m/s",
 }
 
