@@ -30,8 +30,8 @@ class Pose:
     position: Vector  #: m
     velocity: Vector  #: m/s
     yaw: float  #: from east to the left (counter-clockwise seen from above), rad in [-π, π]
-    roll: float = 0.0  #: about forward, positive with the left side up, rad; which is drawn, and not flown by
-    pitch: float = 0.0  #: about left, positive with the nose down, rad; as well
+    roll: float = 0.0  #: about forward, positive with the left side up, rad; only logged and drawn
+    pitch: float = 0.0  #: about left, positive with the nose down, rad; only logged and drawn
 
     @property
     def rotation(self) -> Rotation:
