@@ -12,7 +12,7 @@ import pytest
 
 from tests.helpers.browser import browser_with
 from tests.helpers.flights import small_recording
-from tests.helpers.logged import SILENT, write_log
+from tests.helpers.logged import ATTITUDE, SILENT, write_log
 from uavrl.deploy.logged_flight import LoggedFlight
 from uavrl.viewer.flight_page import write_data, write_page
 from uavrl.viewer.logged_page import logged_page_data
@@ -107,6 +107,8 @@ def test_a_browser_plays_the_log_of_a_real_flight(tmp_path: Path) -> None:
         show(arguments[0]);
         const gd = document.getElementById("scene"), mark = gd.data[MARK];
         return {uav: [mark.x[0], mark.y[0], mark.z[0]], told: document.getElementById("told").innerText,
+                vehicle: ["x", "y", "z"].map((axis) => Array.from(gd.data[VEHICLE][axis])),
+                shape: Array.from(vehicle.vertices),
                 clock: document.getElementById("clock").textContent, points: gd.data[POINTS].x[0] !== null};
     """
     with browser_with(tmp_path / "page.html") as browser:
@@ -114,6 +116,8 @@ def test_a_browser_plays_the_log_of_a_real_flight(tmp_path: Path) -> None:
             seen, cycle = browser.execute_script(move, moment), shown[moment]
             assert cycle.pose is not None
             np.testing.assert_allclose(seen["uav"], cycle.pose.position, atol=1e-5)
+            tilted = ATTITUDE.apply(np.reshape(seen["shape"], (-1, 3))) + cycle.pose.position
+            np.testing.assert_allclose(np.transpose(seen["vehicle"]), tilted, atol=1e-5)
             told = [f"{cycle.status.state} ({cycle.status.reason})", cycle.status.sentence, cycle.control.sentence]
             assert seen["told"].split("\n") == told and f"cycle {moment} / 56" in seen["clock"]
             assert seen["points"] == (moment != SILENT[0] + 2)
@@ -125,7 +129,6 @@ def test_a_browser_plays_the_log_of_a_real_flight(tmp_path: Path) -> None:
         assert bands == changes + 1
         visible = "return [...document.querySelectorAll('aside > h2')].filter((head) => head.offsetParent).length"
         assert browser.execute_script(visible) == 0, "what a log does not know has no heading"
-        assert "drawn level" in browser.find_element("id", "notes").text
         for button in browser.find_elements("css selector", "#views button, #layers button"):
             browser.execute_script("arguments[0].click()", button)
         errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]

@@ -63,6 +63,7 @@ def test_pose_and_goal_in_our_axes() -> None:
         assert pose.position == (2.0, 10.0, 3.5)
         assert pose.velocity == (-0.5, 1.0, -0.25)
         assert (pose.yaw, pose.stamp) == (pytest.approx(0.0, abs=1e-6), peer.time)  # it faces east
+        assert (pose.roll, pose.pitch) == pytest.approx((0.1, 0.1))  # its left side up, its nose down
         read = to_goal(pose, (2.0, 15.0, 3.5))  # 5 m north of it
         assert read["heading_deg"] == pytest.approx(90.0, abs=1e-4)
         assert read["elevation_deg"] == 0.0
@@ -334,6 +335,22 @@ def test_numbers_that_are_none_reach_the_safety_layer_and_stop_there() -> None:
         sent = [setpoint.vx for setpoint in peer.setpoints()]
         assert sent[-5:] == [0.0] * 5
         assert record.setpoint is None
+
+
+def test_a_roll_that_is_none_stops_no_flight() -> None:
+    layer = SafetyLayer()
+    with Peer(mode=OFFBOARD) as peer:
+        for tick in range(35):
+            if tick == 25:
+                peer.attitude[:2] = [math.nan, math.inf]
+            status, pose = peer.ours.status(peer.time), peer.ours.pose()
+            in_control = status.control is Control.IN_CONTROL
+            place = (pose.stamp, pose.position, pose.yaw) if pose else (None, None, None)
+            record = layer.step(Cycle(peer.time, (1.0, 0.0, 0.0, 0.0), peer.time, *place, in_control))
+            peer.step(record.setpoint)
+        assert record.state is State.FLYING and record.setpoint == (1.0, 0.0, 0.0, 0.0)
+        assert pose is not None and math.isnan(pose.roll) and math.isinf(pose.pitch)
+        assert pose.rotation == pytest.approx((math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))  # north, level
 
 
 @pytest.mark.parametrize("wrong", [(0.0, 0.0, math.nan, 0.0), (1.0, 2.0)])

@@ -22,7 +22,7 @@ from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tests.helpers.logged import GOAL, SILENT, START, YAW, contract, cycles, write_log
+from tests.helpers.logged import ATTITUDE, GOAL, SILENT, START, YAW, contract, cycles, write_log
 from uavrl.deploy.log import FlightLog
 from uavrl.deploy.log_messages import ACTION, CELLS, CHANGES, POINTS, POSE, SETPOINT, STATUS, TOPICS, VELOCITY
 from uavrl.deploy.logged_flight import LoggedFlight
@@ -57,7 +57,8 @@ def same(found: FlightCycle, written: FlightCycle) -> None:
     if found.pose is not None and written.pose is not None:
         assert found.pose.stamp == pytest.approx(written.pose.stamp, **NEAR)
         assert (found.pose.position, found.pose.velocity) == (written.pose.position, written.pose.velocity)
-        assert found.pose.yaw == pytest.approx(written.pose.yaw, abs=1e-12)
+        for angle in ("yaw", "roll", "pitch"):
+            assert getattr(found.pose, angle) == pytest.approx(getattr(written.pose, angle), abs=1e-12)
     for name in ("distance", "control", "status", "latency", "arrived"):
         assert getattr(found, name) == getattr(written, name), name
 
@@ -91,6 +92,19 @@ def test_any_yaw_and_numbers_that_are_not_finite_come_back(yaw: float, tmp_path:
     np.testing.assert_array_equal(found.action, odd.action)
 
 
+@pytest.mark.parametrize("roll", [math.nan, math.inf])
+def test_a_vehicle_whose_roll_is_none_is_logged_level(roll: float, tmp_path: Path) -> None:
+    cycle = list(cycles(4))[3]
+    assert cycle.pose is not None
+    with FlightLog(tmp_path / "f.mcap", contract(), GOAL, clock=lambda: START) as log:
+        log.write(replace(cycle, pose=replace(cycle.pose, roll=roll)))
+        log.write(replace(cycle, pose=replace(cycle.pose, yaw=roll)))
+    level, unknown = LoggedFlight(log.path)
+    assert level.pose is not None and unknown.pose is not None and log.left_out == 0
+    assert (level.pose.yaw, level.pose.roll, level.pose.pitch) == pytest.approx((YAW, 0.0, 0.0))
+    assert math.isnan(unknown.pose.yaw) and unknown.pose.position == cycle.pose.position
+
+
 def test_the_libraries_of_others_read_the_same(logged: tuple[Path, list[FlightCycle]]) -> None:
     path, written = logged
     store: Any = get_typestore(Stores.EMPTY)
@@ -120,9 +134,7 @@ def test_the_libraries_of_others_read_the_same(logged: tuple[Path, list[FlightCy
         at, turned = message.pose.position, message.pose.orientation
         assert cycle.pose is not None and message.header.frame_id == "world"
         assert (at.x, at.y, at.z) == cycle.pose.position
-        np.testing.assert_allclose(
-            [turned.x, turned.y, turned.z, turned.w], [0, 0, math.sin(YAW / 2), math.cos(YAW / 2)]
-        )
+        np.testing.assert_allclose([turned.x, turned.y, turned.z, turned.w], ATTITUDE.as_quat(), atol=1e-12)
     for topic, actions in {
         ACTION: [cycle.action for cycle in flown],
         SETPOINT: [cycle.status.setpoint for cycle in written if cycle.status.setpoint is not None],
@@ -157,6 +169,8 @@ def test_the_frames_put_the_cloud_into_the_world(logged: tuple[Path, list[Flight
     np.testing.assert_allclose([offset.x, offset.y, offset.z], contract().cloud.sensor_position)
     cycle = written[-1]
     assert cycle.pose is not None and (place.x, place.y, place.z) == cycle.pose.position
+    for turn, wanted in ((vehicle.transform.rotation, ATTITUDE.as_quat()), (sensor.transform.rotation, (0, 0, 0, 1))):
+        np.testing.assert_allclose([turn.x, turn.y, turn.z, turn.w], wanted, atol=1e-12)
 
 
 def test_a_log_is_a_source_of_scans(logged: tuple[Path, list[FlightCycle]]) -> None:

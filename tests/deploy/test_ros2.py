@@ -8,6 +8,7 @@ import threading
 import time
 
 import numpy as np
+import pybullet
 import pytest
 
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, cloud, odometry, same, until
@@ -39,7 +40,19 @@ def test_an_odometry_is_a_pose_whose_velocity_is_in_the_world_s_axes() -> None:
 def test_an_odometry_without_an_orientation_has_no_yaw() -> None:
     message = odometry((1.0, 2.0, 3.5), 0.0, 0.0)
     message.pose.pose.orientation.w = 0.0
-    assert math.isnan(pose_of(message, 0.0).yaw)
+    pose = pose_of(message, 0.0)
+    assert np.isnan([pose.yaw, pose.roll, pose.pitch]).all()
+
+
+def test_an_odometry_s_orientation_has_the_angles_of_pybullet() -> None:
+    message = odometry((1.0, 2.0, 3.5), 0.0, 0.0)
+    turn, told = message.pose.pose.orientation, (-0.25, 0.5, 2.0)  # roll, pitch, yaw about fixed axes, as in REP 103
+    turn.x, turn.y, turn.z, turn.w = pybullet.getQuaternionFromEuler(told)
+    pose = pose_of(message, 7.0)
+    assert (pose.roll, pose.pitch, pose.yaw) == pytest.approx(told)
+    nose_down = message.pose.pose.orientation.__class__(0.0, math.sin(0.25), 0.0, math.cos(0.25))
+    message.pose.pose.orientation = nose_down
+    assert pose_of(message, 7.0).pitch == pytest.approx(0.5)
 
 
 def arrived(wall: float, now: float, sent: float | None = None) -> Arrived:

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, px4_mode, px4_odometry, until
 from uavrl.deploy.dds import idl_type
@@ -53,9 +54,37 @@ def test_px4_s_odometry_is_turned_to_east_north_up() -> None:
     assert north.velocity == (0.5, 1.0, -0.25)
 
 
+@pytest.mark.parametrize(
+    ("q", "roll", "pitch", "yaw"),
+    [  # w, x, y, z, from forward, right, down to north, east, down
+        ((math.cos(0.1), 0.0, math.sin(0.1), 0.0), 0.0, -0.2, math.pi / 2),  # heads north, nose up
+        ((math.cos(0.1), math.sin(0.1), 0.0, 0.0), 0.2, 0.0, math.pi / 2),  # heads north, right side down
+        ((0.5, 0.5, 0.5, 0.5), math.pi / 2, 0.0, 0.0),  # heads east, and lies on its right side
+    ],
+)
+def test_px4_s_attitude_has_roll_and_pitch(q: tuple[float, ...], roll: float, pitch: float, yaw: float) -> None:
+    message = px4_odometry((1.0, 2.0, -3.5), 0.0, 0)
+    message.q = list(q)
+    pose = px4_pose(message, 5.0)
+    assert (pose.roll, pose.pitch, pose.yaw) == pytest.approx((roll, pitch, yaw), abs=1e-12)
+
+
+def test_px4_s_attitude_is_the_one_that_scipy_computes() -> None:
+    swap = np.array(
+        [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+    )  # of the world; the body's turns about forward
+    message = px4_odometry((1.0, 2.0, -3.5), 0.0, 0)
+    for turn in Rotation.random(30, rng=np.random.default_rng(0)):
+        x, y, z, w = turn.as_quat()
+        message.q = [w, x, y, z]
+        w, *axis = px4_pose(message, 5.0).rotation
+        wanted = swap @ turn.as_matrix() @ np.diag([1.0, -1.0, -1.0])
+        np.testing.assert_allclose(Rotation.from_quat([*axis, w]).as_matrix(), wanted, atol=1e-9)
+
+
 def test_px4_s_odometry_in_another_frame_is_no_pose() -> None:
     pose = px4_pose(px4_odometry((1.0, 2.0, -3.5), 0.0, 0, frame=2, velocity_frame=2), 5.0)
-    assert np.isnan([*pose.position, *pose.velocity, pose.yaw]).all()
+    assert np.isnan([*pose.position, *pose.velocity, pose.yaw, pose.roll, pose.pitch]).all()
 
 
 def test_px4_is_flown_while_it_is_armed_and_in_offboard(node: RosNode) -> None:

@@ -36,7 +36,7 @@ def test_the_pose_comes_back_in_our_axes() -> None:
     pose = vehicle.pose()
     assert pose is not None
     assert (pose.position, pose.velocity) == ((2.0, 10.0, 3.5), (-0.5, 1.0, -0.25))
-    assert pose.yaw == pytest.approx(0.3)
+    assert (pose.yaw, pose.pitch, pose.roll) == pytest.approx((0.3, 0.1, -0.2))
     assert vehicle.status(7.0).control is Control.OTHER_MODE and vehicle.status(7.0).mode == "AUTO.LOITER"
 
 

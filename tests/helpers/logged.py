@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from uavrl.deploy.contract import Contract, read_contract
 from uavrl.deploy.frames import Pose, to_goal
@@ -21,7 +22,11 @@ from uavrl.rollout.policies import PACKAGED
 
 GOAL = (12.0, 1.0, 2.5)
 WALLS = 3.0  # m from the corridor's middle, y = 0
-START, YAW = 1000.0, 0.3  # of the loop's clock, s, and of the vehicle, rad
+START = 1000.0  # of the loop's clock, s
+YAW, PITCH, ROLL = 0.3, 0.25, -0.15  # of the vehicle, rad
+ATTITUDE = Rotation.from_euler(
+    "ZYX", [YAW, PITCH, ROLL]
+)  # in capitals: each turn about the axes that the last has left
 SILENT = (30, 40)  # cycles without a scan: the sensor is silent
 IN_CONTROL = VehicleStatus(Control.IN_CONTROL, "PX4 flies by set-points (OFFBOARD)", "PX4", "OFFBOARD", True)
 DISARMED = VehicleStatus(Control.DISARMED, "PX4 is in OFFBOARD, and not armed", "PX4", "OFFBOARD", False)
@@ -32,11 +37,10 @@ def contract() -> Contract:
     return read_contract(PACKAGED / "best")
 
 
-def corridor(position: np.ndarray, yaw: float) -> np.ndarray:
-    """What a level sensor sees of two walls and the ground, ``float32 [P, 3]`` in its frame; misses are NaN."""
+def corridor(position: np.ndarray, attitude: Rotation) -> np.ndarray:
+    """What a sensor sees of two walls and the ground, ``float32 [P, 3]`` in its frame; misses are NaN."""
     rays = firing_directions().reshape(-1, 3)[::4]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    across, down = sin * rays[:, 0] + cos * rays[:, 1], rays[:, 2]
+    _, across, down = attitude.apply(rays).T
     with np.errstate(divide="ignore"):
         walls = np.maximum((WALLS - position[1]) / across, (-WALLS - position[1]) / across)
         ground = np.where(down < 0, -position[2] / down, np.inf)
@@ -51,10 +55,10 @@ def cycles(count: int = 60) -> Iterator[FlightCycle]:
     for number in range(count):
         now = START + 0.1 * number
         place = np.array([0.2 * number, 0.05 * number - 1.0, 2.5])
-        pose = Pose(now - 0.02, tuple(place.tolist()), (2.0, 0.5, 0.0), YAW) if number > 2 else None
+        pose = Pose(now - 0.02, tuple(place.tolist()), (2.0, 0.5, 0.0), YAW, ROLL, PITCH) if number > 2 else None
         scan = None
         if not SILENT[0] <= number < SILENT[1]:
-            points, scanned = corridor(place + sensor, YAW), now - 0.01
+            points, scanned = corridor(place + ATTITUDE.apply(sensor), ATTITUDE), now - 0.01
             scan = Scan(scanned, points, len(points), int(np.isnan(points[:, 0]).sum()))
         action = np.array([1.0, 0.25, -0.125, 0.5 - 0.01 * number], np.float32)
         control = IN_CONTROL if number > 15 else DISARMED

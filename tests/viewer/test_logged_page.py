@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common
+from scipy.spatial.transform import Rotation
 
 from tests.helpers.flights import unpack
-from tests.helpers.logged import GOAL, SILENT, WALLS, contract, write_log
+from tests.helpers.logged import GOAL, SILENT, START, WALLS, contract, cycles, write_log
 from uavrl.deploy.log import FlightLog
 from uavrl.deploy.logged_flight import LoggedFlight
+from uavrl.deploy.scans import Scan
+from uavrl.deploy.simulated_autopilot import SimulatedAutopilot
 from uavrl.deploy.stages import FlightCycle
+from uavrl.deploy.telemetry import POSE, Telemetry
+from uavrl.deploy.vehicle import Vehicle
+from uavrl.envs.lidar import Lidar
+from uavrl.envs.live import Motion
+from uavrl.envs.mesh import Mesh
+from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
 from uavrl.viewer import logged_page
 from uavrl.viewer.logged_page import logged_page_data
@@ -71,11 +83,67 @@ def test_the_world_is_what_the_scans_saw_where_the_vehicle_was(data: dict[str, A
     world = unpack(place["world"])
     assert len(world) > 1000
     off = np.minimum(np.abs(np.abs(world[:, 1]) - WALLS), np.abs(world[:, 2]))
-    assert off.max() < 1e-4, "each point lies on a wall or on the ground"
+    assert off.max() < 1e-4, "each point lies on a wall or on the ground, of a vehicle that is not level"
     low, high = np.array(place["box"]).T
     assert (world > low).all() and (world < high).all() and (low < GOAL).all() and (high > GOAL).all()
     assert unpack(place["goal"]).tolist() == [1.0, 5.0] and "heights" not in place
     assert place["ball"] == contract().cells.radius and place["statistic"] == contract().cells.statistic
+
+
+def turned(attitude: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return np.asarray(Rotation.from_quat(attitude).apply(points))
+
+
+def test_a_simulated_vehicle_that_tilts_sees_a_wall_where_it_is(tmp_path: Path) -> None:
+    """From the simulator by MAVLink's telemetry into the log, and from the log to what the page draws."""
+    wall = Mesh([[8, -30, 0], [8, 30, 0], [8, 30, 30], [8, -30, 30]], [[0, 1, 2], [0, 2, 3]])  # x = 8
+    tilts = log_a_flight_at(wall, tmp_path / "flight.mcap")
+    assert max(tilts) > 0.2, "rad: it accelerates and brakes"
+    data = logged_page_data(LoggedFlight(tmp_path / "flight.mcap"))
+    world = unpack(data["sceneries"]["log"]["world"])
+    assert len(world) > 200 and np.abs(world[:, 0] - 8.0).max() < 0.002
+    (flight,) = data["flights"]
+    assert flight["notes"] == []
+    ends, points = unpack(flight["point_ends"]), unpack(flight["points"])
+    sensor = unpack(data["sceneries"]["log"]["sensor"])
+    level = []
+    for moment, cloud in enumerate(np.split(points, ends[:-1])):
+        position, attitude = unpack(flight["positions"])[moment], unpack(flight["attitudes"])[moment]
+        drawn = turned(attitude, cloud + sensor) + position  # as drawing.js places them
+        assert np.abs(drawn[:, 0] - 8.0).max() < 0.005
+        _, _, z = Rotation.from_quat(attitude).as_euler("xyz")
+        level.append(
+            np.abs(
+                (turned(np.array([0, 0, np.sin(z / 2), np.cos(z / 2)]), cloud + sensor) + position)[:, 0] - 8.0
+            ).max()
+        )
+    assert max(level) > 0.3, "m: a level drawing would put the wall elsewhere"
+
+
+def log_a_flight_at(wall: Mesh, path: Path) -> list[float]:
+    """Logs a simulated flight with sharp turns of the command, and gives how far the vehicle tilted, in rad."""
+    simulation, lidar = Simulation([wall], 1), Lidar([wall])
+    telemetry, vehicle = Telemetry(common, SimulatedAutopilot(common, "px4")), Vehicle()
+    sensor, tilts = contract().cloud.sensor_position, []
+    np.testing.assert_array_equal(simulation.airframe.lidar_position, sensor)
+    simulation.reset(np.array([0]), np.array([[2.0, 0.0, 8.0]]), np.array([0.4]))
+    template = list(cycles(4))[3]
+    with FlightLog(path, contract(), GOAL, clock=lambda: START) as log:
+        for number in range(12):
+            simulation.step(np.array([[2.0, -2.0, 0.0, 0.5] if number // 4 % 2 == 0 else [-2.0, 2.0, 0.0, 0.5]]))
+            now = START + 0.1 * number
+            rotation = simulation.rotation[0]
+            motion = Motion(simulation.position[0], simulation.velocity[0], rotation, simulation.angular_velocity[0])
+            for kind in (0, *POSE):
+                message = telemetry.message(kind, now, motion)
+                message._header = common.MAVLink_header(message.id, srcSystem=1, srcComponent=1)
+                vehicle.hear(message, now)
+            points = simulation.scan(lidar, np.array([0]), None, np.random.default_rng(0))[0]
+            scan = Scan(now, points, len(points), int(np.isnan(points[:, 0]).sum()))
+            log.write(replace(template, time=now, scan=scan, cells=None, pose=vehicle.pose()))
+            tilts.append(math.acos(rotation[2, 2]))
+    simulation.close()
+    return tilts
 
 
 def test_a_cut_log_and_missing_cycles_are_told(log: tuple[Path, list[FlightCycle]], tmp_path: Path) -> None:
@@ -83,7 +151,7 @@ def test_a_cut_log_and_missing_cycles_are_told(log: tuple[Path, list[FlightCycle
     (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
     (flight,) = logged_page_data(LoggedFlight(tmp_path / "cut.mcap"))["flights"]
     assert flight["outcome"] == "ended"
-    assert flight["notes"] == ["The log ends in the middle: what came after is not in it.", logged_page.LEVEL]
+    assert flight["notes"] == ["The log ends in the middle: what came after is not in it."]
 
 
 def test_a_long_log_keeps_fewer_points_and_one_that_is_too_long_is_refused(

@@ -1,7 +1,8 @@
 """From the frames of an autopilot to ours and back; docs/autopilot.md has the table.
 
-The world's axes are x east, y north, z up, from the autopilot's local origin. A vehicle's are x forward, y left, z up,
-turned with its yaw and not tilted. MAVLink's are north, east, down and forward, right, down.
+The world's axes are x east, y north, z up, from the autopilot's local origin. A vehicle's are x forward, y left, z up;
+those of commands turn with its yaw alone. MAVLink's are north, east, down and forward, right, down. A rotation from a
+vehicle's axes to the world's is (w, x, y, z); by its angles it is Rz(yaw) Ry(pitch) Rx(roll).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from uavrl.envs.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 from uavrl.errors import UavrlError
 
 Vector = tuple[float, float, float]
+Rotation = tuple[float, float, float, float]
 _UNIT = 0.01  # by which the squared length of a rotation may differ from 1
 
 
@@ -28,6 +30,15 @@ class Pose:
     position: Vector  #: m
     velocity: Vector  #: m/s
     yaw: float  #: from east to the left (counter-clockwise seen from above), rad in [-π, π]
+    roll: float = 0.0  #: about forward, positive with the left side up, rad; only logged and drawn
+    pitch: float = 0.0  #: about left, positive with the nose down, rad; only logged and drawn
+
+    @property
+    def rotation(self) -> Rotation:
+        """From its axes to the world's: level where its roll or pitch is not finite, NaN where its yaw is not."""
+        tilted = math.isfinite(self.roll) and math.isfinite(self.pitch)
+        roll, pitch = (self.roll, self.pitch) if tilted else (0.0, 0.0)
+        return quaternion(roll, pitch, self.yaw if math.isfinite(self.yaw) else math.nan)
 
 
 class Command(NamedTuple):
@@ -60,6 +71,16 @@ def swap_yaw(yaw: float) -> float:
     return math.remainder(math.pi / 2 - yaw, math.tau) if math.isfinite(yaw) else math.nan
 
 
+def swap_attitude(roll: float, pitch: float, yaw: float) -> Vector:
+    """MAVLink's roll, pitch (nose up) and yaw as ours, or back.
+
+    Examples:
+        >>> swap_attitude(0.25, 0.5, math.pi / 2)
+        (0.25, -0.5, 0.0)
+    """
+    return roll, 0.0 - pitch, swap_yaw(yaw)
+
+
 def to_command(setpoint: Sequence[float] | np.ndarray) -> Command:
     """What MAVLink calls a set-point (l_x, l_y, l_z, a_z).
 
@@ -84,17 +105,39 @@ def check_setpoint(setpoint: Sequence[float] | np.ndarray) -> tuple[float, float
     return forward, left, up, to_the_left
 
 
-def yaw_of(quaternion: Sequence[float]) -> float:
-    """The yaw of a rotation (w, x, y, z), about its world's z axis; NaN for what is none.
+def roll_pitch_yaw(rotation: Sequence[float]) -> Vector:
+    """The angles of a rotation (w, x, y, z); NaN for what is none.
 
     Examples:
-        >>> round(yaw_of((math.cos(0.5), 0.0, 0.0, math.sin(0.5))), 9), yaw_of((0.0, 0.0, 0.0, 0.0))
-        (1.0, nan)
+        >>> [round(each, 9) for each in roll_pitch_yaw(quaternion(0.1, -0.2, 3.0))]
+        [0.1, -0.2, 3.0]
+        >>> roll_pitch_yaw((0.0, 0.0, 0.0, 0.0))
+        (nan, nan, nan)
     """
-    w, x, y, z = quaternion
+    w, x, y, z = rotation
     if not abs(w * w + x * x + y * y + z * z - 1.0) < _UNIT:
-        return math.nan
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return math.nan, math.nan, math.nan
+    ahead, aside = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)  # where the nose points, seen from above
+    yaw = math.atan2(aside, ahead)
+    cos, sin = math.cos(yaw / 2), math.sin(yaw / 2)
+    roll = 2.0 * math.atan2(cos * x + sin * y, cos * w + sin * z)  # without the yaw, so also straight down
+    return math.remainder(roll, math.tau), math.atan2(2.0 * (w * y - x * z), math.hypot(ahead, aside)), yaw
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> Rotation:
+    """The rotation (w, x, y, z) of these angles.
+
+    Examples:
+        >>> [round(each, 4) for each in quaternion(0.0, 0.0, math.pi / 2)]
+        [0.7071, 0.0, 0.0, 0.7071]
+    """
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(each / 2), math.sin(each / 2)) for each in (roll, pitch, yaw))
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
 
 
 def turned(vector: Sequence[float], quaternion: Sequence[float]) -> Vector:

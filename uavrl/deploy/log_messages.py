@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.deploy.bags import CLOUD, cloud_points
-from uavrl.deploy.frames import Pose
+from uavrl.deploy.frames import Pose, Rotation, roll_pitch_yaw
 from uavrl.deploy.libraries import needed
 from uavrl.deploy.safety import Reason, SafetyStatus, State
 from uavrl.deploy.scans import Scan
@@ -38,6 +38,7 @@ TOPICS = {
 
 WORLD, VEHICLE, LIDAR = "world", "vehicle", "lidar"
 _LATEST = (2**31 - 1) * 10**9  # ns that a stamp of ROS can tell
+_ALONG: Rotation = (1.0, 0.0, 0.0, 0.0)  # the sensor is not turned on the vehicle
 _INFO, _WARNING = 20, 30  # of rcl_interfaces/msg/Log
 
 
@@ -76,7 +77,7 @@ class FlightMessages:
         if cycle.cells is not None:
             made.append((CELLS, self._array(cycle.cells)))
         if pose is not None:
-            place = {"position": self._xyz("Point", pose.position), "orientation": self._turned(pose.yaw)}
+            place = {"position": self._xyz("Point", pose.position), "orientation": self._turned(pose.rotation)}
             made.append((POSE, self._stamped("PoseStamped", pose.stamp, WORLD, pose=self._made("Pose", **place))))
             made.append((VELOCITY, self._twist(pose.stamp, WORLD, (*pose.velocity, 0.0))))
         if cycle.action is not None:
@@ -138,8 +139,8 @@ class FlightMessages:
     def _xyz(self, name: str, numbers: Sequence[float] | np.ndarray) -> Any:
         return self._made(name, **{axis: float(number) for axis, number in zip("xyz", numbers, strict=True)})
 
-    def _turned(self, yaw: float) -> Any:
-        return self._made("Quaternion", x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+    def _turned(self, rotation: Rotation) -> Any:
+        return self._made("Quaternion", **dict(zip("wxyz", rotation, strict=True)))
 
     def _twist(self, time: float, frame: str, action: Sequence[float] | np.ndarray) -> Any:
         """Three velocities and a rate around the z axis."""
@@ -159,10 +160,10 @@ class FlightMessages:
         return self._type(TOPICS[CELLS])(layout=layout, data=np.asarray(cells, np.float32))
 
     def _frames(self, now: float, pose: Pose | None) -> list[Any]:
-        """Where the sensor is on the vehicle, and the vehicle in the world, of which the yaw alone is known."""
-        places = [(now, VEHICLE, LIDAR, self._sensor, 0.0)]
+        """Where the sensor is on the vehicle, and the vehicle in the world."""
+        places = [(now, VEHICLE, LIDAR, self._sensor, _ALONG)]
         if pose is not None and np.isfinite([*pose.position, pose.yaw]).all():
-            places.append((pose.stamp, WORLD, VEHICLE, pose.position, pose.yaw))
+            places.append((pose.stamp, WORLD, VEHICLE, pose.position, pose.rotation))
         return [
             self._stamped(
                 "TransformStamped",
@@ -170,10 +171,10 @@ class FlightMessages:
                 frame,
                 child_frame_id=child,
                 transform=self._made(
-                    "Transform", translation=self._xyz("Vector3", position), rotation=self._turned(yaw)
+                    "Transform", translation=self._xyz("Vector3", position), rotation=self._turned(rotation)
                 ),
             )
-            for time, frame, child, position, yaw in places
+            for time, frame, child, position, rotation in places
         ]
 
     def _change(self, status: SafetyStatus, now: float) -> Any:
@@ -199,8 +200,9 @@ class FlightMessages:
         if message is None:
             return None
         at, turned, speed = message.pose.position, message.pose.orientation, velocity.twist.linear
-        yaw = math.remainder(2.0 * math.atan2(turned.z, turned.w), math.tau)
-        return Pose(self._seconds(message.header), (at.x, at.y, at.z), (speed.x, speed.y, speed.z), yaw)
+        roll, pitch, yaw = roll_pitch_yaw((turned.w, turned.x, turned.y, turned.z))
+        velocity = speed.x, speed.y, speed.z
+        return Pose(self._seconds(message.header), (at.x, at.y, at.z), velocity, yaw, roll, pitch)
 
 
 def _status_text(cycle: FlightCycle) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from uavrl.deploy.ages import SenderClock
 from uavrl.deploy.bags import cloud_scan, seconds
 from uavrl.deploy.dds import Arrived, Node, check_topic, idl_type, topic_of
-from uavrl.deploy.frames import Pose, check_setpoint, turned, yaw_of
+from uavrl.deploy.frames import Pose, check_setpoint, roll_pitch_yaw, turned
 from uavrl.deploy.messages import CLOUD, HEADER, ODOMETRY, TWIST, TWIST_STAMPED
 from uavrl.deploy.scans import Scan, Skipped
 from uavrl.deploy.vehicle import Control, VehicleStatus
@@ -201,7 +201,8 @@ def pose_of(odometry: Any, stamp: float) -> Pose:
     turn = odometry.pose.pose.orientation
     rotation = (turn.w, turn.x, turn.y, turn.z)
     moved = turned((velocity.x, velocity.y, velocity.z), rotation)
-    return Pose(stamp, (at.x, at.y, at.z), moved, yaw_of(rotation))
+    roll, pitch, yaw = roll_pitch_yaw(rotation)
+    return Pose(stamp, (at.x, at.y, at.z), moved, yaw, roll, pitch)
 
 
 def twist_of(setpoint: Sequence[float] | np.ndarray) -> Any:

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from uavrl.deploy.dds import Node, idl_type, topic_of
-from uavrl.deploy.frames import Pose, check_setpoint, swap_world, swap_yaw, turned, yaw_of
+from uavrl.deploy.frames import Pose, check_setpoint, roll_pitch_yaw, swap_attitude, swap_world, turned
 from uavrl.deploy.messages import PX4_CONTROL_MODE, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT
 from uavrl.deploy.ros2 import Stamps
 from uavrl.deploy.vehicle import HEARTBEAT_TIMEOUT, Control, VehicleStatus
@@ -129,7 +129,8 @@ def px4_pose(odometry: Any, stamp: float) -> Pose:
         velocity = turned(velocity, odometry.q)
     elif odometry.velocity_frame != _NED:
         velocity = _NOT
-    return Pose(stamp, position, swap_world(velocity), swap_yaw(yaw_of(odometry.q)) if ned else math.nan)
+    roll, pitch, yaw = swap_attitude(*roll_pitch_yaw(odometry.q)) if ned else (math.nan,) * 3
+    return Pose(stamp, position, swap_world(velocity), yaw, roll, pitch)
 
 
 def px4_setpoint(setpoint: Sequence[float] | np.ndarray, yaw: float, micros: int) -> Any:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uavrl.deploy.frames import swap_world
+from uavrl.deploy.frames import quaternion, swap_world
 from uavrl.deploy.simulated_autopilot import AUTOPILOT_VERSION, SimulatedAutopilot
 
 if TYPE_CHECKING:
@@ -155,21 +155,5 @@ def euler(rotation: np.ndarray) -> tuple[float, float, float]:
         [0.0, 0.0, 1.570796]
     """
     turn = _TO_NED @ rotation @ _TO_FRD
-    pitch = math.asin(min(max(-float(turn[2, 0]), -1.0), 1.0))
+    pitch = math.asin(min(max(0.0 - float(turn[2, 0]), -1.0), 1.0))
     return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """The same as w, x, y, z.
-
-    Examples:
-        >>> [round(each, 4) for each in quaternion(0.0, 0.0, math.pi / 2)]
-        [0.7071, 0.0, 0.0, 0.7071]
-    """
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(each / 2), math.sin(each / 2)) for each in (roll, pitch, yaw))
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )

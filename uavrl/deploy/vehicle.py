@@ -8,7 +8,7 @@ from typing import Any
 
 from uavrl.deploy.ages import SenderClock
 from uavrl.deploy.firmware import FIRMWARES, MULTIROTORS, Firmware
-from uavrl.deploy.frames import Pose, Vector, swap_world, swap_yaw
+from uavrl.deploy.frames import Pose, Vector, swap_attitude, swap_world
 
 HEARTBEAT_TIMEOUT = 3.0  # s; heartbeats come once a second
 _NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a ground station, a camera, a companion
@@ -103,7 +103,8 @@ class Vehicle:
             return None
         position: Vector = swap_world((at.x, at.y, at.z))
         stamp = min(self._position.stamp, self._attitude.stamp)
-        return Pose(stamp, position, swap_world((at.vx, at.vy, at.vz)), swap_yaw(attitude.yaw))
+        roll, pitch, yaw = swap_attitude(attitude.roll, attitude.pitch, attitude.yaw)
+        return Pose(stamp, position, swap_world((at.vx, at.vy, at.vz)), yaw, roll, pitch)
 
     def status(self, now: float) -> VehicleStatus:
         """Who flies the vehicle at ``now``."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from uavrl.deploy.frames import Vector
 from uavrl.deploy.logged_flight import FARTHEST, LoggedFlight
@@ -21,9 +23,8 @@ MOST_CYCLES = 36_000  # an hour
 MOST_POINTS = 1_000_000  # of all scans that are kept: where there are more, each scan keeps half as many
 WORLD_POINTS = 40_000
 VOXEL = 0.15  # m: of the points in such a cube one is drawn
-NEAR = 8.0  # m: what is seen farther away is drawn in its moment alone, since the vehicle's tilt is not known
+NEAR = 8.0  # m: what is seen farther away is drawn in its moment alone, since it moves and turns during a scan
 FRESH = 0.2  # s: for so long a scan is shown where none has come since; so long the policy flies by it
-LEVEL = "The log has the vehicle's yaw alone: vehicle and scans are drawn level."
 
 
 class LoggedMoments:
@@ -38,7 +39,7 @@ class LoggedMoments:
         self.flight, self._most, self._kept = flight, points, 0
         self.cycles: list[FlightCycle] = []  # their scans are in the lists below
         self.positions: list[Vector] = []
-        self.yaws: list[float] = []
+        self.attitudes: list[Sequence[float]] = []  # x, y, z, w
         self.clouds: list[np.ndarray] = []
         self.cells: list[np.ndarray] = []
         self.nearest: list[float] = []
@@ -54,9 +55,10 @@ class LoggedMoments:
     def _add(self, cycle: FlightCycle) -> None:
         pose = cycle.pose
         if pose is not None and np.isfinite(pose.yaw) and (np.abs(pose.position) < FARTHEST).all():
-            position, yaw = pose.position, pose.yaw
+            position, (w, *axis) = pose.position, pose.rotation
+            attitude: Sequence[float] = (*axis, w)
         elif self.cycles:
-            position, yaw = self.positions[-1], self.yaws[-1]
+            position, attitude = self.positions[-1], self.attitudes[-1]
         else:
             return  # nobody knows yet where it is
         cloud, age = np.zeros((0, 3), np.float32), cycle.status.scan_age
@@ -66,12 +68,12 @@ class LoggedMoments:
             far = np.linalg.norm(returns, axis=1)
             cloud, nearest = thinned(returns, self._most), float(far.min()) if len(far) else np.nan
             cells = cells if cycle.cells is None else cycle.cells
-            self._see(thinned(returns[far < NEAR], 1500), position, yaw)
+            self._see(thinned(returns[far < NEAR], 1500), position, attitude)
         elif self.clouds and age is not None and age <= FRESH:
             cloud, cells, nearest = self.clouds[-1], self.cells[-1], self.nearest[-1]
         self.cycles.append(replace(cycle, scan=None, cells=None))
         self.positions.append(position)
-        self.yaws.append(yaw)
+        self.attitudes.append(attitude)
         self.clouds.append(cloud)
         self.cells.append(cells)
         self.nearest.append(nearest)
@@ -81,11 +83,10 @@ class LoggedMoments:
             self.clouds = [thinned(each, self._most) for each in self.clouds]
             self._kept = sum(map(len, self.clouds))
 
-    def _see(self, points: np.ndarray, position: Vector, yaw: float) -> None:
+    def _see(self, points: np.ndarray, position: Vector, attitude: Sequence[float]) -> None:
         """Puts points of the sensor's frame into the world."""
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        self._world.append((points + np.array(self.flight.sensor_position)) @ turn + position)
+        seen = Rotation.from_quat(attitude).apply(points + np.array(self.flight.sensor_position))
+        self._world.append(seen + position)
         if len(self._world) > 200:
             self._world = [one_a_voxel(np.concatenate(self._world))]
 
@@ -135,11 +136,10 @@ def _flight(moments: LoggedMoments) -> dict[str, Any]:
     told = [[c.status.state, c.status.reason, c.status.sentence, c.control.sentence] for c in cycles]
     different = list(dict.fromkeys(map(tuple, told)))
     index = {each: number for number, each in enumerate(different)}
-    half = np.array(moments.yaws) / 2
     arrays = {
         "times": np.array([cycle.time - cycles[0].time for cycle in cycles]),
         "positions": np.array(moments.positions),
-        "attitudes": np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], -1),
+        "attitudes": np.array(moments.attitudes),
         "velocities": np.array([np.full(3, np.nan) if c.pose is None else c.pose.velocity for c in cycles]),
         "goal": np.array(flight.goal),
         "distances": np.array([np.nan if c.distance is None else c.distance for c in cycles]),
@@ -157,7 +157,7 @@ def _flight(moments: LoggedMoments) -> dict[str, Any]:
         "outcome": "arrived" if cycles[-1].arrived else "ended",
         "steps": count - 1,
         "facts": facts(moments),
-        "notes": [*_missing(flight), LEVEL],
+        "notes": _missing(flight),
     }
 
 
