@@ -33,7 +33,7 @@ CELLS = {"truncated_icosahedron": slice(-35, -3), "range_image": slice(-79, -7)}
 
 
 # Policies whose suites were flown before it recorded how each task ended, or in part.
-OF_OLDER_SUITES = ("best", "best_dynamic")
+OF_OLDER_SUITES = ("best_dynamic",)
 FILES = {"policy.json", "policy.safetensors", "config.yaml", "contract.json", "suite.json", "recorded.safetensors"}
 
 
