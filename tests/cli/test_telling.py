@@ -19,7 +19,7 @@ def test_all_comes_in_its_order(capsys: pytest.CaptureFixture[str]) -> None:
     try:
         with beside():
             for number in range(100):
-                print(number)
+                sys.stdout.write(f"{number}\n")
             logging.getLogger("uavrl.test").warning("the log's line")
         assert log.stream is sys.stderr
     finally:
@@ -37,7 +37,7 @@ def test_a_terminal_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch)
         with beside():
             for _ in range(5000):
                 before = time.monotonic()
-                print("more than a pipe of 65,536 bytes can hold" * 10)
+                sys.stdout.write("more than a pipe of 65,536 bytes can hold\n" * 10)
                 longest = max(longest, time.monotonic() - before)
         assert longest < 5.0 and time.monotonic() - begun < 30.0, "nothing waits for the pipe"
         assert os.read(reader, 8) == b"more tha", "what had room has come"

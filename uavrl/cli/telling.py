@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from queue import Full, Queue
 from threading import Thread
 from typing import TextIO, cast
@@ -29,10 +29,8 @@ class _Beside(io.TextIOBase):
         self._thread.start()
 
     def write(self, text: str) -> int:
-        try:
+        with suppress(Full):  # the terminal hangs, or nobody reads
             self._queue.put_nowait(text)
-        except Full:  # the terminal hangs, or nobody reads
-            pass
         return len(text)
 
     def end(self) -> None:
