@@ -47,7 +47,7 @@ class Wire:
             self.read.append(inner(*seen))
             return self.read[-1]
 
-        self.policy.state = read  # type: ignore[method-assign]
+        self.policy.state = read  # type: ignore[assignment]
         goal = [float(each) for each in self.episode.goal]
         self.flight = Flight(self.policy, goal, self.link, SafetyLayer(), radius=0.01)
 
