@@ -22,6 +22,7 @@ from uavrl.cli.telling import beside
 from uavrl.config import validate
 from uavrl.config.sentences import require
 from uavrl.deploy.autopilot import Autopilot
+from uavrl.deploy.doubts import Doubts
 from uavrl.deploy.dry_run import DryRun
 from uavrl.deploy.feeds import UdpScans
 from uavrl.deploy.flight import Flight, fly, rehearse
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from uavrl.deploy.ros2 import Ros2Scans
 
 ROS2 = "ros2:"  # how addresses of ROS 2 begin
-UNHEARD = 3.0  # s without a scan after which it is told why
 
 
 @dataclass
@@ -174,7 +174,7 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
         scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
         return rehearse(flight, scans, link)
     feed = opened.enter_context(closing(_feed(settings)))
-    return _explained(fly(flight, feed, link), feed)
+    return _doubted(fly(flight, feed, link), Doubts(feed.trouble, 1.0 / flight.period))
 
 
 def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
@@ -185,16 +185,12 @@ def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
     return UdpScans(settings.lidar, settings.model, settings.product)
 
 
-def _explained(cycles: Iterable[FlightCycle], feed: UdpScans | Ros2Scans) -> Iterator[FlightCycle]:
-    """Tells once why no scan comes, where none has come for some seconds."""
-    first: float | None = None
-    told = False
+def _doubted(cycles: Iterable[FlightCycle], doubts: Doubts) -> Iterator[FlightCycle]:
+    """The same cycles; tells once what is odd about their scans."""
     for cycle in cycles:
         yield cycle
-        first = cycle.time if first is None or cycle.scan is not None else first
-        if not told and cycle.time - first > UNHEARD:
-            told = True
-            print(f"No scan has come for {UNHEARD:g} s: {feed.trouble()}", flush=True)
+        for sentence in doubts.of(cycle):
+            print(sentence, flush=True)
 
 
 def _until_the_end(cycles: Iterable[FlightCycle], settings: FlyConfig) -> Iterator[FlightCycle]:
