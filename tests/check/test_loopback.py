@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -10,18 +9,9 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.ports import free_ports
+
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def free_ports() -> tuple[int, int]:
-    """Two that nobody listens to; other tests may run at the same time."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as two,
-    ):
-        one.bind(("127.0.0.1", 0))
-        two.bind(("127.0.0.1", 0))
-        return one.getsockname()[1], two.getsockname()[1]
 
 
 @pytest.fixture(scope="module")

@@ -149,6 +149,16 @@ def test_it_asks_five_times_and_no_more() -> None:
         assert peer.ours.answer == "MAV_CMD_DO_SET_MODE: MAV_RESULT_DENIED"
 
 
+def test_a_mode_that_was_granted_and_taken_away_before_a_heartbeat_told_is_not_asked_for_again() -> None:
+    with Peer(set_mode=True) as peer:
+        peer.steps(20)
+        peer.messages.command_ack_send(SET_MODE, 0)
+        before = len(peer.commands(SET_MODE))
+        assert before > 0
+        assert peer.steps(50).control is Control.OTHER_MODE
+        assert len(peer.commands(SET_MODE)) == before
+
+
 def test_a_broken_stream_begins_anew() -> None:
     with Peer(set_mode=True) as peer:
         peer.beat()

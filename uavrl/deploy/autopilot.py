@@ -29,6 +29,7 @@ _OLD_POSE = 0.1  # s
 _AT_ONCE = 1000  # packets that one call reads at most
 _POSE_MESSAGES = (30, 32)  # ATTITUDE, LOCAL_POSITION_NED
 _BEGINNINGS = (b"\xfd", b"\xfe")  # of a message of MAVLink 2 and 1
+_ACCEPTED = 0  # MAV_RESULT
 _CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
@@ -194,6 +195,9 @@ class Autopilot:
             if message.command in (self._messages.MAV_CMD_DO_SET_MODE, self._messages.MAV_CMD_COMPONENT_ARM_DISARM):
                 self._answer = f"{command.name}: {result.name if result else message.result}"
                 _logger.info("Autopilot: %s", self._answer)
+            asked = self._tries["mode"] > 0 and message.target_component in (0, COMPONENT)
+            if asked and (message.command, message.result) == (self._messages.MAV_CMD_DO_SET_MODE, _ACCEPTED):
+                self._wants["mode"] = False  # who takes it away before the next heartbeat shall keep it, too
 
     def _new_parser(self) -> Any:
         parser = self._messages.MAVLink(None)

@@ -225,15 +225,18 @@ class Sitl:
         self.close()
 
     def _wait(self, until: float) -> None:
-        """Sends what is due and hears what comes until a time of the vehicle's clock."""
-        while (now := self._now) < until:
-            due = self._packets[0][0] if self._packets else until
+        """Sends what is due and hears what comes until a time of the vehicle's clock; what is late is sent first."""
+        while True:
+            now = self._now
+            due = self._packets[0][0] if self._packets else math.inf
             if due <= now:
                 when, packet = self._packets.popleft()
                 self._lateness.append((now - when) / self._speed)
                 self._send([packet], now)
-            else:
+            elif now < until:
                 self._hear_within((min(due, until) - now) / self._speed)
+            else:
+                break
         behind = (now - until) / self._speed
         if behind > LATE:
             if not self._lost:
