@@ -13,17 +13,15 @@ from uavrl.cli import telling
 from uavrl.cli.telling import beside
 
 
-def test_all_comes_in_its_order(capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_comes_in_its_order(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     log = logging.StreamHandler(sys.stderr)
-    logging.root.addHandler(log)
-    try:
-        with beside():
-            for number in range(100):
-                sys.stdout.write(f"{number}\n")
-            logging.getLogger("uavrl.test").warning("the log's line")
-        assert log.stream is sys.stderr
-    finally:
-        logging.root.removeHandler(log)
+    monkeypatch.setattr(logging.root, "handlers", [log])
+    monkeypatch.setattr(telling, "_LONGEST_END", 30.0)
+    with beside():
+        for number in range(100):
+            sys.stdout.write(f"{number}\n")
+        logging.getLogger("tests.telling").warning("the log's line")
+    assert log.stream is sys.stderr
     out, err = capsys.readouterr()
     assert out.split() == [str(number) for number in range(100)] and err == "the log's line\n"
 

@@ -258,6 +258,9 @@ def test_where_no_file_can_be_made_or_a_library_is_missing_it_is_said(
     (tmp_path / "file").touch()
     with pytest.raises(UavrlError, match=r"cannot be written .*: choose another file for the log"):
         FlightLog(tmp_path / "file" / "f.mcap", contract(), GOAL)
+    for folder in (tmp_path, "."):  # a dot has no name that a number could be added to
+        with pytest.raises(UavrlError, match=r"cannot be written \(it is a folder\): choose another file"):
+            FlightLog(folder, contract(), GOAL)
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(UavrlError, match="A flight's log needs mcap, which is not installed: pip install mcap"):
         FlightLog(tmp_path / "f.mcap", contract(), GOAL)
