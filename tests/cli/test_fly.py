@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
@@ -88,6 +90,18 @@ def test_a_flight_is_logged(policy: Path, tmp_path: Path, capsys: pytest.Capture
             assert cycle.scan is not None and np.array_equal(cycle.scan.points, points)
 
 
+def test_a_pipe_that_nobody_reads_ends_no_flight(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers, (reader, writer) = tmp_path / "flight.json", os.pipe()
+    os.close(reader)
+    monkeypatch.setattr(sys, "stdout", os.fdopen(writer, "w"))
+    where = ("lidar=udp://127.0.0.1:23694", "model=VLP16", "autopilot=null", "log=null", "seconds=0.5")
+    assert in_process(fly.main, f"policy={policy}", GOAL, *where, f"json={numbers}") == 141
+    assert json.loads(numbers.read_text())["seconds"] >= 0.5
+    assert "Nobody reads what is printed (Broken pipe): the flight goes on." in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -104,6 +118,8 @@ def test_a_flight_is_logged(policy: Path, tmp_path: Path, capsys: pytest.Capture
         (["policy=none", GOAL, "autopilot=ros2:///odom", "arm=true"], "autopilot must be udp://:14540 with arm"),
         (["policy=none", GOAL, "autopilot=ros2:///odom", "ros2.kind=px5"], "ros2.kind must be one of"),
         (["policy=none", GOAL, "system=0"], "system must be"),
+        (["policy=none", GOAL, "json=./flight.mcap"], "json must be another file than the log and the recording"),
+        (["policy=none", GOAL, *RECORDING, f"json={RECORDED}"], "json must be another file than the log"),
         (["policy=none", GOAL, "safety.speed=1"], "There is no key 'safety.speed'"),
     ],
 )

@@ -186,11 +186,20 @@ def test_at_the_goal_it_hovers() -> None:
     rig.link.control, rig.link.place = Control.IN_CONTROL, (18.9, 0.0, 3.5)
     assert not rig.scan().arrived
     rig.link.place = (19.1, 0.0, 4.9)
-    assert rig.scan().arrived
+    cycle = rig.scan()
+    assert cycle.arrived and cycle.status.setpoint == (0.0, 0.0, 0.0, 0.0), "from this moment on"
     rig.link.place = (18.5, 0.0, 3.5)
     cycle = rig.scan()
     assert cycle.arrived and cycle.status.setpoint == (0.0, 0.0, 0.0, 0.0) and cycle.status.state is State.FLYING
     assert rig.flight.arrived == pytest.approx(rig.now - 0.1)
+
+
+def test_a_goal_where_it_is_moves_it_nowhere() -> None:
+    rig = Rig(Policy((2.0, 0.0, 0.0, 1.0)))
+    rig.link.place = GOAL
+    assert rig.airborne().arrived
+    rig.scan()
+    assert set(rig.link.sent) == {None, (0.0, 0.0, 0.0, 0.0)}
 
 
 @pytest.mark.parametrize("goal", [(1.0, 2.0), (1.0, 2.0, math.nan)])

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Chunk
+from mcap.records import Chunk, Metadata
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -26,7 +27,7 @@ from tests.helpers.logged import ATTITUDE, GOAL, SILENT, START, YAW, contract, c
 from uavrl.deploy.log import FlightLog
 from uavrl.deploy.log_messages import ACTION, CELLS, CHANGES, POINTS, POSE, SETPOINT, STATUS, TOPICS, VELOCITY
 from uavrl.deploy.logged_flight import LoggedFlight
-from uavrl.deploy.mcap_file import McapFile, unpacked
+from uavrl.deploy.mcap_file import MAGIC, McapFile, unpacked
 from uavrl.deploy.safety import State
 from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.stages import FlightCycle
@@ -271,6 +272,9 @@ def test_where_no_file_can_be_made_or_a_library_is_missing_it_is_said(
     (tmp_path / "file").touch()
     with pytest.raises(UavrlError, match=r"cannot be written .*: choose another file for the log"):
         FlightLog(tmp_path / "file" / "f.mcap", contract(), GOAL)
+    for folder in (tmp_path, "."):  # a dot has no name that a number could be added to
+        with pytest.raises(UavrlError, match=r"cannot be written \(it is a folder\): choose another file"):
+            FlightLog(folder, contract(), GOAL)
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(UavrlError, match="A flight's log needs mcap, which is not installed: pip install mcap"):
         FlightLog(tmp_path / "f.mcap", contract(), GOAL)
@@ -365,3 +369,16 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(
     with pytest.raises(ValueError, match="damaged chunk"):
         unpacked(replace(chunk, uncompressed_crc=1))
     assert unpacked(chunk) == bytes(1000)
+
+
+def test_a_chunk_in_a_chunk_is_not_unpacked(tmp_path: Path) -> None:
+    """Each could unpack to 256 MB, and hold the next one."""
+    path, record = tmp_path / "f.mcap", RecordBuilder()
+    Metadata(name="within", metadata={}).write(record)
+    content, found = record.end(), []
+    for _ in range(2):
+        Chunk("zstd", zstandard.compress(content), 0, 0, 0, len(content)).write(record)
+        content = record.end()
+        path.write_bytes(MAGIC + content)
+        found.append([each.name for each in McapFile(path).records()])
+    assert found == [["within"], []]

@@ -18,9 +18,11 @@ from pydantic import Field
 from uavrl.cli.command import command
 from uavrl.cli.errors import terminable
 from uavrl.cli.lidar import LidarKeys
+from uavrl.cli.telling import beside
 from uavrl.config import validate
 from uavrl.config.sentences import require
 from uavrl.deploy.autopilot import Autopilot
+from uavrl.deploy.doubts import Doubts
 from uavrl.deploy.dry_run import DryRun
 from uavrl.deploy.feeds import UdpScans
 from uavrl.deploy.flight import Flight, fly, rehearse
@@ -41,7 +43,6 @@ if TYPE_CHECKING:
     from uavrl.deploy.ros2 import Ros2Scans
 
 ROS2 = "ros2:"  # how addresses of ROS 2 begin
-UNHEARD = 3.0  # s without a scan after which it is told why
 
 
 @dataclass
@@ -84,8 +85,13 @@ class FlyConfig(LidarKeys):
         require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
         asked = [key for key in ("set_mode", "arm", "system") if getattr(self, key)]
         by_ros = self.autopilot is not None and self.autopilot.startswith(ROS2)
-        apart = not (by_ros and asked)
-        require(apart, "autopilot", f"udp://:14540 with {' and '.join(asked)}: only MAVLink has that", self.autopilot)
+        alone = not (by_ros and asked)
+        require(alone, "autopilot", f"udp://:14540 with {' and '.join(asked)}: only MAVLink has that", self.autopilot)
+
+        others = {Path(each).resolve() for each in (self.log, None if self.is_live else self.lidar) if each is not None}
+        json = None if self.json is None else Path(self.json).resolve()
+        apart = json is None or others.isdisjoint([json, *json.parents])
+        require(apart, "json", "another file than the log and the recording, which it would replace", self.json)
 
     @property
     def is_live(self) -> bool:
@@ -101,6 +107,8 @@ def main(config: DictConfig) -> None:
     numbers = None if settings.json is None else writable(Path(settings.json), "json=FILE")
     summary, stopped = FlightSummary(), None
     with ExitStack() as opened:
+        if settings.is_live:
+            opened.enter_context(beside())
         link = opened.enter_context(closing(_link(settings)))
         assert settings.goal is not None
         flight = Flight(
@@ -166,7 +174,7 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
         scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
         return rehearse(flight, scans, link)
     feed = opened.enter_context(closing(_feed(settings)))
-    return _explained(fly(flight, feed, link), feed)
+    return _doubted(fly(flight, feed, link), Doubts(feed.trouble, 1.0 / flight.period))
 
 
 def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
@@ -177,16 +185,12 @@ def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
     return UdpScans(settings.lidar, settings.model, settings.product)
 
 
-def _explained(cycles: Iterable[FlightCycle], feed: UdpScans | Ros2Scans) -> Iterator[FlightCycle]:
-    """Tells once why no scan comes, where none has come for some seconds."""
-    first: float | None = None
-    told = False
+def _doubted(cycles: Iterable[FlightCycle], doubts: Doubts) -> Iterator[FlightCycle]:
+    """The same cycles; tells once what is odd about their scans."""
     for cycle in cycles:
         yield cycle
-        first = cycle.time if first is None or cycle.scan is not None else first
-        if not told and cycle.time - first > UNHEARD:
-            told = True
-            print(f"No scan has come for {UNHEARD:g} s: {feed.trouble()}", flush=True)
+        for sentence in doubts.of(cycle):
+            print(sentence, flush=True)
 
 
 def _until_the_end(cycles: Iterable[FlightCycle], settings: FlyConfig) -> Iterator[FlightCycle]:
@@ -233,6 +237,9 @@ def _line(cycle: FlightCycle, summary: FlightSummary) -> str:
 def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
     """Says how it ended, and writes the numbers."""
     facts = summary.facts()
+    if numbers is not None:  # before anything is printed, which nobody may read
+        with replacing(numbers) as partial:
+            partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
     after = cast(float | None, facts["arrived_after_s"])
     ended = "it did not arrive" if after is None else f"it arrived after {after:.1f} s"
     least = f", {facts['least_distance_m']:.1f} m from the goal at the nearest" if facts["least_distance_m"] else ""
@@ -243,8 +250,6 @@ def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
             f"{latency['p99']:.1f} ms (99 %)."
         )
     if numbers is not None:
-        with replacing(numbers) as partial:
-            partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
         print(f"Written to {numbers}")
 
 

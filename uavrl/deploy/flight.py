@@ -94,7 +94,9 @@ class Flight:
             if self._box is not None:
                 scan = replace(scan, points=without_vehicle(scan.points, *self._box))
             self._scan_stamp, self._action = scan.stamp, self._act(scan, pose, now)
-        action = self._action if self.arrived is None else np.zeros(4)
+        distance = self._distance(pose)
+        there = self.arrived is not None or (distance is not None and distance <= self._radius)
+        action = np.zeros(4) if there else self._action
         stamp, position, yaw = (None, None, None) if pose is None else (pose.stamp, pose.position, pose.yaw)
         in_control = control.control is Control.IN_CONTROL
         status = self._layer.step(Cycle(now, action, self._scan_stamp, stamp, position, yaw, in_control))
@@ -102,8 +104,7 @@ class Flight:
         latency = None if scan is None else now - scan.stamp + time.perf_counter() - begun
         self._policy.last_action = np.array(status.setpoint or ZEROS, np.float32)
         self._state = status.state
-        distance = self._distance(pose)
-        if self.arrived is None and status.state in _FLIES and distance is not None and distance <= self._radius:
+        if self.arrived is None and there and status.state in _FLIES:
             self.arrived = now
         cells = None if scan is None else self._policy.cells
         return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, self.arrived is not None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
@@ -78,6 +79,8 @@ class FlightLog:
         offset = time.time_ns() - round(clock() * 1e9)
         self.messages = FlightMessages(offset, goal, sensor)
         try:
+            if Path(path).is_dir():
+                raise IsADirectoryError(errno.EISDIR, "it is a folder")
             self._file = new_file(Path(path))
         except OSError as error:
             raise UavrlError(

@@ -51,7 +51,7 @@ class McapFile:
                 except Exception:  # what the library and its decompressors meet in damaged bytes is of many kinds
                     return
 
-    def _records(self, file: BinaryIO) -> Iterator[Any]:
+    def _records(self, file: BinaryIO, *, in_chunk: bool = False) -> Iterator[Any]:
         codes, kinds = self._opcodes, self._kinds
         read = {
             codes.SCHEMA: kinds.Schema.read,
@@ -70,7 +70,10 @@ class McapFile:
             if opcode == codes.MESSAGE:
                 yield kinds.Message.read(stream(BytesIO(body)), length)
             elif opcode == codes.CHUNK:
-                yield from self._records(BytesIO(unpacked(kinds.Chunk.read(stream(BytesIO(body))))))
+                if in_chunk:  # a few kilobytes could unpack to more than any memory holds
+                    raise ValueError("a chunk in a chunk")
+                content = unpacked(kinds.Chunk.read(stream(BytesIO(body))))
+                yield from self._records(BytesIO(content), in_chunk=True)
             elif opcode == codes.DATA_END:
                 self.whole = True
                 return
