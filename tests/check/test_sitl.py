@@ -116,7 +116,7 @@ def test_a_command_plays_a_task_and_says_how_it_went(tmp_path: Path) -> None:
     assert result["rate"] > 0.5
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_ends_it_with_what_came_of_it(tmp_path: Path, number: int, code: int) -> None:
     told = tmp_path / "task.json"
     ground = Ground()

@@ -62,7 +62,10 @@ def one_sentence() -> Iterator[None]:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Lets SIGTERM end what a command does as Ctrl-C does, so that it writes what it has."""
+    """Lets SIGTERM, and a terminal that closes, end what a command does as Ctrl-C does, so that it writes what it has.
+
+    What is ignored stays ignored, as under ``nohup``.
+    """
 
     def stop(number: int, _: object) -> None:
         raise Stopped(number=number)
@@ -70,11 +73,15 @@ def terminable() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, stop)
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    for number in taken:
+        signal.signal(number, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number in taken:
+            signal.signal(number, before[number])
 
 
 def configure_logging() -> None:
