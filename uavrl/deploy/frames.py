@@ -35,7 +35,7 @@ class Pose:
 
     @property
     def rotation(self) -> Rotation:
-        """From its axes to the world's: level where its roll or pitch is not finite, NaN where its yaw is not."""
+        """From its axes to the world's; level where roll or pitch is not finite, NaN where the yaw is not."""
         tilted = math.isfinite(self.roll) and math.isfinite(self.pitch)
         roll, pitch = (self.roll, self.pitch) if tilted else (0.0, 0.0)
         return quaternion(roll, pitch, self.yaw if math.isfinite(self.yaw) else math.nan)
