@@ -36,7 +36,8 @@ def test_a_recording_is_flown_into_nothing(policy: Path, tmp_path: Path, capsys:
     numbers = tmp_path / "flight.json"
     assert in_process(fly.main, f"policy={policy}", GOAL, *RECORDING, f"json={numbers}") == 0
     out, err = capsys.readouterr()
-    assert "0.0 s  silent (settling): all rules must hold for 1 s first" in out and err == ""
+    assert "0.0 s  silent (settling): all rules must hold for 1 s first" in out
+    assert err == "Vehicle: in_control (a dry run: set-points are sent to nobody)\n"
     assert "0.1 s, 2 scans: it did not arrive, 20.0 m from the goal at the nearest." in out
     assert f"Written to {numbers}" in out
     facts = json.loads(numbers.read_text())
@@ -95,6 +96,14 @@ def test_a_flight_is_logged(policy: Path, tmp_path: Path, capsys: pytest.Capture
         scans = [points for _, points in ScanSource(RECORDED, "VLP16")]
         for cycle, points in zip(cycles, scans, strict=True):
             assert cycle.scan is not None and np.array_equal(cycle.scan.points, points)
+
+
+def test_a_floor_below_the_ground_is_told(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lidar, autopilot = free_ports()
+    where = (f"lidar=udp://127.0.0.1:{lidar}", "model=VLP16", f"autopilot=udp://127.0.0.1:{autopilot}", "log=null")
+    for floor, told in (("-2", 1), ("1", 0)):
+        assert in_process(fly.main, f"policy={policy}", GOAL, *where, f"safety.floor={floor}", "seconds=0.2") == 0
+        assert capsys.readouterr().err.count("safety.floor is below the ground") == told
 
 
 def test_a_pipe_that_nobody_reads_ends_no_flight(

@@ -203,6 +203,18 @@ def test_a_goal_where_it_is_moves_it_nowhere() -> None:
     assert set(rig.link.sent) == {None, (0.0, 0.0, 0.0, 0.0)}
 
 
+def test_who_flies_is_told_when_it_changes(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig()
+    with caplog.at_level(logging.INFO):
+        rig.scan(), rig.scan()
+        rig.link.control = Control.TAKEN_OVER
+        rig.scan(), rig.scan()
+    assert [record.getMessage() for record in caplog.records] == [
+        "Vehicle: in_control (as the test says)",
+        "Vehicle: taken_over (as the test says)",
+    ]
+
+
 @pytest.mark.parametrize("goal", [(1.0, 2.0), (1.0, 2.0, math.nan)])
 def test_a_goal_is_three_finite_numbers(goal: tuple[float, ...]) -> None:
     with pytest.raises(UavrlError, match="goal must be three finite numbers"):

@@ -6,6 +6,7 @@ import math
 import sys
 import threading
 import time
+from contextlib import closing
 
 import numpy as np
 import pybullet
@@ -191,7 +192,7 @@ def test_a_kind_of_message_that_there_is_not_is_refused() -> None:
 
 def test_a_node_that_is_closed_leaves_no_thread(node: RosNode) -> None:
     before = threading.active_count()
-    with Node(DOMAIN) as closed:
+    with closing(Node(DOMAIN)) as closed:
         closed.reads("/odom", ODOMETRY)
         closed.start()
         assert threading.active_count() == before + 1

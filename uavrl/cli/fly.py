@@ -105,6 +105,8 @@ def main(config: DictConfig) -> None:
     settings = validate(config, FlyConfig)
     policy = Policy(str(settings.policy))
     numbers = None if settings.json is None else writable(Path(settings.json), "json=FILE")
+    if settings.safety.floor < 0.0 and settings.autopilot is not None:
+        print("safety.floor is below the ground, for a bench without propellers: never fly so.", file=sys.stderr)
     summary, stopped = FlightSummary(), None
     with ExitStack() as opened:
         if settings.is_live:

@@ -74,7 +74,6 @@ class Autopilot:
         self._answer = ""
         self._due = dict.fromkeys(("heartbeat", "pose", "mode", "arm"), float("-inf"))
         self._stream: tuple[float, float] | None = None  # of its first and its latest set-point
-        self._last: VehicleStatus | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -139,12 +138,8 @@ class Autopilot:
         return self.vehicle.pose()
 
     def status(self, now: float) -> VehicleStatus:
-        """Who flies the vehicle; each change is logged."""
-        status = self.vehicle.status(now)
-        if self._last is None or status.control is not self._last.control:
-            _logger.info("Autopilot: %s (%s)", status.control, status.sentence)
-        self._last = status
-        return status
+        """Who flies the vehicle."""
+        return self.vehicle.status(now)
 
     @property
     def answer(self) -> str:

@@ -131,12 +131,6 @@ class Node:
         os.set_blocking(self._waker, False)
         self._thread = threading.Thread(target=self._listen, name="uavrl-ros2", daemon=True)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def reads(self, topic: str, kind: str) -> None:
         """Subscribes to a topic; call it before `start`."""
         core, sub = _cyclonedds("core"), _cyclonedds("sub")
@@ -223,6 +217,31 @@ class Node:
             return False
         self._heard[topic] = writer, now
         return True
+
+
+class OnNode:
+    """A stage of a flight that speaks by a node; a context manager.
+
+    Args:
+        domain: number of the domain.
+    """
+
+    def __init__(self, domain: int) -> None:
+        self._node = Node(domain)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def fileno(self) -> int:
+        """Becomes readable when something has come."""
+        return self._node.fileno()
+
+    def close(self) -> None:
+        """Leaves the domain. Nothing more is sent: what others do then is their own to decide."""
+        self._node.close()
 
 
 def _cyclonedds(module: str) -> Any:

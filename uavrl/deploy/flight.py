@@ -72,6 +72,7 @@ class Flight:
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
         self._acted = -math.inf  # when the policy last gave one
         self._state = State.SILENT
+        self._control: Control | None = None  # who flew in the cycle before
         self._told = ""
 
     def wants(self, scan: Scan | None) -> bool:
@@ -90,6 +91,9 @@ class Flight:
         """
         begun = time.perf_counter()
         pose, control = self._link.pose(), self._link.status(now)
+        if control.control is not self._control:
+            _logger.info("Vehicle: %s (%s)", control.control, control.sentence)
+        self._control = control.control
         if scan is not None:
             if self._box is not None:
                 scan = replace(scan, points=without_vehicle(scan.points, *self._box))

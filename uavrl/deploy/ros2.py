@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from uavrl.deploy.ages import SenderClock
 from uavrl.deploy.bags import cloud_scan, seconds
-from uavrl.deploy.dds import Arrived, Node, check_topic, idl_type, topic_of
+from uavrl.deploy.dds import Arrived, OnNode, check_topic, idl_type, topic_of
 from uavrl.deploy.frames import Pose, check_setpoint, roll_pitch_yaw, turned
 from uavrl.deploy.messages import CLOUD, HEADER, ODOMETRY, TWIST, TWIST_STAMPED
 from uavrl.deploy.scans import Scan, Skipped
 from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.errors import UavrlError
-
-_logger = logging.getLogger(__name__)
 
 LOST = 1.0  # s without odometry after which the vehicle is lost; it comes 20 times a second or more
 _CLOCKS_AGREE = 10.0  # s: what is said to be older was stamped by another clock
@@ -48,7 +45,7 @@ class Stamps:
         return stamp if stamp is None or not 0.0 <= age < _CLOCKS_AGREE else min(stamp, arrived.now - age)
 
 
-class Ros2Scans:
+class Ros2Scans(OnNode):
     """Clouds of points as a node of ROS 2 publishes them; a `uavrl.deploy.stages.ScanFeed`.
 
     Args:
@@ -65,15 +62,9 @@ class Ros2Scans:
         domain, self.topic = topic_of(source)
         self.skipped = Skipped()
         self._stamps = Stamps()
-        self._node = Node(domain)
+        super().__init__(domain)
         self._node.reads(self.topic, CLOUD)
         self._node.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def poll(self, now: float) -> Scan | None:
         """The newest scan that has come since the last call."""
@@ -92,16 +83,8 @@ class Ros2Scans:
             return f"no cloud on {self.topic} could be taken ({'; '.join(self.skipped.sentences())})."
         return f"no message has come on {self.topic}: does a node in this domain publish {CLOUD} there, over DDS?"
 
-    def fileno(self) -> int:
-        """Becomes readable when a scan has come."""
-        return self._node.fileno()
 
-    def close(self) -> None:
-        """Leaves the domain."""
-        self._node.close()
-
-
-class Ros2Vehicle:
+class Ros2Vehicle(OnNode):
     """A vehicle that nodes of ROS 2 fly: its odometry in, velocities out; a `uavrl.deploy.stages.VehicleLink`.
 
     A Twist has no mode and no arming: whoever subscribes to it obeys it, or not. So set-points count as obeyed once
@@ -132,17 +115,10 @@ class Ros2Vehicle:
         self._stamps = Stamps()
         self._pose: Pose | None = None
         self._heard_at: float | None = None
-        self._last: Control | None = None
-        self._node = Node(domain)
+        super().__init__(domain)
         self._node.reads(self.topic, ODOMETRY)
         self._node.writes(self.setpoints, KINDS[kind])
         self._node.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def receive(self, now: float) -> None:
         """Reads what has come."""
@@ -158,21 +134,16 @@ class Ros2Vehicle:
         return self._pose
 
     def status(self, now: float) -> VehicleStatus:
-        """Who flies the vehicle, as far as a topic can tell; each change is logged."""
+        """Who flies the vehicle, as far as a topic can tell."""
         listeners = self._node.listeners(self.setpoints)
         if self._heard_at is None:
-            status = VehicleStatus(Control.WAITING, f"no odometry has come on {self.topic} yet")
-        elif now - self._heard_at > LOST:
-            status = VehicleStatus(Control.LOST, f"no odometry on {self.topic} for {now - self._heard_at:.1f} s")
-        elif not listeners:
-            status = VehicleStatus(Control.WAITING, f"nobody subscribes to {self.setpoints}")
-        else:
-            sentence = f"{self.setpoints} has {listeners} subscriber{'s' * (listeners > 1)}, which may obey it"
-            status = VehicleStatus(Control.IN_CONTROL, sentence, "ROS 2")
-        if status.control is not self._last:
-            _logger.info("ROS 2: %s (%s)", status.control, status.sentence)
-        self._last = status.control
-        return status
+            return VehicleStatus(Control.WAITING, f"no odometry has come on {self.topic} yet")
+        if now - self._heard_at > LOST:
+            return VehicleStatus(Control.LOST, f"no odometry on {self.topic} for {now - self._heard_at:.1f} s")
+        if not listeners:
+            return VehicleStatus(Control.WAITING, f"nobody subscribes to {self.setpoints}")
+        sentence = f"{self.setpoints} has {listeners} subscriber{'s' * (listeners > 1)}, which may obey it"
+        return VehicleStatus(Control.IN_CONTROL, sentence, "ROS 2")
 
     def send(self, setpoint: Sequence[float] | np.ndarray | None, now: float) -> None:
         """Sends a set-point (l_x, l_y, l_z, a_z), or nothing.
@@ -185,14 +156,6 @@ class Ros2Vehicle:
             if self.kind == "twist_stamped":
                 twist = idl_type(TWIST_STAMPED)(header_at(time.time(), self.frame_id), twist)
             self._node.write(self.setpoints, twist)
-
-    def fileno(self) -> int:
-        """Becomes readable when odometry has come."""
-        return self._node.fileno()
-
-    def close(self) -> None:
-        """Leaves the domain. Nothing more is sent: what a subscriber does then is its own to decide."""
-        self._node.close()
 
 
 def pose_of(odometry: Any, stamp: float) -> Pose:

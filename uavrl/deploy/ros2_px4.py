@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import time
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from uavrl.deploy.dds import Node, idl_type, topic_of
+from uavrl.deploy.dds import OnNode, idl_type, topic_of
 from uavrl.deploy.frames import Pose, check_setpoint, roll_pitch_yaw, swap_attitude, swap_world, turned
 from uavrl.deploy.messages import PX4_CONTROL_MODE, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT
 from uavrl.deploy.ros2 import Stamps
 from uavrl.deploy.vehicle import HEARTBEAT_TIMEOUT, Control, VehicleStatus
 
-_logger = logging.getLogger(__name__)
-
 _NED, _BODY = 1, 3  # VehicleOdometry's POSE_FRAME_NED and VELOCITY_FRAME_NED, VELOCITY_FRAME_BODY_FRD
 _NOT = [math.nan] * 3  # what is not set
 
 
-class Px4Ros2:
+class Px4Ros2(OnNode):
     """PX4 by its topics in ROS 2; a `uavrl.deploy.stages.VehicleLink`.
 
     It arms nothing and changes no mode: the pilot does. Set-points are TrajectorySetpoint, whose velocity is in the
@@ -45,19 +42,12 @@ class Px4Ros2:
         self._heard: Any = None
         self._heard_at = 0.0
         self._had_mode = False
-        self._last: Control | None = None
-        self._node = Node(domain)
+        super().__init__(domain)
         self._node.reads(self._odometry, PX4_ODOMETRY)
         self._node.reads(self._mode, PX4_CONTROL_MODE)
         self._node.writes(self._setpoint, PX4_SETPOINT)
         self._node.writes(self._offboard, PX4_OFFBOARD)
         self._node.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def receive(self, now: float) -> None:
         """Reads what has come."""
@@ -74,35 +64,7 @@ class Px4Ros2:
         return self._pose
 
     def status(self, now: float) -> VehicleStatus:
-        """Who flies the vehicle; each change is logged."""
-        status = self._status(now)
-        if status.control is not self._last:
-            _logger.info("PX4 by ROS 2: %s (%s)", status.control, status.sentence)
-        self._last = status.control
-        return status
-
-    def send(self, setpoint: Sequence[float] | np.ndarray | None, now: float) -> None:
-        """Sends a set-point (l_x, l_y, l_z, a_z), or nothing.
-
-        Raises:
-            UavrlError: for a set-point that is not four finite numbers.
-        """
-        if setpoint is None or self._pose is None or not math.isfinite(self._pose.yaw):
-            return
-        micros = time.time_ns() // 1000  # which PX4 maps to its own clock
-        mode = idl_type(PX4_OFFBOARD)(micros, False, True, False, False, False, False, False)
-        self._node.write(self._offboard, mode)
-        self._node.write(self._setpoint, px4_setpoint(setpoint, self._pose.yaw, micros))
-
-    def fileno(self) -> int:
-        """Becomes readable when something has come."""
-        return self._node.fileno()
-
-    def close(self) -> None:
-        """Leaves the domain. Nothing more is sent: PX4's failsafe acts where set-points cease."""
-        self._node.close()
-
-    def _status(self, now: float) -> VehicleStatus:
+        """Who flies the vehicle."""
         if self._heard is None:
             return VehicleStatus(Control.WAITING, f"nothing has come on {self._mode} yet")
         offboard, armed = self._heard.flag_control_offboard_enabled, self._heard.flag_armed
@@ -118,6 +80,19 @@ class Px4Ros2:
         else:
             control, sentence = Control.OTHER_MODE, "PX4 is not in OFFBOARD"
         return VehicleStatus(control, sentence, "PX4", "OFFBOARD" if offboard else "another", armed)
+
+    def send(self, setpoint: Sequence[float] | np.ndarray | None, now: float) -> None:
+        """Sends a set-point (l_x, l_y, l_z, a_z), or nothing.
+
+        Raises:
+            UavrlError: for a set-point that is not four finite numbers.
+        """
+        if setpoint is None or self._pose is None or not math.isfinite(self._pose.yaw):
+            return
+        micros = time.time_ns() // 1000  # which PX4 maps to its own clock
+        mode = idl_type(PX4_OFFBOARD)(micros, False, True, False, False, False, False, False)
+        self._node.write(self._offboard, mode)
+        self._node.write(self._setpoint, px4_setpoint(setpoint, self._pose.yaw, micros))
 
 
 def px4_pose(odometry: Any, stamp: float) -> Pose:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from uavrl.deploy.frames import swap_world, swap_yaw, to_command
+from uavrl.deploy.frames import quaternion, swap_world, swap_yaw, to_command, turned
 from uavrl.errors import UavrlError
 
 LOCAL_NED, BODY_NED = 1, 8  # MAV_FRAME
@@ -52,18 +52,7 @@ class Setpoint:
         if self.body is not None:
             return self.body
         velocity, turn = self.demand(position, yaw)
-        return np.append(turned(velocity, -yaw), turn)
-
-
-def turned(vector: np.ndarray, angle: float) -> np.ndarray:
-    """A vector ``[3]`` turned to the left by an angle in rad.
-
-    Examples:
-        >>> turned(np.array([1.0, 0.0, 5.0]), math.pi / 2).round(6).tolist()
-        [0.0, 1.0, 5.0]
-    """
-    cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1], vector[2]])
+        return np.append(turned(velocity.tolist(), quaternion(0.0, 0.0, -yaw)), turn)
 
 
 def read_setpoint(message: Any, yaw: float) -> Setpoint:
@@ -92,6 +81,6 @@ def read_setpoint(message: Any, yaw: float) -> Setpoint:
     turn, body = (math.nan if math.isnan(yaw_rate) else 0.0 - yaw_rate), None
     if in_body:
         body = np.array(to_command((*numbers[3:], 0.0 if math.isnan(yaw_rate) else yaw_rate)), dtype=np.float64)
-        velocity = turned(body[:3], yaw)
+        velocity = np.array(turned(body[:3].tolist(), quaternion(0.0, 0.0, yaw)))
         body = None if math.isnan(yaw_rate) and not math.isnan(yaw_to) else body
     return Setpoint(position, velocity, swap_yaw(yaw_to), turn, body)
