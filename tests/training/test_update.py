@@ -202,3 +202,30 @@ def test_cuda_gives_what_the_cpu_gives(name: str) -> None:
         results.append(parameters(loss))
     for key in results[0]:
         torch.testing.assert_close(results[0][key], results[1][key], rtol=1e-3, atol=1e-4)
+
+
+def test_the_actors_learning_rate_falls_between_two_numbers_of_updates() -> None:
+    """Half way it is half; it never falls below 2 %; a resumed stepper goes on where the other stood."""
+    stepper = ActorCriticStepper(make_loss("ddpg"), actor_lr=1e-3, actor_lr_decay=(2, 6), policy_delay=1)
+    rates = []
+    for _ in range(8):
+        stepper.step(None, batch())
+        rates.append(stepper.actor.optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([1e-3, 1e-3, 7.5e-4, 5e-4, 2.5e-4, 2e-5, 2e-5, 2e-5])
+    assert stepper.critic.optimizer.param_groups[0]["lr"] == 1e-3
+    resumed = ActorCriticStepper(make_loss("ddpg"), actor_lr=1e-3, actor_lr_decay=(2, 6), policy_delay=1)
+    resumed.load_state_dict({**copy.deepcopy(stepper.state_dict()), "updates": 3})
+    resumed.step(None, batch())
+    assert resumed.actor.optimizer.param_groups[0]["lr"] == pytest.approx(5e-4)
+
+
+def test_a_smaller_learning_rate_is_a_smaller_step() -> None:
+    """Adam's first step is as long as its learning rate: at 2 % of it every weight that moves, moves by 2 %."""
+    moves = []
+    for decay in (None, (0, 1)):
+        loss = make_loss("ddpg")
+        before = parameters(loss)
+        ActorCriticStepper(loss, actor_lr=1e-2, actor_lr_decay=decay, policy_delay=1).step(None, batch())
+        moves.append({key: parameters(loss)[key] - value for key, value in before.items() if key.startswith("actor")})
+    for key, whole in moves[0].items():
+        torch.testing.assert_close(moves[1][key], 0.02 * whole, rtol=2e-3, atol=2e-6)

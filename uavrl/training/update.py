@@ -1,5 +1,6 @@
 """One optimisation step of an actor–critic."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any
 
@@ -11,8 +12,27 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.enhancer import Sample
-from uavrl.ranges import Positive, Share
+from uavrl.ranges import Positive, Rule, Share
 from uavrl.training.compiled import Execution, FusedSoftUpdate, GradientStep
+
+Interval = Annotated[
+    Sequence[int],
+    Rule("two numbers of updates, the first below the second", lambda ends: len(ends) == 2 and 0 <= ends[0] < ends[1]),
+]
+LAST_SHARE = 0.02
+
+
+def decayed(lr: float, decay: Sequence[int] | None, updates: int) -> float:
+    """A learning rate that falls linearly between two numbers of updates, to 2 % of what it was.
+
+    Examples:
+        >>> [round(decayed(1.0, (100, 200), updates), 3) for updates in (0, 100, 150, 199, 1000)]
+        [1.0, 1.0, 0.5, 0.02, 0.02]
+    """
+    if decay is None:
+        return lr
+    start, end = decay
+    return lr * min(1.0, max(LAST_SHARE, (end - updates) / (end - start)))
 
 
 class ActorCriticStepper(OptimizationStepper):
@@ -21,6 +41,7 @@ class ActorCriticStepper(OptimizationStepper):
     Args:
         loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its enhancers say what else is trained.
         actor_lr: Adam's step for the actor.
+        actor_lr_decay: updates between which it falls linearly to 2 % of that; None: it stays.
         critic_lr: Adam's step for the critics.
         temperature_lr: Adam's step for SAC's temperature.
         policy_delay: critic steps for each step of actor and targets.
@@ -35,6 +56,7 @@ class ActorCriticStepper(OptimizationStepper):
         loss: ActorCriticLoss,
         *,
         actor_lr: Positive = 1e-4,
+        actor_lr_decay: Interval | None = None,
         critic_lr: Positive = 1e-3,
         temperature_lr: Positive = 3e-4,
         policy_delay: Annotated[int, Field(ge=1, le=10**6)] = 2,
@@ -44,6 +66,7 @@ class ActorCriticStepper(OptimizationStepper):
         super().__init__()
         self.loss = loss
         self.policy_delay = policy_delay
+        self.actor_lr, self.actor_lr_decay = actor_lr, actor_lr_decay
         keys = (loss.unwrapped.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
         in_keys = [*loss.in_keys, *keys]
         critics, actor = (
@@ -79,6 +102,8 @@ class ActorCriticStepper(OptimizationStepper):
             on_update(model(sub_batch).metadata)
         self.updates += 1
         if self.actor_learns and self.updates % self.policy_delay == 0:
+            for group in self.actor.optimizer.param_groups:
+                group["lr"] = decayed(self.actor_lr, self.actor_lr_decay, self.updates)
             actor = self.actor(sub_batch)
             self._actor_loss = actor.loss
             if self.temperature is not None:
