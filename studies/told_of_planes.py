@@ -36,8 +36,8 @@ STEPS = 20  # that are looked ahead, two seconds
 SPEEDS = torch.tensor([1.0, 0.5, 0.0])  # shares of the speed that the rule would fly at
 SLOWNESS, THREAT = 0.3, 3.0  # what standing costs, and a collision; chosen by hand
 LAG = 0.4  # s, until a commanded velocity is nearly flown
-WIDE = 2.35  # m: 1.5 of wing, 0.35 of hull, 0.5 between
-HIGH = 0.95  # m: 0.66 of fin, 0.14 of hull, 0.15 between
+WIDE = 1.45  # m: 0.6 of wing, 0.35 of hull, 0.5 between
+HIGH = 0.6  # m: 0.27 of fin, 0.14 of hull, 0.19 between
 IN_VIEW, ELEVATION = 10.0, math.radians(20.0)
 FAR = 14.0  # m: two seconds at 4 + 2 m/s, and room; what is farther away is no threat
 

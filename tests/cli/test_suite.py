@@ -43,11 +43,11 @@ def test_every_scenario_is_an_evaluation(name: str) -> None:
     seen = (world.obstacles, world.planes, len(settings.valleys or (0,)), settings.env.aerodynamics.wind, lidar.dropout)
     expected = {
         "static": (45, 0, 1, (0.0, 0.0, 0.0), 0.0),
-        "dynamic": (45, 3, 1, (0.0, 0.0, 0.0), 0.0),
+        "dynamic": (45, 10, 1, (0.0, 0.0, 0.0), 0.0),
         "held_out": (45, 0, 10, (0.0, 0.0, 0.0), 0.0),
         "dense": (90, 0, 1, (0.0, 0.0, 0.0), 0.0),
         "denser": (135, 0, 1, (0.0, 0.0, 0.0), 0.0),
-        "busy": (45, 6, 1, (0.0, 0.0, 0.0), 0.0),
+        "busy": (45, 20, 1, (0.0, 0.0, 0.0), 0.0),
         "windy": (45, 0, 1, (3.0, 0.0, 0.0), 0.0),
         "sensor": (45, 0, 1, (0.0, 0.0, 0.0), 0.1),
         **dict.fromkeys(REAL, (45, 0, 10, (0.0, 0.0, 0.0), 0.0)),

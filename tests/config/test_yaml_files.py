@@ -123,7 +123,7 @@ def test_the_prize_is_what_loitering_for_ever_would_earn() -> None:
 
 def test_the_dynamic_environment_differs_in_its_planes_only() -> None:
     dynamic, static = part("env", "env=dynamic"), part("env")
-    assert dynamic["world"].pop("planes") == 3 and static["world"].pop("planes") == 0
+    assert dynamic["world"].pop("planes") == 10 and static["world"].pop("planes") == 0
     assert dynamic == static
 
 
@@ -143,7 +143,7 @@ def test_the_best_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn(
     assert (best.algo.n_steps, best.algo.critic.layer_norm, best.buffer.mirror) == (5, True, True)
     assert best.algo.actor.hidden == [256, 256]
     assert [best.choices[group] for group in ("backward_reward", "reward")] == ["abr", "navigation_prize"]
-    assert settings("preset=best", "env=dynamic").env.world.planes == 3
+    assert settings("preset=best", "env=dynamic").env.world.planes == 10
 
 
 # ---------------------------------------------------------------------- presets

@@ -1,4 +1,4 @@
-"""Planes: at a constant speed along their routes, from wall to wall, whatever the time is cut into."""
+"""Planes: at a constant speed along their lanes, from wall to wall, whatever the time is cut into."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.geometry import assert_closed
+from uavrl.envs.lanes import Lane
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.traffic import Leg, Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig
@@ -21,8 +22,8 @@ def world() -> World:
 
 def straight_leg(speed: float, backwards: bool = False, speeds: tuple[float, float] | None = None) -> Leg:
     """A leg at the start of 10 m along x at 3 m height."""
-    route = np.column_stack([np.linspace(0.0, 10.0, 41), np.zeros(41), np.full(41, 3.0), np.zeros(41)])
-    leg = Leg(np.random.default_rng(0), [route], speeds or (speed, speed))
+    lane = Lane(np.array([[0.0, 0.0, 3.0], [10.0, 0.0, 3.0]]))
+    leg = Leg(np.random.default_rng(0), [lane], speeds or (speed, speed))
     leg.flown, leg.backwards, leg.speed = 0.0, backwards, speed
     return leg
 
@@ -32,7 +33,7 @@ def test_a_leg_is_flown_at_its_speed_either_way() -> None:
     np.testing.assert_allclose(there[:, :3], [[x, 0.0, 3.0] for x in (2.0, 4.0, 6.0, 8.0, 10.0)])
     np.testing.assert_allclose(back[:, :3], [[x, 0.0, 3.0] for x in (8.0, 6.0, 4.0, 2.0, 0.0)], atol=1e-9)
     np.testing.assert_allclose(there[:, 3], 0.0)
-    np.testing.assert_allclose(back[:, 3], np.pi)
+    np.testing.assert_allclose(np.cos(back[:, 3]), -1.0)
 
 
 def test_the_next_leg_begins_when_one_ends() -> None:
@@ -53,7 +54,7 @@ def test_the_next_leg_begins_when_one_ends() -> None:
 def test_speeds_are_drawn_per_leg_within_their_limits() -> None:
     leg, speeds = straight_leg(3.5, speeds=(3.0, 4.0)), []
     for _ in range(100):
-        leg.fly(1, leg.length / 3.0 + 0.1)
+        leg.fly(1, leg.lane.length / 3.0 + 0.1)
         speeds.append(leg.speed)
     assert 3.0 <= min(speeds) < 3.1 and 3.9 < max(speeds) <= 4.0
 
@@ -81,11 +82,13 @@ def test_planes_fly_at_a_constant_speed_within_the_limits_and_look_ahead(world):
     moved = np.diff(path[..., :3], axis=0)
     share = (np.linalg.norm(moved, axis=-1) / DT / speed[1:])[same]
     assert share.max() <= 1.0 + 1e-6
-    assert np.mean(share > 0.96) > 0.95  # a chord is shorter than its bend
+    assert np.mean(share > 1 - 1e-6) > 0.94  # but where a dive begins or ends between two steps
+    turned = np.diff(path[..., 3], axis=0)[same]
+    np.testing.assert_allclose(turned, 0.0, atol=1e-12)
     ahead = np.stack([np.cos(path[:-1, :, 3]), np.sin(path[:-1, :, 3])], -1)
     level = np.linalg.norm(moved[..., :2], axis=-1)
     seen = (moved[..., :2] * ahead).sum(-1) > np.cos(0.3) * level
-    assert seen[same].mean() > 0.95
+    assert seen[same].all()
 
 
 def test_the_time_can_be_cut_into_any_calls(world):
@@ -99,9 +102,9 @@ def test_the_time_can_be_cut_into_any_calls(world):
     np.testing.assert_allclose(np.concatenate(pieces), whole, atol=1e-6)
 
 
-def test_planes_begin_spread_over_their_routes():
-    route = np.column_stack([np.linspace(0.0, 10.0, 41), np.zeros((41, 3))])
-    starts = [Leg(np.random.default_rng(seed), [route], (3.0, 4.0)).flown for seed in range(200)]
+def test_planes_begin_spread_over_their_lanes():
+    lane = Lane(np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]]))
+    starts = [Leg(np.random.default_rng(seed), [lane], (3.0, 4.0)).flown for seed in range(200)]
     assert 0 <= min(starts) < 0.5 and 9.5 < max(starts) <= 10.0
     assert 4.0 < np.mean(starts) < 6.0
 

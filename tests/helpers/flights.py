@@ -47,7 +47,7 @@ def flying_env(planes: int = 0, reward: DictConfig | None = None, num_uavs: int 
 
 
 @cache
-def small_recording(planes: int = 2, tasks: tuple[int, ...] = (0, 5)) -> Recording:
+def small_recording(planes: int = 2, tasks: tuple[int, ...] = (1, 5)) -> Recording:
     source = {"policy": "straight", "env": "small", "seed": SEED}
     env = flying_env(planes, REWARD)
     try:

@@ -36,7 +36,7 @@ def same(a: Any, b: Any) -> None:
 
 
 def test_every_moment_is_kept() -> None:
-    for flight, task in zip(small_recording().flights, (0, 5), strict=True):
+    for flight, task in zip(small_recording().flights, (1, 5), strict=True):
         steps, moments = flight.summary.steps, flight.summary.steps + 1
         assert flight.summary.task == task and 1 <= steps <= STEPS
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from uavrl.envs.lanes import Lane
 from uavrl.envs.mesh import Mesh, loft, tube
-from uavrl.envs.routes import STEP
 from uavrl.envs.world import World
 
 WING_GAP = 0.36  # between the two wings of a plane, as a share of its wingspan
@@ -43,31 +43,23 @@ def _sections(span: np.ndarray, chord: np.ndarray, lead: np.ndarray, thickness: 
 
 
 class Leg:
-    """One plane's way along a route of its valley, and the plane's own source of the next ones."""
+    """One plane's way along a lane of its valley, and the plane's own source of the next ones."""
 
-    def __init__(self, rng: np.random.Generator, routes: Sequence[np.ndarray], speed: tuple[float, float]) -> None:
-        self._rng, self._routes, self._speeds = rng, routes, speed
+    def __init__(self, rng: np.random.Generator, lanes: Sequence[Lane], speed: tuple[float, float]) -> None:
+        self._rng, self._lanes, self._speeds = rng, lanes, speed
         self._enter()
-        self.flown = float(rng.uniform(0, self.length))
+        self.flown = float(rng.uniform(0, self.lane.length))
 
     def _enter(self) -> None:
-        """Draws a route, which way to fly it, and a speed."""
-        self.route, self.backwards = int(self._rng.integers(len(self._routes))), bool(self._rng.random() < 0.5)
+        """Draws a lane, which way to fly it, and a speed."""
+        self.lane = self._lanes[int(self._rng.integers(len(self._lanes)))]
+        self.backwards = bool(self._rng.random() < 0.5)
         self.speed = float(self._rng.uniform(*self._speeds))
         self.flown = 0.0
 
-    @property
-    def length(self) -> float:
-        """Of the route, in metres."""
-        return (len(self._routes[self.route]) - 1) * STEP
-
-    def pose(self, flown: np.ndarray) -> np.ndarray:
+    def poses(self, flown: np.ndarray) -> np.ndarray:
         """Returns x, y, z and yaw ``[N, 4]`` in metres and rad after ``flown [N]`` metres of this leg."""
-        route = self._routes[self.route]
-        at = (self.length - np.asarray(flown) if self.backwards else np.asarray(flown)) / STEP
-        poses = np.stack([np.interp(at, np.arange(len(route)), axis) for axis in route.T], -1)
-        poses[:, 3] += np.pi if self.backwards else 0.0
-        return poses
+        return self.lane.poses(flown, self.backwards)
 
     def fly(self, steps: int, dt: float) -> np.ndarray:
         """Flies on and returns x, y, z and yaw ``[steps, 4]`` after each step; a new leg starts when one ends."""
@@ -75,9 +67,9 @@ class Leg:
         elapsed = 0.0  # s, at the start of the current leg, or 0
         while len(path) < steps:
             flown = self.flown + self.speed * (np.arange(len(path) + 1, steps + 1) * dt - elapsed)
-            path.extend(self.pose(flown[flown <= self.length]))
+            path.extend(self.poses(flown[flown <= self.lane.length]))
             if len(path) < steps:
-                elapsed += (self.length - self.flown) / self.speed
+                elapsed += (self.lane.length - self.flown) / self.speed
                 self._enter()
         self.flown += self.speed * (steps * dt - elapsed)
         return np.array(path).reshape(steps, 4)
@@ -86,9 +78,9 @@ class Leg:
 class Traffic:
     """All planes of the world: they fly on whatever the episodes do, and do not see the UAVs.
 
-    Each comes in over a wall, dives between the obstacles, crosses the valley at a height that UAVs use and leaves over
-    another wall, at a constant speed drawn per leg; then it comes in again elsewhere. All randomness comes from
-    ``rng``, and does not depend on how the time is cut into calls.
+    Each comes in over a wall, dives, flies straight and level between the obstacles at a height that UAVs use, climbs
+    and leaves over another wall, at a constant speed drawn per leg; then it comes in again elsewhere. All randomness
+    comes from ``rng``, and does not depend on how the time is cut into calls.
 
     Source: Chansuparp (2022), §4.1: three planes at the UAV's flight level with a constant speed above 2 m/s. A UAV may
     leave that level, so the planes' levels are spread over all heights below the ceiling (this library's choice).
@@ -101,7 +93,7 @@ class Traffic:
         self._origins = np.array([world.valleys[v].origin for v in self.valleys]).reshape(-1, 2)
         seeds = rng.integers(2**63, size=(len(config.seeds), config.planes))[world.built].ravel()
         self.legs = [
-            Leg(np.random.default_rng(seed), world.valleys[valley].routes, config.plane_speed)
+            Leg(np.random.default_rng(seed), world.valleys[valley].lanes, config.plane_speed)
             for seed, valley in zip(seeds, self.valleys, strict=True)
         ]
 
@@ -112,7 +104,7 @@ class Traffic:
 
     def poses(self) -> np.ndarray:
         """X, y, z in metres and yaw in rad, in [-π, π], of all planes now: ``[K, 4]``."""
-        poses = [leg.pose(np.array([leg.flown]))[0] for leg in self.legs]
+        poses = [leg.poses(np.array([leg.flown]))[0] for leg in self.legs]
         return self._in_world(np.array(poses).reshape(-1, 4))
 
     def advance(self, steps: int, dt: float) -> np.ndarray:

@@ -7,17 +7,17 @@ from itertools import cycle
 
 import numpy as np
 
+from uavrl.envs.lanes import Lane, plan_lanes
 from uavrl.envs.limits import require_finite, whole
 from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
-from uavrl.envs.routes import plan_routes
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
 from uavrl.errors import UavrlError
 from uavrl.machine import processors
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
-ROUTES = 12  # ways of planes through a valley
+LANES = 12  # ways of planes through a valley
 LARGEST_VALLEY = 200_000.0  # m³ up to the ceiling: building it takes 2.4 GB, and some 20 s
 LARGEST_WORLD = 500_000.0  # m³ of all valleys together
 MOST_OBSTACLES = 2000.0  # of a valley, each counted by its surface at scale 1
@@ -72,7 +72,7 @@ class WorldConfig:
     uav_radius: float = 0.35
     planes: int = 0
     plane_speed: tuple[float, float] = (3.0, 4.0)
-    plane_wingspan: float = 3.0
+    plane_wingspan: float = 1.2
     plane_keep_out: float = 6.0
 
     def __post_init__(self) -> None:
@@ -145,7 +145,7 @@ class Valley:
     ground: HeightField
     obstacles: list[Obstacle]
     flight: FlightMap
-    routes: list[np.ndarray]
+    lanes: list[Lane]
 
     def meshes(self) -> list[Mesh]:
         """Returns its geometry in world coordinates, in few large parts: the physics steps faster over few bodies."""
@@ -174,13 +174,13 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int)
             f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
             "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
         )
-    routes: list[np.ndarray] = []
+    lanes: list[Lane] = []
     if config.planes:
         rng, radius = np.random.default_rng([seed, 2]), config.plane_wingspan / 2
         top = float(np.ceil(ground.heights.max() + radius))
         solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
-        routes = plan_routes(rng, solid, config.size, top, config.ceiling, radius, ROUTES)
-    return Valley(seed, origin, ground, obstacles, flight, routes)
+        lanes = plan_lanes(rng, solid, config.size, top, config.ceiling, radius, LANES)
+    return Valley(seed, origin, ground, obstacles, flight, lanes)
 
 
 def draw_valley(config: WorldConfig, rng: np.random.Generator) -> int:
