@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     args, overrides = parser.parse_known_args()
     torch.set_num_threads(1)
-    config = validate(compose("env=dynamic", "env.world.planes=9", *overrides))
+    config = validate(compose("env=dynamic", *overrides))
     vfh = VectorFieldHistogram(radius=config.perception.radius)
     steps, flown = [], 0
     for number, now in enumerate(moments(config, vfh, args.steps)):

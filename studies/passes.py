@@ -21,7 +21,7 @@ from uavrl.transforms import PointCloudReduction
 
 VEHICLES, SEED = 16, 20_000
 FRAMES = 3  # of the history that is kept of points and planes
-BESIDE, ABOVE = 1.6, 1.0  # m between the two middles within which a pass is a danger
+BESIDE, ABOVE = 1.1, 0.6  # m between the two middles within which a pass is a danger
 TIMES = (0.05, 0.3, 0.6, 0.9, 1.3, 2.0)  # s, the ends of the spans that are told apart
 
 

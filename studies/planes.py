@@ -1,6 +1,6 @@
 """How much would giving way to the planes bring? A policy that does not see them, and the same with a reflex that does.
 
-    python studies/planes.py                          # policy=best among three planes, 240 tasks
+    python studies/planes.py                          # policy=best among ten planes, 240 tasks
     python studies/planes.py --episodes 500 env.world.plane_speed=[2.5,2.5]
 
 The reflex knows where each plane is and where it heads, as no policy does: once any part of one is nearer than the
@@ -31,7 +31,7 @@ from uavrl.runs.provenance import versions
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 ROOM = 0.5  # m between hull and plane, along z, that the reflex wants
-BESIDE = 2.4  # m off a plane's line within which it can hit
+BESIDE = 1.5  # m off a plane's line within which it can hit
 LOW, HIGH = 1.0, 4.3  # m, altitudes beyond which the reflex goes the other way
 
 

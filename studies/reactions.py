@@ -1,6 +1,6 @@
 """How does a policy answer to a plane? Its action with the plane in the scan, less its action without.
 
-    python studies/reactions.py                       # policy=best_dynamic, 1,000 steps of 16 vehicles
+    python studies/reactions.py                       # policy=best, 1,000 steps of 16 vehicles
     python studies/reactions.py --policy best --steps 2000 env.world.plane_speed=[2.5,2.5]
 
 Every scan is taken twice, with and without the planes. Of the steps at which a plane is seen and passes within reach
@@ -39,7 +39,7 @@ def reactions(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDict
 def main() -> None:
     """Prints one line for each span of time."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--policy", default="best_dynamic", help="a packaged policy")
+    parser.add_argument("--policy", default="best", help="a packaged policy")
     parser.add_argument("--run", help="a run folder instead")
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--json", type=Path)

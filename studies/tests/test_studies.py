@@ -187,7 +187,7 @@ def test_the_reflex_leaves_the_height_of_a_plane_that_comes_on(
 
 def test_a_rule_flies_with_all_that_it_is_told(said: Said) -> None:
     told = said("told_of_planes", "--tasks", 1, "env.world.obstacles=5", "env.max_steps=3")
-    assert told.count("| 0.0 % (0.0–79.3) | 0 | 1 |") == 4
+    assert told.count("| 0.0 % (0.0–79.3) | 0 | 1 |") == 5
 
 
 def test_reactions_are_told_by_the_time_that_is_left(said: Said) -> None:

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 from tensordict import TensorDict
 from torch.testing import assert_close
 
-from tests.helpers.recorded import HOME, SCANS, as_evaluated, evaluation, recorded, states, suite
+from tests.helpers.recorded import SCANS, as_evaluated, evaluation, recorded, states, suite
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.values import to_plain
 from uavrl.deploy.export import contract
@@ -32,8 +32,6 @@ IMPLAUSIBLE = 1e-3  # so seldom does chance alone bring fewer arrivals than are 
 CELLS = {"truncated_icosahedron": slice(-35, -3), "range_image": slice(-79, -7)}  # of a state, those of the last frame
 
 
-# Policies whose suites were flown before it recorded how each task ended, or in part.
-OF_OLDER_SUITES = ("best_dynamic",)
 FILES = {"policy.json", "policy.safetensors", "config.yaml", "contract.json", "suite.json", "recorded.safetensors"}
 
 
@@ -42,7 +40,7 @@ def about(name: str, file: str = "policy.json") -> dict[str, Any]:
 
 
 def test_these_are_packaged() -> None:
-    assert packaged_policies() == ["best", "best_dynamic"]
+    assert packaged_policies() == ["best"]
 
 
 @pytest.mark.parametrize("name", packaged_policies())
@@ -68,12 +66,10 @@ def test_its_contract_is_of_these_weights_and_this_configuration(name: str) -> N
 @pytest.mark.parametrize("name", packaged_policies())
 def test_its_suite_is_of_this_policy_and_tells_how_each_task_ended(name: str) -> None:
     rows, known = suite(name), about(name)
-    assert set(rows) == set(scenarios("all")) or (name in OF_OLDER_SUITES and set(rows) < set(scenarios("all")))
-    for scenario, row in rows.items():
+    assert set(rows) == set(scenarios("all"))
+    for row in rows.values():
         assert (row["checkpoint"], row["training_steps"]) == (known["checkpoint"], known["training_steps"])
         assert row["episodes"] == 500 and "flights" not in row
-        if name in OF_OLDER_SUITES and scenario not in (HOME.get(name, "static"), "real"):
-            continue
         assert len(row["outcomes"]) == 500 and set(row["outcomes"]) <= set(LETTERS.values())
         assert row["outcomes"].count(LETTERS["arrived"]) / 500 == row["success"]["rate"]
 

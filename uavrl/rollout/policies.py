@@ -234,7 +234,7 @@ def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
     if name in GONE:
         return UavrlError(
             f"policy={name} came with uavrl 0.1.0 and is not in this version: take policy=best, which succeeds more "
-            f"often, among planes policy=best_dynamic, or give run=FOLDER with a copy of its folder."
+            f"often, or give run=FOLDER with a copy of its folder."
         )
     near = did_you_mean(name, names, ": ", own)
     return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
