@@ -155,7 +155,7 @@ def main() -> None:
         train(seed, run, args.overrides)
     for seed, run in enumerate(theirs):
         train_sb3(seed, run, args.sb3_minutes)
-    rule = ["policy=vfh", "perception=range_image"]
+    rule = ["policy=vfh", "perception=range_image", "perception.last_action=true"]
     rows = {
         RECIPE: [curve(run, args.minutes, args.tasks) for run in ours],
         SB3: [curve(run, args.minutes, args.tasks) for run in theirs],
