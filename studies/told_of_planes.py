@@ -27,33 +27,14 @@ from uavrl.config import compose, validate
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.rollout.environment import make_env
+from uavrl.rollout.evasion import TIMES, to_yaw
 from uavrl.rollout.rollout import fly
 from uavrl.runs.episodes import wilson
 
 Known = Literal["nothing", "in view, straight on", "all, straight on", "all, as they will fly"]
 KNOWN: tuple[Known, ...] = ("nothing", "in view, straight on", "all, straight on", "all, as they will fly")
-STEPS = 20  # that are looked ahead, two seconds
-SPEEDS = torch.tensor([1.0, 0.5, 0.0])  # shares of the speed that the rule would fly at
-SLOWNESS, THREAT = 0.3, 3.0  # what standing costs, and a collision; chosen by hand
-LAG = 0.4  # s, until a commanded velocity is nearly flown
-WIDE = 1.45  # m: 0.6 of wing, 0.35 of hull, 0.5 between
-HIGH = 0.6  # m: 0.27 of fin, 0.14 of hull, 0.19 between
 IN_VIEW, ELEVATION = 10.0, math.radians(20.0)
 FAR = 14.0  # m: two seconds at 4 + 2 m/s, and room; what is farther away is no threat
-
-
-def places(told: Tensor, velocity: Tensor, times: Tensor) -> Tensor:
-    """Where a vehicle will be ``[*B, T, 3]`` from here: its velocity comes to what it was told as a first-order lag."""
-    lost = LAG * (1 - torch.exp(-times / LAG))
-    return told[..., None, :] * (times - lost)[:, None] + velocity[..., None, :] * lost[:, None]
-
-
-def threat(gap: Tensor, times: Tensor) -> Tensor:
-    """How near one comes to a plane and how soon ``[*B]``, of what lies between ``[*B, T, 3]``; 0 is far."""
-    apart = torch.maximum(gap[..., :2].norm(dim=-1) / WIDE, gap[..., 2].abs() / HIGH)  # below 1: too near
-    share = times / times[-1]
-    soon = (1.2 - 0.2 * share - apart).clamp_min(0) * (1 - 0.5 * share)
-    return soon.amax(-1) + (apart < 1).any(-1).to(gap)
 
 
 class ToldOfPlanes(VectorFieldHistogram):
@@ -65,39 +46,21 @@ class ToldOfPlanes(VectorFieldHistogram):
     """
 
     def __init__(self, env: NavigationEnv, known: Known) -> None:
-        super().__init__(reduction="range_image", statistic="proximity")
+        super().__init__(reduction="range_image", statistic="proximity", motion=FAR)
         self.env, self.known = env, known
-        self.times = torch.arange(1, STEPS + 1) / CONTROL_RATE
 
-    def ways(self) -> tuple[Tensor, Tensor]:
-        """Where the planes are ``[K, 3]``, and where they are thought to be later ``[K, T, 3]``."""
+    def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Where the planes are thought to be later, seen from each vehicle ``[N, K, T, 3]``, and which it knows."""
         now = torch.from_numpy(self.env.plane_poses())[:, :3].float()
-        later = torch.from_numpy(self.env.plane_paths(STEPS))[..., :3].float().transpose(0, 1)
-        if self.known == "all, as they will fly":
-            return now, later
-        return now, now[:, None] + (later[:, 0] - now)[:, None] * CONTROL_RATE * self.times[:, None]
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action``."""
-        cost, speed = self.score_directions(tensordict)
-        yaw = torch.from_numpy(self.env.simulation.yaw).float()[:, None]
-        x, y, z = self.directions.T
-        ahead = [yaw.cos() * x - yaw.sin() * y, yaw.sin() * x + yaw.cos() * y, z.expand(len(yaw), -1)]
-        told = torch.stack(ahead, -1)[:, :, None] * (speed[..., None] * SPEEDS)[..., None]  # [N, D, S, 3]
-        now, later = self.ways()
-        in_view = self.known == "in view, straight on"
-        worst = torch.zeros(told.shape[:-1])
-        for i, (place, velocity) in enumerate(zip(tensordict["position"], tensordict["velocity"], strict=True)):
-            apart = now - place
-            elevation = torch.atan2(apart[:, 2], apart[:, :2].norm(dim=-1)).abs()
-            near = apart.norm(dim=-1) < (IN_VIEW if in_view else FAR)
-            near &= (elevation < ELEVATION) | (not in_view)
-            mine = place + places(told[i], velocity, self.times)
-            for way in later[near]:
-                worst[i] = torch.maximum(worst[i], threat(mine - way, self.times))
-        rated = cost[..., None] + SLOWNESS * (1 - SPEEDS) + THREAT * worst
-        least, share = rated.min(-1)
-        return tensordict.set("action", self.to_action(least, SPEEDS[share] * speed, tensordict["heading_deg"]))
+        later = torch.from_numpy(self.env.plane_paths(len(TIMES)))[..., :3].float().transpose(0, 1)
+        if self.known != "all, as they will fly":
+            later = now[:, None] + (later[:, 0] - now)[:, None] * CONTROL_RATE * TIMES[:, None]
+        place = tensordict["position"]
+        apart = now - place[:, None]
+        near = apart.norm(dim=-1) < (IN_VIEW if self.known == "in view, straight on" else FAR)
+        if self.known == "in view, straight on":
+            near &= torch.atan2(apart[..., 2], apart[..., :2].norm(dim=-1)).abs() < ELEVATION
+        return to_yaw(later - place[:, None, None], tensordict["attitude"][:, 2]), near
 
 
 def main() -> None:
