@@ -1,6 +1,7 @@
 """What moves around a LiDAR, by successive scans: where it is, how fast it flies, how large it is."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +14,7 @@ from torchrl.envs.transforms import Transform
 from uavrl.cells import LASERS
 from uavrl.errors import UavrlError
 from uavrl.transforms.occlusion import EarlierScans, Grid, Returns, find_returns
-from uavrl.transforms.tracks import Track, follow
+from uavrl.transforms.tracks import Scan, Track, follow
 
 __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
 
@@ -49,7 +50,7 @@ class MotionSight:
         >>> for step in range(8):
         ...     seen = sight.look(ball + [0.0, 0.3 * step, 0.0], np.zeros((1, 3)), np.zeros((1, 3)))
         >>> seen[0, 0].round(1) + 0.0
-        array([6. , 2.1, 0. , 0. , 2.9, 0. , 0.4], dtype=float32)
+        array([6. , 2.1, 0. , 0. , 3. , 0. , 0.4], dtype=float32)
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class MotionSight:
         self._scans = EarlierScans(sensors, DEPTH, Grid() if grid is None else grid, max_range)
         self._ages = np.zeros(sensors, np.int64)  # of earlier scans, how many are known
         self._positions, self._velocities = np.zeros((2, sensors, 3))  # since the first scan
+        self._last = [np.zeros((0, 3), np.float32)] * sensors  # returns of the last scans in the world
         self._tracks: list[list[Track]] = [[] for _ in range(sensors)]
 
     def reset(self, which: np.ndarray) -> None:
@@ -66,7 +68,7 @@ class MotionSight:
         self._ages[which] = 0
         self._positions[which] = self._velocities[which] = 0.0
         for one in np.flatnonzero(which):
-            self._tracks[one] = []
+            self._tracks[one], self._last[one] = [], self._last[one][:0]
 
     def look(
         self, clouds: np.ndarray, velocities: np.ndarray, attitudes: np.ndarray, which: np.ndarray | None = None
@@ -96,16 +98,16 @@ class MotionSight:
         moving, fresh = self._moving(world, seen.clouds)
         self._scans.add(seen, rotations, self._positions, which)
         self._ages = np.where(which, np.minimum(self._ages + 1, DEPTH), self._ages)
-        places, clouds_of = world[:, moving].T.astype(np.float64), seen.clouds[moving]
-        bounds = np.searchsorted(clouds_of, np.arange(len(which) + 1))
         for one in np.flatnonzero(which):
             mine = slice(bounds[one], bounds[one + 1])
-            if self._tracks[one] or fresh[mine].any():
-                self._tracks[one] = follow(self._tracks[one], places[mine], fresh[mine], self.period)
+            scan = Scan(world[:, mine].T, moving[mine], fresh[mine])
+            if self._tracks[one] or scan.fresh.any():
+                self._tracks[one] = follow(self._tracks[one], scan, partial(self._before, one), self.period)
+            self._last[one] = scan.points
         return self._report(attitudes[:, 2])
 
     def _moving(self, world: np.ndarray, clouds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers ``[C]`` of those returns that may be of moving bodies, and which of these are fresh ``bool [C]``.
+        """Which returns ``[3, M]`` may be of moving bodies, and which of these are fresh: ``bool [M]`` each.
 
         What the oldest scan saw where it is now has stayed; the rest is fresh where any earlier scan saw through.
         """
@@ -117,7 +119,16 @@ class MotionSight:
             asked = np.flatnonzero(~fresh & (self._ages[clouds[moving]] > age))
             at = moving[asked]
             fresh[asked] = self._scans.beyond(world[:, at], clouds[at], np.full(len(self._ages), age)) > MARGIN
-        return moving, fresh
+        masks = np.zeros((2, len(clouds)), bool)
+        masks[0, moving], masks[1, moving[fresh]] = True, True
+        return masks[0], masks[1]
+
+    def _before(self, sensor: int) -> Scan:
+        """The last scan, and what of it is now seen through."""
+        points = self._last[sensor]
+        clouds = np.full(len(points), sensor)
+        left = self._scans.beyond(points.T, clouds, np.ones_like(self._ages)) > MARGIN
+        return Scan(points, left, left)
 
     def _report(self, yaws: np.ndarray) -> np.ndarray:
         """The nearest tracks that count, ``[N, K, 7]``."""
