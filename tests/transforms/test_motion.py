@@ -8,15 +8,20 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import Composite, ReplayBuffer, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase, TransformedEnv, check_env_specs
 
 from tests.helpers.contracts import TransformContract
+from tests.helpers.flights import small_env
 from tests.helpers.scenes import box, terrain
 from tests.helpers.small_env import SmallEnv
+from uavrl.config import compose, validate_run
+from uavrl.deploy.export import contract
+from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.errors import UavrlError
-from uavrl.transforms import MotionSight, MovingObjects
+from uavrl.training.build import _make_mirror
+from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
 from uavrl.transforms.motion import _rotations
 
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
@@ -99,7 +104,9 @@ def test_the_nearest_come_first(lidar: Lidar) -> None:
     near, far = straight((6.0, -2.0, 0.3), 3.0, 1.57, 10), straight((-8.0, 0.0, 0.3), 3.0, 1.57, 10)
     seen = Vehicle().seen(lidar, [np.concatenate(pair) for pair in zip(near, far, strict=True)])
     assert (np.linalg.norm(seen[-1, :2, :3] - [near[-1][0, :3], far[-1][0, :3]], axis=-1) < 0.6).all()
-    alone = Vehicle().seen(lidar, [np.concatenate(pair) for pair in zip(near, far, strict=True)], MotionSight(1, objects=1))
+    alone = Vehicle().seen(
+        lidar, [np.concatenate(pair) for pair in zip(near, far, strict=True)], MotionSight(1, objects=1)
+    )
     assert np.allclose(alone[-1, 0], seen[-1, 0])
 
 
@@ -153,7 +160,9 @@ class TestMovingObjects(TransformContract):
 
     def make_data(self, *batch: int) -> TensorDict:
         cloud = torch.rand(*batch, 30, 3, generator=torch.Generator().manual_seed(0))
-        return TensorDict({"point_cloud": cloud, "velocity": torch.zeros(*batch, 3), "attitude": torch.zeros(*batch, 3)}, batch)
+        return TensorDict(
+            {"point_cloud": cloud, "velocity": torch.zeros(*batch, 3), "attitude": torch.zeros(*batch, 3)}, batch
+        )
 
     def apply(self, transform: MovingObjects, data: TensorDict) -> torch.Tensor:
         """As an environment would."""
@@ -188,3 +197,39 @@ class TestMovingObjects(TransformContract):
     def test_three_keys_lead_to_one(self) -> None:
         with pytest.raises(ValueError, match="three in_keys"):
             MovingObjects(in_keys=["point_cloud"])
+
+
+def test_a_state_holds_the_objects_before_the_last_action_and_a_mirror_turns_them() -> None:
+    env = TransformedEnv(
+        NavigationEnv(2, world=small_env(planes=2).world, lidar=FAR, max_steps=8, seed=1),
+        NavigationState(motion=12.0, last_action=True),
+    )
+    check_env_specs(env)
+    data = env.rollout(3)["next"]
+    frame = data["observation"].unflatten(-1, (3, 60))[..., -1, :]
+    scale = torch.tensor([12.0] * 3 + [5.0] * 3 + [2.5]).repeat(3)
+    torch.testing.assert_close(frame[..., 35:56] * scale, data["moving_objects"])
+    seen = torch.zeros(60)
+    seen[35:42] = torch.tensor([0.5, 0.2, 0.1, 0.3, -0.4, 0.05, 0.4])
+    seen[33], seen[56:] = -1.0, torch.tensor([0.5, 0.25, 0.0, 1.0])
+    image = mirror_observation(seen, last_action=True, motion=True)
+    torch.testing.assert_close(image[35:42], torch.tensor([0.5, -0.2, 0.1, 0.3, 0.4, 0.05, 0.4]))
+    assert image[33] == -1.0 and image[56:].tolist() == [0.5, -0.25, 0.0, -1.0]
+    assert torch.equal(mirror_observation(image, last_action=True, motion=True), seen)
+
+
+def test_the_buffers_mirror_is_told_of_them() -> None:
+    chosen = ["perception=range_image", "perception.motion=12", "buffer.mirror=true"]
+    assert _make_mirror(validate_run(compose(*chosen))).motion
+    assert not _make_mirror(validate_run(compose("buffer.mirror=true"))).motion
+
+
+def test_the_sensor_looks_as_far_as_objects_are_looked_for() -> None:
+    assert validate_run(compose("perception.motion=12")).perception["lidar"].far_range == 12.0
+    off = validate_run(compose()).perception
+    assert off["motion"] is None and off["lidar"].far_range is None
+
+
+def test_a_policy_that_sees_motion_has_no_contract_and_that_is_said(caplog: pytest.LogCaptureFixture) -> None:
+    assert contract(validate_run(compose("perception.motion=12")), "") is None
+    assert "sees moving objects (perception.motion=12)" in caplog.text

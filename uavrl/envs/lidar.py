@@ -208,7 +208,9 @@ class Lidar:
                 directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
                 speed = float(np.linalg.norm(velocities[vehicle]))
             if self._static_scene is not None:
-                passing = every if near is None else np.flatnonzero((near[vehicle].ravel() | self._far)[first:last]) + first
+                passing = (
+                    every if near is None else np.flatnonzero((near[vehicle].ravel() | self._far)[first:last]) + first
+                )
                 _cast(self._static_scene, origins, directions, passing, ranges[vehicle], self._reach)
             for pose in poses[vehicle]:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])

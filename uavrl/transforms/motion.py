@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +14,7 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.cells import LASERS
 from uavrl.errors import UavrlError
-from uavrl.transforms.occlusion import EarlierScans, Grid, Returns, find_returns
+from uavrl.transforms.occlusion import EarlierScans, Grid, find_returns
 from uavrl.transforms.tracks import Scan, Track, follow
 
 __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
@@ -89,10 +90,12 @@ class MotionSight:
         moved = self.period * (velocities + self._velocities) / 2
         self._positions += np.where((which & (self._ages > 0))[:, None], moved, 0.0)
         self._velocities = np.where(which[:, None], velocities, self._velocities)
-        seen = find_returns(np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range)
+        seen = find_returns(
+            np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range
+        )
         bounds = np.searchsorted(seen.clouds, np.arange(len(which) + 1))
         world = np.empty_like(seen.points)
-        for one, (first, last) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        for one, (first, last) in enumerate(pairwise(bounds)):
             turned = rotations[one].astype(np.float32) @ seen.points[:, first:last]
             world[:, first:last] = turned + self._positions[one, :, None].astype(np.float32)
         moving, fresh = self._moving(world, seen.clouds)

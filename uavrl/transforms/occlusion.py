@@ -1,6 +1,7 @@
 """Which returns of a LiDAR lie where an earlier scan saw through: what is there now has come there."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -127,7 +128,7 @@ class EarlierScans:
             ages: ``[N]``, which scan is asked, 1 the newest.
         """
         points, bounds = np.empty_like(world, np.float32), np.searchsorted(clouds, np.arange(self.count + 1))
-        for one, (first, last) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        for one, (first, last) in enumerate(pairwise(bounds)):
             if first < last:
                 turn, place = self.rotations[ages[one] - 1, one].T, self.positions[ages[one] - 1, one]
                 points[:, first:last] = turn @ (world[:, first:last] - place[:, None])

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field
 import torch
+from pydantic import Field
 from torchrl.envs import CatFrames, CatTensors, Compose, ExcludeTransform, ObservationNorm, Transform
 
 from uavrl.cells import FAR_EVERY
@@ -34,7 +34,11 @@ def _with_last_action() -> Iterator[Transform]:
 def _with_motion(max_range: float) -> Iterator[Transform]:
     scale = torch.tensor([max_range] * 3 + [LARGEST_VELOCITY] * 3 + [LARGEST_SIZE]).reciprocal()
     yield ObservationNorm(
-        0.0, scale.repeat(MOVING_OBJECTS), in_keys=["moving_objects"], out_keys=["scaled_objects"], standard_normal=False
+        0.0,
+        scale.repeat(MOVING_OBJECTS),
+        in_keys=["moving_objects"],
+        out_keys=["scaled_objects"],
+        standard_normal=False,
     )
     yield CatTensors(["observation", "scaled_objects"], "observation", del_keys=False, sort=False)
     yield ExcludeTransform("scaled_objects")

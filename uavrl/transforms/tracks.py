@@ -1,7 +1,7 @@
 """Bodies that move straight on, followed from scan to scan by a Kalman filter."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -11,14 +11,15 @@ REACH = 0.8  # m, around the middle of a body within which its returns are looke
 REACH_WHOLE = 1.2  # m, likewise, within which a whole body lies
 MOST_RETURNS = 300  # around a place, up to which a whole body is looked for
 LARGEST = 2.5  # m, diagonal of what may be a body
-MEASURED = 0.12  # m, standard deviation of the middle of a body's returns
+MEASURED = 0.05  # m, standard deviation of the middle of a body, however many returns it has
+SCATTER = 0.35  # m, of one return around it
 MANOEUVRE = 1.5  # m/s², standard deviation of its acceleration
 SPEEDS = (1.5, 8.0)  # m/s, of what counts as moving
-UNKNOWN_SPEED = 6.0  # m/s, standard deviation of each component before a body has been seen twice
+UNKNOWN_SPEED = 3.0  # m/s, standard deviation of each component before a body has been seen twice
 LEAST_RETURNS = 3  # that a body begins with
 CONFIRMED = 3  # scans that have seen it
 FRESH = 2  # of these, scans that saw it where an earlier one saw through
-COASTING = 4  # scans for which a confirmed body is believed to fly on unseen; others: one
+COASTING = 8  # scans for which a body is believed to fly on unseen, if it was seen as often; one if not confirmed
 LARGEST_SURPRISE = 9.0  # mean squared distance from where it was expected, over its variance; 3 is usual
 
 
@@ -28,13 +29,18 @@ class Track:
 
     position: np.ndarray
     size: float
+    returns: InitVar[int]
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    variances: tuple[float, float, float] = field(default_factory=lambda: (MEASURED**2, 0.0, UNKNOWN_SPEED**2))
+    variances: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     seen: int = 1
     fresh: int = 1
     missed: int = 0
     surprise: float = 1.0
+
+    def __post_init__(self, returns: int) -> None:
+        """Begins with what is known of a body that was seen once."""
+        self.variances = (MEASURED**2 + SCATTER**2 / returns, 0.0, UNKNOWN_SPEED**2)
 
     def predict(self, dt: float) -> None:
         """Flies on for ``dt`` seconds, straight."""
@@ -47,10 +53,10 @@ class Track:
             speed + noise * dt**2,
         )
 
-    def update(self, middle: np.ndarray, size: float, fresh: bool) -> None:
-        """Takes in where it was seen ``[3]``, how large, and whether it has just come there."""
+    def update(self, middle: np.ndarray, size: float, returns: int, fresh: bool) -> None:
+        """Takes in where it was seen ``[3]``, how large, by how many returns, and whether it has just come there."""
         place, both, speed = self.variances
-        total = place + MEASURED**2
+        total = place + MEASURED**2 + SCATTER**2 / returns
         off = middle - self.position
         self.position = self.position + place / total * off
         self.velocity = self.velocity + both / total * off
@@ -68,7 +74,7 @@ class Track:
     @property
     def is_lost(self) -> bool:
         """Whether it has been unseen for too long."""
-        return self.missed > (COASTING if self.is_confirmed else 1)
+        return self.missed > (min(self.seen, COASTING) if self.is_confirmed else 1)
 
 
 class Scan(NamedTuple):
@@ -147,7 +153,7 @@ def follow(tracks: list[Track], scan: Scan, before: Callable[[], Scan], dt: floa
             track.missed += 1
             continue
         free[body] = False
-        track.update(*middle_and_size(scan.points[body]), fresh=int(scan.fresh[body].sum()) >= LEAST_RETURNS)
+        track.update(*middle_and_size(scan.points[body]), len(body), fresh=int(scan.fresh[body].sum()) >= LEAST_RETURNS)
     return [track for track in tracks if not track.is_lost] + list(_new(scan, before, free, dt))
 
 
@@ -166,9 +172,9 @@ def _new(scan: Scan, before: Callable[[], Scan], free: np.ndarray, dt: float) ->
             continue
         last = before()
         earlier = body_around(middle, last.points, last.moving)
-        track = Track(middle, size)
+        track = Track(middle, size, len(body))
         if len(earlier) and (was := middle_and_size(last.points[earlier]))[1] < LARGEST:
-            track = Track(*was)
+            track = Track(*was, len(earlier))
             track.predict(dt)
-            track.update(middle, size, fresh=True)
+            track.update(middle, size, len(body), fresh=True)
         yield track
