@@ -257,7 +257,7 @@ def _cast(
     ranges: np.ndarray,
     reach: np.ndarray,
 ) -> None:
-    """Shortens the ``ranges [R]`` (NaN: nothing hit) of some ``rays`` (None: all) to what they hit within ``reach [R]``.
+    """Shortens ``ranges [R]`` (NaN: nothing hit) of some ``rays`` (None: all) to what they hit within ``reach [R]``.
 
     ``origins`` are ``[3, R]``, or ``[3, 1]`` if all rays start in one place; ``directions`` are ``[3, R]``.
     """

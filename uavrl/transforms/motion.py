@@ -101,7 +101,7 @@ class MotionSight:
         moving, fresh = self._moving(world, seen.clouds)
         self._scans.add(seen, rotations, self._positions, which)
         self._ages = np.where(which, np.minimum(self._ages + 1, DEPTH), self._ages)
-        for one in np.flatnonzero(which):
+        for one in np.flatnonzero(which).tolist():
             mine = slice(bounds[one], bounds[one + 1])
             scan = Scan(world[:, mine].T, moving[mine], fresh[mine])
             if self._tracks[one] or scan.fresh.any():
@@ -241,11 +241,11 @@ class MovingObjects(Transform):
         points = cloud.detach().reshape(count, *cloud.shape[-2:])
         if self.every > 1:
             points = points.unflatten(-2, (-1, LASERS))[:, :: self.every].flatten(1, 2)
-        own = [values.detach().reshape(count, 3).cpu().double().numpy() for values in (velocity, attitude)]
+        speeds, angles = (values.detach().reshape(count, 3).cpu().double().numpy() for values in (velocity, attitude))
         which = np.broadcast_to(True if fresh is None else fresh, count)
         if fresh is not None:
             self._sight.reset(which)
-        self._last[which] = self._sight.look(points.cpu().numpy(), *own, which)[which]
+        self._last[which] = self._sight.look(points.cpu().numpy(), speeds, angles, which)[which]
         seen = torch.from_numpy(self._last.reshape(*batch, -1).copy())
         return data.set(self.out_keys[0], seen.to(cloud.device, cloud.dtype))
 

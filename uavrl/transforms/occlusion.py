@@ -107,7 +107,8 @@ class EarlierScans:
 
         Args:
             seen: the returns.
-            rotations, positions: sensor to world, ``[N, 3, 3]`` and ``[N, 3]``.
+            rotations: sensor to world, ``[N, 3, 3]``.
+            positions: of the sensors in the world, ``[N, 3]`` in m.
             which: who has scanned.
         """
         images = least_around(range_images(seen, self.count, self.grid))
