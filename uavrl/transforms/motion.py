@@ -114,10 +114,10 @@ class MotionSight:
 
         What the oldest scan saw where it is now has stayed; the rest is fresh where any earlier scan saw through.
         """
-        old = np.flatnonzero(self._ages[clouds] > 0)
-        beyond = self._scans.beyond(world[:, old], clouds[old], np.maximum(self._ages, 1))
+        beyond = self._scans.beyond(world, clouds, np.maximum(self._ages, 1))
         left = ~(np.abs(beyond) <= MARGIN)  # also where nothing is known
-        moving, fresh = old[left], beyond[left] > MARGIN
+        moving = np.flatnonzero(left & (self._ages > 0)[clouds])
+        fresh = beyond[moving] > MARGIN
         for age in range(1, DEPTH):
             asked = np.flatnonzero(~fresh & (self._ages[clouds[moving]] > age))
             at = moving[asked]

@@ -99,8 +99,8 @@ class EarlierScans:
     def __post_init__(self) -> None:
         """Makes room."""
         self.least = np.full((self.depth, self.count, self.grid.rows, self.grid.columns), np.inf, np.float32)
-        self.rotations = np.zeros((self.depth, self.count, 3, 3))
-        self.positions = np.zeros((self.depth, self.count, 3))
+        self.rotations = np.zeros((self.depth, self.count, 3, 3), np.float32)
+        self.positions = np.zeros((self.depth, self.count, 3), np.float32)
 
     def add(self, seen: Returns, rotations: np.ndarray, positions: np.ndarray, which: np.ndarray) -> None:
         """Keeps scans as the newest of the sensors ``which``, ``bool [N]``.
@@ -133,9 +133,11 @@ class EarlierScans:
             if first < last:
                 turn, place = self.rotations[ages[one] - 1, one].T, self.positions[ages[one] - 1, one]
                 points[:, first:last] = turn @ (world[:, first:last] - place[:, None])
-        ranges = np.sqrt((points * points).sum(0))
+        x, y, z = points
+        ranges = np.sqrt(x * x + y * y + z * z)
         row, column = self.grid.cells(points, np.maximum(ranges, 1e-6))
         rows = np.rint(row).astype(np.int64).clip(0, self.grid.rows - 1)
-        least = self.least[ages[clouds] - 1, clouds, rows, column]
+        images = (ages - 1) * self.count + np.arange(self.count)  # each sensor's, among all
+        least = self.least.reshape(-1).take((images[clouds] * self.grid.rows + rows) * self.grid.columns + column)
         known = (row >= 0) & (row <= self.grid.rows - 1) & (ranges < self.max_range) & (ranges > NEAREST_RETURN)
         return np.where(known, np.minimum(least, self.max_range) - ranges, np.float32(np.nan))

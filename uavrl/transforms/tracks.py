@@ -132,7 +132,7 @@ def body_around(place: np.ndarray, points: np.ndarray, moving: np.ndarray) -> np
     near = np.flatnonzero(squared < (REACH + LINK) ** 2)
     if len(seeds) < 2 or len(near) > MOST_RETURNS:
         return seeds if len(seeds) > 1 else seeds[:0]
-    whole = near[hanging_together(points[near], np.isin(near, seeds))]
+    whole = near[hanging_together(points[near], moving[near] & (squared[near] < REACH**2))]
     return whole if squared[whole].max() < REACH_WHOLE**2 else seeds
 
 
