@@ -56,12 +56,17 @@ class Vehicle:
             place, attitude = self.at(step)
             yield lidar.scan(place[None], _rotations(attitude[None]), body), place, attitude
 
-    def seen(self, lidar: Lidar, bodies: list[np.ndarray], sight: MotionSight | None = None) -> np.ndarray:
+    def seen(
+        self, lidar: Lidar, bodies: list[np.ndarray], sight: MotionSight | None = None, *, noisy: bool = False
+    ) -> np.ndarray:
         """What is reported after each scan, in world axes from where the vehicle began, ``[T, K, 7]``."""
-        sight, found = sight or MotionSight(1), []
+        sight, found, rng = sight or MotionSight(1), [], np.random.default_rng(0)
+        bias = np.radians([1.0, -1.0, 2.0]) * noisy  # of an autopilot's roll, pitch and yaw
         for cloud, place, attitude in self.scans(lidar, iter(bodies)):
             far = cloud.reshape(1, 1808, 16, 3)[:, ::5].reshape(1, -1, 3)
-            objects = sight.look(far, self.velocity[None], attitude[None])[0].astype(float)
+            objects = sight.look(far, self.velocity[None] + rng.normal(0, 0.1, 3) * noisy, (attitude + bias)[None])[
+                0
+            ].astype(float)
             turn = _rotations(np.array([[0.0, 0.0, attitude[2]]]))[0]
             there = objects[:, 6:] > 0
             objects[:, :3] = there * (objects[:, :3] @ turn.T + place)
@@ -85,6 +90,13 @@ def test_a_body_8_m_away_is_reported_with_its_velocity(lidar: Lidar, heading: fl
     assert (np.linalg.norm(seen[5:, 3:6] - velocity, axis=-1) < 0.5).all(), seen[:, 3:6]
     places = np.array([pose[0, :3] for pose in way])
     assert (np.linalg.norm(seen[4:, :3] - places[4:], axis=-1) < 0.6).all()
+
+
+def test_an_autopilots_errors_change_little(lidar: Lidar) -> None:
+    way = straight((8.0, 0.5, 0.3), 3.5, math.pi, 10)
+    seen = Vehicle().seen(lidar, way, noisy=True)
+    errors = np.linalg.norm(seen[6:, 0, 3:6] - [-3.5, 0.0, 0.0], axis=-1)
+    assert (seen[6:, 0, 6] > 0.3).all() and (errors < 0.7).all(), errors
 
 
 def test_what_stands_is_not_reported_by_a_vehicle_that_moves_turns_and_tilts(lidar: Lidar) -> None:

@@ -146,9 +146,10 @@ class MotionSight:
                 for track in tracks
                 if track.is_confirmed
             ]
-            objects.sort(key=lambda values: float(np.linalg.norm(values[:3])))
-            for slot, values in enumerate(objects[: self.objects]):
-                found[one, slot] = values
+            distances = [float(np.linalg.norm(values[:3])) for values in objects]
+            nearest = [row for row in np.argsort(distances) if distances[row] < self.max_range]
+            for slot, row in enumerate(nearest[: self.objects]):
+                found[one, slot] = objects[row]
         return found
 
 
