@@ -16,6 +16,9 @@ ROW_BORDERS = (math.radians(-4.0), math.radians(4.0))  # elevations half-way bet
 
 LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 TOUCHING = 1e-6  # of the radius: what a cell reads that a point touches, as 0 means "no point"
+LASERS = 16
+"""Of a VLP-16, fired in turn: a scan is 1808 such firing cycles."""
+FAR_EVERY = 5  # of the firing cycles, which look farther than the cells: one to a degree
 NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes from; drivers write misses as zeros
 # The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
 # a sensor whose range ends at the radius does not report; and it begins this much after the housing.

@@ -258,3 +258,26 @@ def test_wrong_arguments(arguments: dict, message: str) -> None:
 def test_wrong_config(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"^{name} must be "):
         LidarConfig(**{name: value})
+
+
+@pytest.mark.parametrize("near", [4.0, 9.0, 11.0])
+def test_every_fifth_firing_cycle_looks_farther_and_the_others_as_before(near: float) -> None:
+    (position, rotation), plane = poses(3, 2), np.array([[1.0, 6.5, 2.0, 0.3], [-3.0, 2.0, 3.0, 1.0]])
+    scenes, far = clutter(3), np.zeros((1808, 16), bool)
+    far[::5] = True
+    cut, mixed, full = (
+        Lidar(scenes, PLANE, LidarConfig(max_range=reach, far_range=farther)).scan(position, rotation, plane)
+        for reach, farther in ((near, None), (near, 12.0), (12.0, None))
+    )
+    far = far.ravel()
+    assert np.array_equal(mixed[:, ~far], cut[:, ~far], equal_nan=True)
+    assert np.array_equal(mixed[:, far], full[:, far], equal_nan=True)
+    assert (np.nan_to_num(ranges(mixed[:, far])) > near).any()
+    reduced = [truncated_icosahedron(torch.from_numpy(cloud.copy()), near) for cloud in (cut, mixed, full)]
+    assert torch.equal(reduced[0], reduced[1]) and torch.equal(reduced[0], reduced[2])
+
+
+def test_the_far_range_is_none_or_beyond_the_other() -> None:
+    assert LidarConfig(max_range=4.0, far_range=4.0).far_range == 4.0
+    with pytest.raises(ValueError, match=r"far_range must be a length in metres, at least max_range \(4\)"):
+        LidarConfig(max_range=4.0, far_range=3.0)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 from torchrl.envs import check_env_specs
@@ -19,6 +20,7 @@ from uavrl.envs.goal import goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics
+from uavrl.envs.randomization import Randomization
 from uavrl.envs.world import WorldConfig
 
 
@@ -272,3 +274,13 @@ def test_planes_stand_where_the_traffic_is_right_after_a_reset() -> None:
     position = env.traffic.positions[0]
     env.simulation.reset(np.array([0]), position[None] + [0.0, 0.0, 0.6], np.zeros(1))
     assert env.simulation.closest_distance()[0] < 0.6
+
+
+def test_the_attitude_is_that_of_the_rotation_with_the_yaw_that_the_vehicle_measures() -> None:
+    env = NavigationEnv(3, randomize=Randomization(heading_bias=(0.1, 0.1)), seed=1)
+    flown = env.rollout(4, lambda state: act(state, 2.0, 1.0, 0.5, 1.0))
+    roll, pitch, yaw = flown["next", "attitude"][:, -1].double().T.numpy()
+    rotation = env.simulation.rotation
+    assert np.abs(roll).max() > 0.01 and np.abs(pitch).max() > 0.01
+    turned = Rotation.from_euler("ZYX", np.stack([yaw - 0.1, pitch, roll], -1)).as_matrix()
+    np.testing.assert_allclose(turned, rotation, atol=1e-6)

@@ -124,3 +124,36 @@ def test_without_costs_it_says_what_to_choose() -> None:
 def test_a_class_from_elsewhere_is_told_the_flight_level_alone() -> None:
     policy = named_policy("tests.rollout.test_baselines.Told", {"flight_level": 3.0, "radius": 4.0}, ("tests",))
     assert (policy.flight_level, policy.radius) == (3.0, 0.1)  # type: ignore[attr-defined]
+
+
+def passing(*objects: tuple[float, ...], **told: float) -> list[float]:
+    """The action of the rule that is told of moving objects, in free air, flying ahead at 2 m/s."""
+    rule = VectorFieldHistogram(reduction="range_image", statistic="proximity", motion=12.0, **told)
+    state = {
+        "faces": torch.zeros(1, 72),
+        "heading_deg": torch.zeros(1, 1),
+        "altitude": torch.full((1, 1), 3.5),
+        "velocity": torch.tensor([[0.0, 2.0, 0.0]]),  # in world axes: the vehicle looks along y
+        "attitude": torch.tensor([[0.0, 0.0, torch.pi / 2]]),
+        "moving_objects": torch.tensor([list(objects) + [(0.0,) * 7] * (3 - len(objects))]).reshape(1, 21),
+    }
+    return rule(TensorDict(state, [1]))["action"][0].tolist()
+
+
+def test_told_of_nothing_that_moves_it_flies_as_ever() -> None:
+    assert passing() == pytest.approx([2.0, 0.0, 0.0, 0.0], abs=1e-5)
+
+
+def test_it_keeps_out_of_the_way_of_what_will_cross_and_lets_the_rest_pass() -> None:
+    meets = (3.0, 4.5, 0.0, 0.0, -3.0, 0.0, 1.0)  # both are at (3, 0) after 1.5 s
+    forward, left, up, _ = passing(meets)
+    assert abs(forward - 2.0) + abs(left) + abs(up) > 0.5
+    leaves = (3.0, 4.5, 0.0, 0.0, 3.0, 0.0, 1.0)
+    above = (3.0, 4.5, 2.5, 0.0, -3.0, 0.0, 1.0)
+    assert passing(leaves, above) == pytest.approx([2.0, 0.0, 0.0, 0.0], abs=1e-5)
+
+
+def test_the_rule_that_is_told_reads_what_moves() -> None:
+    assert "moving_objects" not in VectorFieldHistogram().in_keys
+    seen = {"reduction": "range_image", "statistic": "proximity", "motion": 12.0}
+    assert "moving_objects" in named_policy("vfh", {**seen, "radius": 4.0, "flight_level": 3.5}, []).in_keys

@@ -31,7 +31,7 @@ from uavrl.runs.files import replacing, writable
 from uavrl.runs.names import CONFIG, CONTRACT, NETWORK
 from uavrl.runs.provenance import versions
 from uavrl.runs.weights import POLICY
-from uavrl.transforms import LastAction, NavigationObservation, NavigationState, PointCloudReduction
+from uavrl.transforms import LastAction, MovingObjects, NavigationObservation, NavigationState, PointCloudReduction
 from uavrl.transforms.icosahedron import truncated_icosahedron_faces
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
 
@@ -100,7 +100,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     """The contract of a policy that was trained with these settings; None where the valley's definitions do not hold.
 
     They hold for a :class:`~uavrl.transforms.NavigationState` in a :class:`~uavrl.envs.NavigationEnv`; what somebody
-    else's perception or environment means, nobody here can say.
+    else's perception or environment means, nobody here can say; and moving objects are found in the simulator alone.
 
     Args:
         settings: the validated configuration of the run.
@@ -111,6 +111,13 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
         return None
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
+    if MovingObjects in parts:
+        log.warning(
+            "The policy sees moving objects (perception.motion=%g), which nothing but the simulator computes yet: "
+            "there is no contract.json and no policy.onnx, so that it cannot fly a vehicle.",
+            parts[MovingObjects].max_range,
+        )
+        return None
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))
     scaled, frames = parts[NavigationObservation], parts[CatFrames]
     observation = [

@@ -22,7 +22,7 @@ def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[
     observations = {
         "point_cloud": numbers(NUM_RAYS, 3),
         **{key: numbers(1) for key in ("altitude", "heading_deg", "elevation_deg", "distance")},
-        **{key: numbers(3) for key in ("position", "velocity", "goal")},
+        **{key: numbers(3) for key in ("position", "velocity", "attitude", "goal")},
         **flags("arrived", "collided"),
         **{key: numbers(1, dtype=torch.int64) for key in ("world_seed", "task")},
         **({"clearance": numbers(1)} if clearance else {}),
@@ -34,13 +34,16 @@ def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[
 def quantities(simulation: Simulation, goal: np.ndarray, *, clearance: bool) -> dict[str, np.ndarray]:
     """What all vehicles emit of their motion and their goals ``[N, 3]``; the specs above name each.
 
-    Altitude and heading are as the vehicles measure them, with their biases.
+    Altitude, heading and attitude are as the vehicles measure them, with their biases.
     """
     position, plants = simulation.position, simulation.plants
     found = {"position": position, "velocity": simulation.velocity, "goal": goal}
+    yaw, rotation = simulation.yaw + plants.heading_bias, simulation.rotation
+    roll, pitch = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2]), -np.arcsin(rotation[:, 2, 0].clip(-1, 1))
+    found["attitude"] = np.stack([roll, pitch, (yaw + np.pi) % (2 * np.pi) - np.pi], -1)
     found["altitude"] = position[:, 2] + plants.altitude_bias
     found["distance"] = goal_distance(position, goal)
-    found["heading_deg"] = goal_heading_deg(position, simulation.yaw + plants.heading_bias, goal)
+    found["heading_deg"] = goal_heading_deg(position, yaw, goal)
     found["elevation_deg"] = goal_elevation_deg(position, goal)
     return found | ({"clearance": simulation.closest_distance()} if clearance else {})
 

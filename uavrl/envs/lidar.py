@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from uavrl.cells import FAR_EVERY
 from uavrl.envs.lidar_flaws import add_noise, hide_sector
 from uavrl.envs.limits import require_finite
 from uavrl.envs.mesh import Mesh
@@ -48,6 +49,8 @@ class LidarConfig:
         range_noise: standard deviation of the range error in metres; 0 is off. About 0.01 for the device.
         dropout: probability in [0, 1) that a hit is not reported.
         motion_distortion: whether the sensor moves on during the 0.1 s of a spin.
+        far_range: range of every fifth firing cycle in metres, beyond ``max_range``, for what looks farther and needs
+            fewer rays, as :class:`uavrl.transforms.MovingObjects` does. None: that of the others.
 
     Examples:
         >>> LidarConfig(max_range=4.0, range_noise=0.01).max_range
@@ -59,6 +62,7 @@ class LidarConfig:
     range_noise: Annotated[float, Field(le=100)] = 0.0
     dropout: float = 0.0
     motion_distortion: bool = False
+    far_range: Annotated[float, Field(gt=0, le=1000)] | None = None
 
     def __post_init__(self) -> None:
         """Checks the values."""
@@ -69,6 +73,11 @@ class LidarConfig:
             )
         if not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"min_range must be in [0, max_range) metres, got {self.min_range}.")
+        if self.far_range is not None and not self.max_range <= self.far_range <= LARGEST_RANGE:
+            raise ValueError(
+                f"far_range must be a length in metres, at least max_range ({self.max_range:g}), or None, "
+                f"got {self.far_range}."
+            )
         if self.range_noise < 0.0:
             raise ValueError(f"range_noise must be a standard deviation in metres, 0 or more, got {self.range_noise}.")
         if not 0.0 <= self.dropout < 1.0:
@@ -116,7 +125,11 @@ class Lidar:
         self._static_scene = _embree_scene(Mesh.merge(self._meshes)) if self._meshes else None
         self._moving_scene = None if moving is None else _embree_scene(moving)
         self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
-        self._reach = np.float32(self.config.max_range)
+        self._reach, self._far = np.full(NUM_RAYS, self.config.max_range, np.float32), np.zeros(NUM_RAYS, bool)
+        self._farthest = self.config.max_range
+        if self.config.far_range is not None and self.config.far_range > self.config.max_range:
+            self._far.reshape(AZIMUTH_STEPS, -1)[::FAR_EVERY] = True
+            self._reach[self._far] = self._farthest = self.config.far_range
         self._culler: RayCuller | None = None
         # In a long scan all rays are candidates, and a moving sensor sweeps more: culling would not pay.
         if self._meshes and self.config.max_range <= _CULLED_RANGE and not self.config.motion_distortion:
@@ -195,7 +208,9 @@ class Lidar:
                 directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
                 speed = float(np.linalg.norm(velocities[vehicle]))
             if self._static_scene is not None:
-                passing = every if near is None else np.flatnonzero(near[vehicle].ravel()[first:last]) + first
+                passing = (
+                    every if near is None else np.flatnonzero((near[vehicle].ravel() | self._far)[first:last]) + first
+                )
                 _cast(self._static_scene, origins, directions, passing, ranges[vehicle], self._reach)
             for pose in poses[vehicle]:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
@@ -222,7 +237,7 @@ class Lidar:
         """Shortens the ranges of one vehicle's rays that hit one moving body, in the body's frame."""
         offset, radius = pose[:3] - position, self._moving_radius + speed * FIRING_TIMES[-1]
         gap = float(np.linalg.norm(offset))
-        if gap >= self.config.max_range + radius:
+        if gap >= self._farthest + radius:
             return
         rays = None
         if gap > radius:
@@ -240,12 +255,13 @@ def _cast(
     directions: np.ndarray,
     rays: np.ndarray | None,
     ranges: np.ndarray,
-    reach: np.float32,
+    reach: np.ndarray,
 ) -> None:
-    """Shortens the ``ranges [R]`` (NaN: nothing hit) of some ``rays`` (None: all) to what they hit within ``reach``.
+    """Shortens ``ranges [R]`` (NaN: nothing hit) of some ``rays`` (None: all) to what they hit within ``reach [R]``.
 
     ``origins`` are ``[3, R]``, or ``[3, 1]`` if all rays start in one place; ``directions`` are ``[3, R]``.
     """
+    reach = reach if rays is None else reach.take(rays)
     lengths = np.fmin(ranges if rays is None else ranges.take(rays), reach)
     if rays is not None:
         directions = directions.take(rays, axis=1)

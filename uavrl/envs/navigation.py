@@ -40,9 +40,10 @@ class NavigationEnv(EnvBase):
     (rad/s), each in [-2, 2].
 
     It emits ``point_cloud`` (``[28928, 3]``, m, sensor frame, NaN = no return), ``altitude`` (m), ``heading_deg`` and
-    ``elevation_deg`` (the thesis's h and g), and for rewards, metrics and pictures ``distance``, ``position``,
-    ``velocity``, ``goal``, ``arrived``, ``collided``, ``world_seed`` and ``task``. Its own reward is the progress to
-    the goal in metres; the thesis's rewards are transforms (:mod:`uavrl.transforms`).
+    ``elevation_deg`` (the thesis's h and g), ``attitude`` (roll, pitch and yaw in rad), and for rewards, metrics and
+    pictures ``distance``, ``position``, ``velocity`` (m/s, world axes), ``goal``, ``arrived``, ``collided``,
+    ``world_seed`` and ``task``. Its own reward is the progress to the goal in metres; the thesis's rewards are
+    transforms (:mod:`uavrl.transforms`).
 
     Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, so that two policies that are rolled out with
     one seed meet the same tasks (only a plane in the way moves a start); ``reset(task=k)`` goes on with task ``k``.
@@ -51,7 +52,8 @@ class NavigationEnv(EnvBase):
 
     With ``randomize`` each task also has a vehicle of its own, which depends on ``(s, k)`` alone and leaves the rest of
     the task as it is; the controller goes by ``airframe`` and ``aerodynamics``. Its biases reach what the policy reads,
-    ``altitude`` and ``heading_deg``, and with them the terms of Eq. 3.6 that are made of these; all else stays true.
+    ``altitude``, ``heading_deg`` and the yaw of ``attitude``, and with them the terms of Eq. 3.6 that are made of
+    these; all else stays true.
 
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.

@@ -8,6 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
+from uavrl.rollout.evasion import evade, straight_on, to_yaw
 from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
@@ -82,7 +83,8 @@ class VectorFieldHistogram:
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
     instead of a grid; Ulrich and Borenstein (1998), VFH+, for the cost of changing direction. Its only memory is the
-    last action, where the observation holds that.
+    last action, where the observation holds that. With ``motion`` it also keeps out of the ways of moving objects, for
+    two seconds, as if they flew straight on.
 
     Args:
         flight_level: altitude to hold where nothing is in the way, within 1 m, m.
@@ -91,6 +93,7 @@ class VectorFieldHistogram:
         statistic: what a cell tells, likewise; None for the reduction's default.
         costs: None for those that were chosen for this reduction and statistic; there are none for some.
         last_action: whether the observation ends with the last action, likewise.
+        motion: how far moving objects are looked for, likewise; None: it is not told of any.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -110,6 +113,7 @@ class VectorFieldHistogram:
         statistic: Statistic | None = None,
         costs: VFHWeights | None = None,
         last_action: bool = False,
+        motion: float | None = None,
     ) -> None:
         statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and (reduction, statistic) not in COSTS:
@@ -119,6 +123,8 @@ class VectorFieldHistogram:
                 "perception.statistic so, or give a guide its guide.costs."
             )
         self.in_keys = ("faces", "altitude", "heading_deg", *(["observation"] if last_action else []))
+        self.in_keys += ("moving_objects", "velocity", "attitude") if motion is not None else ()
+        self.motion = motion
         self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
         self.costs = COSTS[reduction, statistic] if costs is None else costs
         self.directions = grid_directions(24, (-0.5, 0.0, 0.5))
@@ -129,7 +135,14 @@ class VectorFieldHistogram:
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
         cost, speed = self.score_directions(tensordict)
+        if self.motion is not None:
+            velocity = to_yaw(tensordict["velocity"], tensordict["attitude"][..., 2])
+            cost, speed = evade(cost, speed, self.directions, velocity, *self.ways(tensordict))
         return tensordict.set("action", self.to_action(cost, speed, tensordict["heading_deg"]))
+
+    def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Where moving objects are thought to be, and which there are, as :func:`uavrl.rollout.evasion.evade` asks."""
+        return straight_on(tensordict["moving_objects"])
 
     def score_directions(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """What each direction costs, and how fast it would be flown in m/s: ``[N, D]`` each."""

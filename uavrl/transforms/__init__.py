@@ -1,7 +1,8 @@
-"""TorchRL transforms: the LiDAR reduction, the policy's observation and the thesis's rewards."""
+"""TorchRL transforms: the LiDAR reduction, sight of what moves, the policy's observation and the thesis's rewards."""
 
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
+from uavrl.transforms.motion import MotionSight, MovingObjects
 from uavrl.transforms.observation import LastAction, NavigationObservation, navigation_observation
 from uavrl.transforms.range_image import RangeImage
 from uavrl.transforms.reduction import PointCloudReduction
@@ -20,6 +21,8 @@ __all__ = [
     "REDUCTIONS",
     "LastAction",
     "Mirror",
+    "MotionSight",
+    "MovingObjects",
     "NavigationObservation",
     "NavigationReward",
     "NavigationState",

@@ -9,26 +9,34 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
-from uavrl.transforms.state import REDUCTIONS, Reduction
+from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, Reduction
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
+OBJECT_SIGNS = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0)  # place, velocity and size of a moving object
 ACTION_SIGNS = (1.0, -1.0, 1.0, -1.0)  # forward, left, up, yaw rate
 
 
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)
-def _places_and_signs(reduction: Reduction, last_action: bool, device: torch.device) -> tuple[Tensor, Tensor]:
+def _places_and_signs(
+    reduction: Reduction, last_action: bool, motion: bool, device: torch.device
+) -> tuple[Tensor, Tensor]:
     """Where each of an observation's numbers comes from in the mirrored one, and its sign."""
     directions = REDUCTIONS[reduction].directions()
     image = ((directions * directions.new_tensor([1.0, -1.0, 1.0])) @ directions.T).argmax(-1)
-    rest = torch.tensor(BESIDE_SIGNS + (ACTION_SIGNS if last_action else ()))
+    objects = OBJECT_SIGNS * MOVING_OBJECTS if motion else ()
+    rest = torch.tensor(BESIDE_SIGNS + objects + (ACTION_SIGNS if last_action else ()))
     places = torch.cat([image, len(image) + torch.arange(len(rest))])
     return places.to(device), torch.cat([torch.ones(len(image)), rest]).to(device)
 
 
 def mirror_observation(
-    observation: Tensor, *, last_action: bool = False, reduction: Reduction = "truncated_icosahedron"
+    observation: Tensor,
+    *,
+    last_action: bool = False,
+    motion: bool = False,
+    reduction: Reduction = "truncated_icosahedron",
 ) -> Tensor:
     """What a vehicle sees in the mirror image of its world, left and right exchanged (y → -y).
 
@@ -36,9 +44,10 @@ def mirror_observation(
     §3.2, has the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
 
     Args:
-        observation: ``[*B, F * 35]`` (4 more each with ``last_action``), F stacked ones of
+        observation: ``[*B, F * 35]`` (4 more each with ``last_action``, 21 with ``motion``), F stacked ones of
             :func:`uavrl.transforms.navigation_observation` with folded angles.
         last_action: whether each observation ends with an action, as :class:`uavrl.transforms.LastAction` makes it.
+        motion: whether it also holds moving objects, as :class:`uavrl.transforms.NavigationState` puts them there.
         reduction: as in :class:`uavrl.transforms.NavigationState`.
 
     Raises:
@@ -51,12 +60,13 @@ def mirror_observation(
         >>> mirrored.nonzero().flatten().tolist(), mirrored[33].item()
         ([1, 33], -0.25)
     """
-    places, signs = _places_and_signs(reduction, last_action, observation.device)
+    places, signs = _places_and_signs(reduction, last_action, motion, observation.device)
     if not observation.shape[-1] or observation.shape[-1] % len(places):
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
     image = frames.index_select(-1, places) * signs.to(frames.dtype)
-    heading = image[..., HEADING - (len(ACTION_SIGNS) if last_action else 0)]
+    behind = len(ACTION_SIGNS) * last_action + len(OBJECT_SIGNS) * MOVING_OBJECTS * motion
+    heading = image[..., HEADING - behind]
     heading.masked_fill_(heading == 1.0, -1.0)  # straight behind is -1 on either side: folded angles are in [-1, 1)
     return image.flatten(-2)
 
@@ -82,7 +92,7 @@ class Mirror(Transform):
         in_keys: the observations, ``[B, F * 35]``, with folded angles.
         actions: keys of the actions, ``[B, 4]``.
         probability: of the image.
-        last_action, reduction: as in :func:`mirror_observation`.
+        last_action, motion, reduction: as in :func:`mirror_observation`.
 
     Raises:
         ValueError: for a probability outside [0, 1], or an unknown reduction.
@@ -102,6 +112,7 @@ class Mirror(Transform):
         actions: Sequence[NestedKey] = ("action",),
         probability: float = 0.5,
         last_action: bool = False,
+        motion: bool = False,
         reduction: Reduction = "truncated_icosahedron",
     ) -> None:
         if not 0.0 <= probability <= 1.0:
@@ -110,7 +121,7 @@ class Mirror(Transform):
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(in_keys=[*in_keys, *actions], out_keys=[*in_keys, *actions])
         self.num_actions, self.probability = len(actions), probability
-        self.last_action, self.reduction = last_action, reduction
+        self.last_action, self.motion, self.reduction = last_action, motion, reduction
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
@@ -118,7 +129,9 @@ class Mirror(Transform):
         observations, actions = self.in_keys[: -self.num_actions], self.in_keys[-self.num_actions :]
         device = tensordict.get(actions[0]).device
         mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
-        observed = partial(mirror_observation, last_action=self.last_action, reduction=self.reduction)
+        observed = partial(
+            mirror_observation, last_action=self.last_action, motion=self.motion, reduction=self.reduction
+        )
         for keys, image in ((observations, observed), (actions, mirror_action)):
             for key in keys:
                 value = tensordict.get(key)

@@ -3,11 +3,14 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
+import torch
 from pydantic import Field
-from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
+from torchrl.envs import CatFrames, CatTensors, Compose, ExcludeTransform, ObservationNorm, Transform
 
+from uavrl.cells import FAR_EVERY
 from uavrl.ranges import Positive
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
+from uavrl.transforms.motion import MovingObjects
 from uavrl.transforms.observation import Angles, LastAction, NavigationObservation
 from uavrl.transforms.range_image import RangeImage
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
@@ -17,6 +20,8 @@ REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
     "truncated_icosahedron": TruncatedIcosahedron,
     "range_image": RangeImage,
 }
+MOVING_OBJECTS = 3  # in an observation
+LARGEST_VELOCITY, LARGEST_SIZE = 5.0, 2.5  # m/s and m, of an object, which a network reads as 1
 ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1); a network reads it as 1
 
 
@@ -24,6 +29,19 @@ def _with_last_action() -> Iterator[Transform]:
     yield LastAction()
     yield ObservationNorm(loc=0.0, scale=1.0 / ACTION_LIMIT, in_keys=["last_action"])
     yield CatTensors(["observation", "last_action"], "observation", del_keys=True, sort=False)
+
+
+def _with_motion(max_range: float) -> Iterator[Transform]:
+    scale = torch.tensor([max_range] * 3 + [LARGEST_VELOCITY] * 3 + [LARGEST_SIZE]).reciprocal()
+    yield ObservationNorm(
+        0.0,
+        scale.repeat(MOVING_OBJECTS),
+        in_keys=["moving_objects"],
+        out_keys=["scaled_objects"],
+        standard_normal=False,
+    )
+    yield CatTensors(["observation", "scaled_objects"], "observation", del_keys=False, sort=False)
+    yield ExcludeTransform("scaled_objects")
 
 
 class NavigationState(Compose):
@@ -39,6 +57,8 @@ class NavigationState(Compose):
         angles: as in :class:`NavigationObservation`.
         reduction: of the scan: ``"truncated_icosahedron"``, or the 72 cells of a ``"range_image"``.
         last_action: whether an observation also holds the action that led to it.
+        motion: how far :class:`MovingObjects` are looked for, m, of which an observation then also holds the nearest
+            three; the scan must reach as far. None: not at all.
         frames: observations in a state.
 
     Examples:
@@ -61,12 +81,15 @@ class NavigationState(Compose):
         *,
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
+        motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
     ) -> None:
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(
+            *([MovingObjects(motion, MOVING_OBJECTS, FAR_EVERY)] if motion is not None else ()),
             REDUCTIONS[reduction](radius=radius, statistic=statistic),
             NavigationObservation(radius, flight_level, angles),
+            *(_with_motion(motion) if motion is not None else ()),
             *(_with_last_action() if last_action else ()),
             CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
         )

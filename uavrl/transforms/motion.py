@@ -1,0 +1,259 @@
+"""What moves around a LiDAR, by successive scans: where it is, how fast it flies, how large it is."""
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+from typing import Annotated
+
+import numpy as np
+import torch
+from pydantic import Field
+from tensordict import NestedKey, TensorDictBase
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from uavrl.cells import LASERS
+from uavrl.errors import UavrlError
+from uavrl.transforms.occlusion import EarlierScans, Grid, find_returns
+from uavrl.transforms.tracks import Scan, Track, follow
+
+__all__ = ["OBJECT", "MotionSight", "MovingObjects"]
+
+OBJECT = ("forward", "left", "up", "forward velocity", "left velocity", "up velocity", "size")
+"""What is reported of one moving object, in m and m/s."""
+DEPTH = 4  # earlier scans; in 0.4 s a body at 3 m/s flies 1.2 m, its own width
+MARGIN = 0.3  # m, by which an earlier scan saw farther where something has come; within it, something has stayed
+
+
+class MotionSight:
+    """Finds what moves in the scans of N sensors that move themselves, scan by scan.
+
+    A return is of a moving body if an earlier scan saw through where it lies: in its direction, and in the cells
+    around, that scan saw farther. What comes into sight from behind an obstacle is not, as there the earlier scan saw
+    the obstacle, which is nearer; nor is what lies outside the earlier scan's range and field of view. Returns that
+    hang together begin a track, which a Kalman filter follows straight on; it counts once it was seen in three scans
+    and moves at 1.5 to 8 m/s. Bodies that stand, or are larger than 2.5 m, are never reported.
+
+    The sensors' own motion is integrated from their velocities between the scans. Where they are is not needed.
+
+    Args:
+        sensors: N.
+        max_range: how far is looked, m; the scans must reach as far.
+        objects: K that are reported, the nearest.
+        period: time between two scans, s.
+        grid: cells of the range images that are compared; the default's are the lasers of a VLP-16 and degrees.
+
+    Examples:
+        A ball of 0.3 m flies to the left at 3 m/s, 6 m ahead of a sensor in free air:
+
+        >>> sight, ring = MotionSight(1), np.linspace(-0.15, 0.15, 5)
+        >>> ball = np.stack(np.broadcast_arrays(6.0, ring[:, None], ring), -1).reshape(1, -1, 3)
+        >>> for step in range(8):
+        ...     seen = sight.look(ball + [0.0, 0.3 * step, 0.0], np.zeros((1, 3)), np.zeros((1, 3)))
+        >>> seen[0, 0].round(1) + 0.0
+        array([6. , 2.1, 0. , 0. , 3. , 0. , 0.4], dtype=float32)
+    """
+
+    def __init__(
+        self, sensors: int, max_range: float = 12.0, objects: int = 3, period: float = 0.1, grid: Grid | None = None
+    ) -> None:
+        self.max_range, self.objects, self.period = max_range, objects, period
+        self._scans = EarlierScans(sensors, DEPTH, Grid() if grid is None else grid, max_range)
+        self._ages = np.zeros(sensors, np.int64)  # of earlier scans, how many are known
+        self._positions, self._velocities = np.zeros((2, sensors, 3))  # since the first scan
+        self._last = [np.zeros((0, 3), np.float32)] * sensors  # returns of the last scans in the world
+        self._tracks: list[list[Track]] = [[] for _ in range(sensors)]
+
+    def reset(self, which: np.ndarray) -> None:
+        """Forgets all that some sensors have seen, ``bool [N]``; their next scan is their first."""
+        self._ages[which] = 0
+        self._positions[which] = self._velocities[which] = 0.0
+        for one in np.flatnonzero(which):
+            self._tracks[one], self._last[one] = [], self._last[one][:0]
+
+    def look(
+        self, clouds: np.ndarray, velocities: np.ndarray, attitudes: np.ndarray, which: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Takes in another scan and returns the moving objects ``float32 [N, K, 7]``, nearest first, 0 for none.
+
+        Each is :data:`OBJECT`: its position seen from the sensor and its velocity over ground, in axes that are level
+        and point where the sensor's yaw does, and the diagonal of the box around its returns.
+
+        Args:
+            clouds: ``[N, P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
+            velocities: ``[N, 3]``, of the sensors in world axes in m/s.
+            attitudes: ``[N, 3]``, their roll, pitch and yaw in rad.
+            which: ``bool [N]``, which have a new scan; what the others report is not to be used. None: all.
+        """
+        which = np.ones(len(self._ages), bool) if which is None else which
+        rotations = _rotations(attitudes)
+        moved = self.period * (velocities + self._velocities) / 2
+        self._positions += np.where((which & (self._ages > 0))[:, None], moved, 0.0)
+        self._velocities = np.where(which[:, None], velocities, self._velocities)
+        seen = find_returns(
+            np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range
+        )
+        bounds = np.searchsorted(seen.clouds, np.arange(len(which) + 1))
+        world = np.empty_like(seen.points)
+        for one, (first, last) in enumerate(pairwise(bounds)):
+            turned = rotations[one].astype(np.float32) @ seen.points[:, first:last]
+            world[:, first:last] = turned + self._positions[one, :, None].astype(np.float32)
+        moving, fresh = self._moving(world, seen.clouds)
+        self._scans.add(seen, rotations, self._positions, which)
+        self._ages = np.where(which, np.minimum(self._ages + 1, DEPTH), self._ages)
+        for one in np.flatnonzero(which).tolist():
+            mine = slice(bounds[one], bounds[one + 1])
+            scan = Scan(world[:, mine].T, moving[mine], fresh[mine])
+            if self._tracks[one] or scan.fresh.any():
+                self._tracks[one] = follow(self._tracks[one], scan, partial(self._before, one), self.period)
+            self._last[one] = scan.points
+        return self._report(attitudes[:, 2])
+
+    def _moving(self, world: np.ndarray, clouds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Which returns ``[3, M]`` may be of moving bodies, and which of these are fresh: ``bool [M]`` each.
+
+        What the oldest scan saw where it is now has stayed; the rest is fresh where any earlier scan saw through.
+        """
+        beyond = self._scans.beyond(world, clouds, np.maximum(self._ages, 1))
+        left = ~(np.abs(beyond) <= MARGIN)  # also where nothing is known
+        moving = np.flatnonzero(left & (self._ages > 0)[clouds])
+        fresh = beyond[moving] > MARGIN
+        for age in range(1, DEPTH):
+            asked = np.flatnonzero(~fresh & (self._ages[clouds[moving]] > age))
+            at = moving[asked]
+            fresh[asked] = self._scans.beyond(world[:, at], clouds[at], np.full(len(self._ages), age)) > MARGIN
+        masks = np.zeros((2, len(clouds)), bool)
+        masks[0, moving], masks[1, moving[fresh]] = True, True
+        return masks[0], masks[1]
+
+    def _before(self, sensor: int) -> Scan:
+        """The last scan, and what of it is now seen through."""
+        points = self._last[sensor]
+        clouds = np.full(len(points), sensor)
+        left = self._scans.beyond(points.T, clouds, np.ones_like(self._ages)) > MARGIN
+        return Scan(points, left, left)
+
+    def _report(self, yaws: np.ndarray) -> np.ndarray:
+        """The nearest tracks that count, ``[N, K, 7]``."""
+        found = np.zeros((len(yaws), self.objects, len(OBJECT)), np.float32)
+        for one, (tracks, yaw) in enumerate(zip(self._tracks, yaws, strict=True)):
+            if not tracks:
+                continue
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            level = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            objects = [
+                [*(level @ (track.position - self._positions[one])), *(level @ track.velocity), track.size]
+                for track in tracks
+                if track.is_confirmed
+            ]
+            distances = [float(np.linalg.norm(values[:3])) for values in objects]
+            nearest = [row for row in np.argsort(distances) if distances[row] < self.max_range]
+            for slot, row in enumerate(nearest[: self.objects]):
+                found[one, slot] = objects[row]
+        return found
+
+
+def _rotations(attitudes: np.ndarray) -> np.ndarray:
+    """Body-to-world rotations ``[N, 3, 3]`` of roll, pitch and yaw ``[N, 3]``: yaw about z, then pitch, then roll."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(attitudes).T, np.sin(attitudes).T
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+class MovingObjects(Transform):
+    """Writes where the nearest moving objects are and how they fly, by what the last scans saw through.
+
+    See :class:`MotionSight` for how. It needs what an autopilot knows of itself: velocity and attitude. The objects are
+    seen through a LiDAR that must reach as far as is looked. They are found while episodes run, on the CPU, and not in
+    stored data. Vehicles whose episodes begin have seen nothing yet.
+
+    Args:
+        max_range: how far is looked, m.
+        objects: K that are reported.
+        every: of the points, only those of every such firing cycle of 16 count, which the sensor must order so; 1: all.
+        period: time between two scans, s.
+        in_keys: point clouds ``[*B, P, 3]`` (m, sensor frame), velocities ``[*B, 3]`` (m/s, world axes) and attitudes
+            ``[*B, 3]`` (roll, pitch and yaw in rad).
+        out_keys: where the objects go, ``[*B, K * 7]``: :data:`OBJECT` of each, nearest first, 0 for none.
+
+    Raises:
+        ValueError: for a range, a number or a period that is not above 0, or another number of keys than three and one.
+
+    Examples:
+        >>> from torchrl.envs import TransformedEnv
+        >>> from uavrl.envs import NavigationEnv
+        >>> from uavrl.envs.lidar import LidarConfig
+        >>> base = NavigationEnv(2, lidar=LidarConfig(max_range=4.0, far_range=12.0))
+        >>> env = TransformedEnv(base, MovingObjects(every=5))
+        >>> env.rollout(3)["next", "moving_objects"].shape
+        torch.Size([2, 3, 21])
+    """
+
+    invertible = False
+
+    def __init__(
+        self,
+        max_range: Annotated[float, Field(gt=0, le=1000)] = 12.0,
+        objects: Annotated[int, Field(ge=1, le=100)] = 3,
+        every: Annotated[int, Field(ge=1)] = 1,
+        *,
+        period: float = 0.1,
+        in_keys: Sequence[NestedKey] = ("point_cloud", "velocity", "attitude"),
+        out_keys: Sequence[NestedKey] = ("moving_objects",),
+    ) -> None:
+        if min(max_range, objects, every, period) <= 0:
+            raise ValueError(f"Expected values above 0, got {max_range=}, {objects=}, {every=}, {period=}.")
+        if len(in_keys) != 3 or len(out_keys) != 1:
+            raise ValueError(
+                f"MovingObjects takes three in_keys (cloud, velocity, attitude) and one out_key, got {list(in_keys)} "
+                f"and {list(out_keys)}."
+            )
+        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+        self.max_range, self.objects, self.every, self.period = max_range, objects, every, period
+        self._sight: MotionSight | None = None
+        self._last = np.zeros((0, objects, len(OBJECT)), np.float32)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Refuses: stored data does not say which scan follows which."""
+        raise UavrlError(
+            "MovingObjects follows scans through time: append it to an environment, or give the scans of one sensor "
+            "after another to a MotionSight."
+        )
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._look(next_tensordict, None)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        return self._look(tensordict_reset, True if mask is None else mask.reshape(-1).cpu().numpy())
+
+    def _look(self, data: TensorDictBase, fresh: np.ndarray | bool | None) -> TensorDictBase:
+        """Lets all sensors look, or those alone whose episodes begin; the others keep what they have seen."""
+        cloud, velocity, attitude = (data.get(key) for key in self.in_keys)
+        batch = cloud.shape[:-2]
+        count = batch.numel()
+        if self._sight is None or len(self._last) != count:
+            self._sight = MotionSight(count, self.max_range, self.objects, self.period)
+            self._last = np.zeros((count, self.objects, len(OBJECT)), np.float32)
+        points = cloud.detach().reshape(count, *cloud.shape[-2:])
+        if self.every > 1:
+            points = points.unflatten(-2, (-1, LASERS))[:, :: self.every].flatten(1, 2)
+        speeds, angles = (values.detach().reshape(count, 3).cpu().double().numpy() for values in (velocity, attitude))
+        which = np.broadcast_to(True if fresh is None else fresh, count)
+        if fresh is not None:
+            self._sight.reset(which)
+        self._last[which] = self._sight.look(points.cpu().numpy(), speeds, angles, which)[which]
+        seen = torch.from_numpy(self._last.reshape(*batch, -1).copy())
+        return data.set(self.out_keys[0], seen.to(cloud.device, cloud.dtype))
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Adds the spec of the objects."""
+        assert isinstance(observation_spec, Composite)
+        cloud = observation_spec[self.in_keys[0]]
+        shape = (*cloud.shape[:-2], self.objects * len(OBJECT))
+        observation_spec[self.out_keys[0]] = Unbounded(shape, cloud.device, cloud.dtype)
+        return observation_spec
