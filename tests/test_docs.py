@@ -60,6 +60,14 @@ def test_pictures_and_tables_stay_small() -> None:
         assert file.stat().st_size <= most.get(file.suffix, 100_000), f"{file}: quantise, compress or shorten it"
 
 
+def test_what_the_best_policy_reads_is_what_its_contract_says() -> None:
+    contract, page = "uavrl/policies/best/contract.json", (ROOT / "docs/policies.md").read_text(encoding="utf-8")
+    told = runpy.run_path(str(ROOT / "examples/inputs_table.py"))["table"](ROOT / contract)
+    assert told.startswith("237 numbers") and told in page, f"python examples/inputs_table.py {contract}"
+    counted = [int(last or first) for first, last in re.findall(r"^\| (\d+)(?:–(\d+))? \|", told, re.MULTILINE)]
+    assert counted == [71, 72, 73, 74, 78], "72 cells, altitude, two angles and the last action, without a gap"
+
+
 def test_what_a_policy_may_be_trusted_with_is_what_its_suite_found() -> None:
     example = runpy.run_path(str(ROOT / "examples/suite_table.py"))
     rows = example["table"](ROOT / "uavrl/policies/best/suite.json")
