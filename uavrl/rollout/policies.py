@@ -146,8 +146,7 @@ def load_policy(
 ) -> LoadedPolicy:
     """Loads a trained policy: it reads what an environment emits, and writes ``action``.
 
-    Also as ``uavrl.load_policy``. Environments for it come from
-    :meth:`~uavrl.rollout.loaded.LoadedPolicy.make_env`.
+    Environments for it come from :meth:`~uavrl.rollout.loaded.LoadedPolicy.make_env`.
 
     Args:
         policy: the name of a packaged policy (``"best"``), the folder of a run, or one that ``uavrl-export`` wrote.
