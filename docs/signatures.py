@@ -37,7 +37,10 @@ def signature_of(thing: Callable[..., Any], bound: bool = False) -> inspect.Sign
 
 
 def _shown(parameter: inspect.Parameter, hint: Any) -> inspect.Parameter:
-    made_anew = callable(parameter.default) or type(parameter.default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
+    factory = type(parameter.default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
+    made_anew = (
+        callable(parameter.default) or factory or repr(parameter.default).startswith("lambda")
+    )  # as Sphinx has it
     default = MadeAnew() if made_anew and parameter.default is not parameter.empty else parameter.default
     return parameter.replace(annotation=hint, default=default)
 
