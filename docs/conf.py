@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
 from signatures import ranges_in_words, signature_of  # noqa: E402
+from tables import keep_together  # noqa: E402
 
 import uavrl  # noqa: E402
 
@@ -32,7 +33,7 @@ extensions = [
     "sphinx_copybutton",
     "myst_nb",
 ]
-exclude_patterns = ["_build", "conf.py", "signatures.py", "tutorials/shell.py"]
+exclude_patterns = ["_build", "conf.py", "signatures.py", "tables.py", "tutorials/shell.py"]
 nitpicky = True
 suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
 
@@ -85,9 +86,9 @@ nitpick_ignore_regex = [
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
     (
         r"py:.*",
-        r"uavrl\.deploy\.(contract\.Contract|firmware\.Firmware|limits\.Limited)|Contract|FirmwareName|LiveEpisode|Motion|Vector",
+        r"uavrl\.deploy\.(contract\.Contract|dds\.OnNode|firmware\.Firmware|limits\.Limited)|Contract|FirmwareName|LiveEpisode|Motion|Vector",
     ),
-    (r"py:.*", r"Path|np\.ndarray"),
+    (r"py:.*", r"Path|np\.ndarray|torchrl\..*\.TransformedEnv"),
     (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task|traffic\.Traffic)"),
     (r"py:.*", r"(typing\.|collections\.abc\.)?(Annotated|Literal|Mapping|tuple|dict)\[[^\]]*"),
 ]
@@ -140,9 +141,9 @@ def _show_own_arguments(
     app: Sphinx, what: str, name: str, thing: Any, options: object, arguments: str | None, returned: str | None
 ) -> tuple[str, str | None] | None:
     """Shows a constructor's own arguments where a metaclass hides them, and ranges in words."""
-    if arguments is None or not re.search(r"^\(\*args|\bAnnotated\[|<(factory|function)", arguments):
+    if arguments is None or not re.search(r"^\(\*args|\bAnnotated\[|<(factory|function)|= lambda\b", arguments):
         return None
-    signature = signature_of(thing)
+    signature = signature_of(thing, bound=what == "method")
     # Quoted once for Sphinx, which drops a pair, and once so that what it hands on is Python.
     quoted = [
         each.replace(annotation=f"'{each.annotation!r}'") if isinstance(each.annotation, str) else each
@@ -162,6 +163,7 @@ def _drop_quotes_of_ranges(app: Sphinx, domain: str, kind: str, content: Element
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("source-read", _stay_on_the_site)
+    app.connect("doctree-read", lambda app, doctree: keep_together(doctree))
     app.connect("include-read", _stay_on_the_site_too)
     app.connect("autodoc-process-signature", _show_own_arguments)
     app.connect("object-description-transform", _drop_quotes_of_ranges)

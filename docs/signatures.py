@@ -19,8 +19,8 @@ class MadeAnew:
         return "..."
 
 
-def signature_of(thing: Callable[..., Any]) -> inspect.Signature:
-    """The signature of a function, or of a class's own constructor, whatever its metaclass takes."""
+def signature_of(thing: Callable[..., Any], bound: bool = False) -> inspect.Signature:
+    """The signature of a function, of a method as it is called, or of a class's own constructor."""
     call = thing.__init__ if isinstance(thing, type) else thing  # type: ignore[misc]
     if getattr(thing, "_is_protocol", False):
         return inspect.Signature()
@@ -30,14 +30,17 @@ def signature_of(thing: Callable[..., Any]) -> inspect.Signature:
     except NameError:  # of a name that only type checkers import: types stay as they are written
         hints = types_alone = {}
     hints = {name: in_words(hint) if has_range(hint) else types_alone[name] for name, hint in hints.items()}
-    parameters = list(signature.parameters.values())[isinstance(thing, type) :]
+    parameters = list(signature.parameters.values())[isinstance(thing, type) or bound :]
     shown = [_shown(each, hints.get(each.name, each.annotation)) for each in parameters]
     returned = signature.empty if isinstance(thing, type) else hints.get("return", signature.return_annotation)
     return signature.replace(parameters=shown, return_annotation=returned)
 
 
 def _shown(parameter: inspect.Parameter, hint: Any) -> inspect.Parameter:
-    made_anew = callable(parameter.default) or type(parameter.default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
+    factory = type(parameter.default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
+    made_anew = (
+        callable(parameter.default) or factory or repr(parameter.default).startswith("lambda")
+    )  # as Sphinx has it
     default = MadeAnew() if made_anew and parameter.default is not parameter.empty else parameter.default
     return parameter.replace(annotation=hint, default=default)
 

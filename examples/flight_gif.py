@@ -20,6 +20,7 @@ ALONE = """
   document.querySelector("main").style.display = "block";
   document.getElementById("stage").style.height = "100vh";
   document.body.style.overflow = "hidden";
+  look("chase");
   play(false);
   return Plotly.Plots.resize(document.getElementById("scene")).then(() => flight.moments);
 """

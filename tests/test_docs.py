@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from uavrl.errors import UavrlError
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs/tutorials").glob("*.py")])
 MEGABYTE = 1_000_000
@@ -58,6 +60,24 @@ def test_pictures_and_tables_stay_small() -> None:
     most = {".gif": 600_000, ".png": 150_000, ".svg": 150_000}
     for file in tracked("docs"):
         assert file.stat().st_size <= most.get(file.suffix, 100_000), f"{file}: quantise, compress or shorten it"
+
+
+def test_the_site_shows_what_the_tutorials_import() -> None:
+    folder = ROOT / "docs/tutorials"
+    assert "```{literalinclude} shell.py\n" in (folder / "index.md").read_text()
+    for script in sorted(folder.glob("*.py")):
+        text = script.read_text()
+        assert "from shell import" not in text or "](index.md#what-they-share)" in text, script
+
+
+def test_what_the_best_policy_reads_is_what_its_contract_says() -> None:
+    contract, page = "uavrl/policies/best/contract.json", (ROOT / "docs/policies.md").read_text(encoding="utf-8")
+    told = runpy.run_path(str(ROOT / "examples/inputs_table.py"))["table"](ROOT / contract)
+    assert told.startswith("237 numbers") and told in page, f"python examples/inputs_table.py {contract}"
+    counted = [int(last or first) for first, last in re.findall(r"^\| (\d+)(?:–(\d+))? \|", told, re.MULTILINE)]
+    assert counted == [71, 72, 73, 74, 78], "72 cells, altitude, two angles and the last action, without a gap"
+    with pytest.raises(UavrlError, match=r"Expected a contract\.json, as uavrl-export writes it, in .*suite\.json"):
+        runpy.run_path(str(ROOT / "examples/inputs_table.py"))["table"](ROOT / "uavrl/policies/best/suite.json")
 
 
 def test_what_a_policy_may_be_trusted_with_is_what_its_suite_found() -> None:

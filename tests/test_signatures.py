@@ -12,6 +12,8 @@ import pytest
 
 from uavrl.buffers import ABR, EpisodeBuffer, PrioritizedBuffer
 from uavrl.buffers.backward_reward import StateClassifier
+from uavrl.collectors.async_ import AsyncCollector
+from uavrl.collectors.sync import SyncCollector
 from uavrl.config import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.losses import Imitation, TD3Loss
@@ -89,6 +91,11 @@ def test_a_protocol_has_no_arguments_and_what_is_made_anew_is_three_dots(shown: 
     assert str(shown.signature_of(StateClassifier)) == "()"
     assert "choices: dict[str, str] = ..., " in str(shown.signature_of(EvaluateConfig))
     assert shown.signature_of(EvaluateConfig).parameters["episodes"].default == 500
+
+
+def test_a_method_is_shown_as_it_is_called_and_a_collector_by_what_it_takes(shown: Any) -> None:
+    assert list(shown.signature_of(AsyncCollector.reset, bound=True).parameters) == ["args", "kwargs"]
+    assert list(shown.signature_of(SyncCollector).parameters) == ["create_env_fn", "policy", "kwargs"]
 
 
 def test_a_function_keeps_what_it_returns(shown: Any) -> None:

@@ -24,8 +24,8 @@ class FolderTaken(UavrlError):
 class OtherFormat(UavrlError):
     """A file of the right name, perhaps whole, is not of the kind that is read."""
 
-    def __init__(self, path: object, lacks: str) -> None:
-        super().__init__(f"{path} has no {lacks}: it was not written by this version of uavrl-train.")
+    def __init__(self, path: object, lacks: str, writer: str = "uavrl-train") -> None:
+        super().__init__(f"{path} has no {lacks}: it was not written by this version of {writer}.")
 
 
 class FlyingEnded(UavrlError):

@@ -2,7 +2,7 @@
 # # The reduction and LifeGuard in an environment of somebody else
 #
 # Nothing in uavrl's parts knows the valley. Here they meet a Gymnasium environment that knows nothing of uavrl: a ball in a room with pillars, which
-# senses points. You will see how a cloud becomes 32 numbers, and how LifeGuard learns which actions end in a crash.
+# senses points. You will see how a cloud becomes 32 numbers, and how LifeGuard learns which actions end in a crash. `shell` is [a file of two helpers](index.md#what-they-share).
 
 # %%
 import gymnasium

@@ -3,7 +3,7 @@
 #
 # You write a reward, train it with two values and three seeds each, and read the report. The environment is the corridor of
 # [examples/own_parts](../own_parts.md), in which a training takes seconds: a point flies 2 m along a corridor without touching its walls.
-# In the valley the steps are the same.
+# In the valley the steps are the same. `shell` is [a file of two helpers](index.md#what-they-share).
 
 # %%
 import os

@@ -4,7 +4,7 @@
 # You train a policy where training is quick, see what it learned, and look at a flight. The valley is half as wide as usual and nearly empty, so
 # two minutes of training are enough. The commands are those for the real valley; only the values differ.
 #
-# `sh` types a command. In a terminal you would type the line yourself.
+# `sh` types a command. In a terminal you would type the line yourself. `shell` is [a file of two helpers](index.md#what-they-share).
 
 # %%
 import csv

@@ -2,7 +2,7 @@
 # # Take a policy with you
 #
 # You export the policy of a run, fly it with plain PyTorch, and ask it what it would do about a recorded scan. This is what it takes to fly a policy
-# where uavrl's training is not wanted.
+# where uavrl's training is not wanted. `shell` is [a file of two helpers](index.md#what-they-share).
 
 # %%
 import tempfile

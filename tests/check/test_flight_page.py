@@ -99,6 +99,30 @@ def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
     assert not errors, errors
 
 
+def test_it_opens_with_an_overview_and_then_follows_the_uav_until_somebody_looks_elsewhere(browser: Any) -> None:
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    held = """
+        const waiting = new Map(), [later, never] = [setTimeout, clearTimeout];
+        window.setTimeout = (call, ms, ...rest) => ms === 2000 ? (waiting.set(-1, call), -1) : later(call, ms, ...rest);
+        window.clearTimeout = (id) => id === -1 ? waiting.delete(-1) : never(id);
+        window.waiting = waiting;
+    """
+    browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": held})
+    browser.refresh()
+    WebDriverWait(browser, 300).until(
+        lambda page: page.execute_script("return window.waiting && document.body?.dataset.ready")
+    )
+    at = "const at = () => [view, document.querySelector('#views .on').textContent, waiting.size];"
+    assert browser.execute_script(f"{at} return at()") == ["overview", "overview", 1]
+    assert browser.execute_script(f"{at} waiting.get(-1)(); return at()") == ["chase", "chase", 0]
+    for touch in ("look('top')", "document.getElementById('scene').dispatchEvent(new Event('pointerdown'))"):
+        script = f"opening = setTimeout(() => look('chase'), OPENING); {touch}; return waiting.size"
+        assert browser.execute_script(script) == 0, touch
+    entries = "return [...document.getElementById('legend').children].map((entry) => entry.textContent)"
+    assert {"goal", "cells and points, by distance:"} <= set(browser.execute_script(entries))
+
+
 def test_a_browser_plays_the_log_of_a_real_flight(tmp_path: Path) -> None:
     log, flown = write_log(tmp_path / "flight.mcap")
     write_data(logged_page_data(LoggedFlight(log)), tmp_path / "page.html")

@@ -19,10 +19,11 @@ TINY_RUN += ["trainer.execution=captured"]  # compiling takes longer than the ru
 
 def test_its_python_runs_as_one_script() -> None:
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     names: dict[str, Any] = {}
     exec(compile("\n".join(blocks), str(README), "exec"), names)
     assert names["faces"].shape == (8, 32)
+    assert names["policy"].source["training_steps"] > 0
     losses = names["loss"](names["env"].rollout(10))
     assert {"loss_actor", "loss_qvalue", "loss_lifeguard"} <= set(losses.keys())
     assert all(loss.isfinite().all() for loss in losses.values())

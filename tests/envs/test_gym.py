@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import AddRenderObservation
+from gymnasium.wrappers import AddRenderObservation, RecordVideo, RenderCollection
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from uavrl.envs.gym import ValleyEnv
@@ -153,6 +155,25 @@ def test_it_draws_what_lies_ahead(drawn: gymnasium.Env) -> None:
         drawn.step(np.array([2.0, 0.0, 0.0, 1.0], dtype=np.float32))
     assert (drawn.render() != first).mean() > 0.05
     assert AddRenderObservation(drawn).reset(seed=0)[0].shape == (360, 480, 3), "wrappers that need pictures"
+
+
+def test_its_pictures_make_a_film(drawn: gymnasium.Env) -> None:
+    film = RenderCollection(drawn)
+    film.reset(seed=0)
+    for _ in range(3):
+        film.step(np.array([2.0, 0.0, 0.0, 1.0], dtype=np.float32))
+    frames = film.render()
+    assert frames is not None and [frame.shape for frame in frames] == [(360, 480, 3)] * 4
+    assert all((one != other).any() for one, other in pairwise(frames)), "each shows another moment"
+
+
+def test_record_video_writes_one(drawn: gymnasium.Env, tmp_path: Path) -> None:
+    pytest.importorskip("moviepy", reason="RecordVideo writes by MoviePy: pip install moviepy")
+    video = RecordVideo(drawn, str(tmp_path), episode_trigger=lambda episode: True)
+    video.reset(seed=0)
+    video.step(HOVER)
+    video.stop_recording()
+    assert [file.suffix for file in tmp_path.iterdir()] == [".mp4"]
 
 
 def test_without_a_render_mode_there_is_no_picture(env: ValleyEnv) -> None:

@@ -63,6 +63,7 @@ def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
         ("episodes.csv", b"episode,total_steps,outcome\n1,41,collided\n", "column `episode_return`"),
         ("config.yaml", b"env: {name: static}\n", "key `seed`"),
         ("config.yaml", b"seed: 0\ntrainer: {episodes: 3}\n", "key `choices`"),
+        ("config.yaml", b"seed: 0\ntrainer: {}\nchoices: {}\n", "key `trainer.episodes`"),
     ],
 )
 def test_a_file_that_is_broken_or_of_another_format_is_named(
@@ -150,6 +151,29 @@ def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path) -> None:
         evaluation(folder, 8, 10, **damage)
         run = only(folder)
         assert (run.evaluations, run.notes) == ([], ["evaluation.json cannot be read and is left out."]), damage
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "lacks"),
+    [
+        ("evaluation.json", [1, 2], "key `episodes`: it was not written by this version of uavrl-evaluate"),
+        (
+            "evaluation.json",
+            {"episodes": 3, "success": 0.5},
+            "key `success.rate`: it was not written by this version of",
+        ),
+        ("summary.json", {"steps": 3}, "key `versions`: it was not written by this version of uavrl-train"),
+        ("artifact/artifact.json", {}, "key `class_sizes`: it was not written by this version of uavrl-pretrain"),
+    ],
+)
+def test_a_whole_file_of_another_format_is_not_called_damaged(
+    tmp_path: Path, name: str, content: Any, lacks: str
+) -> None:
+    folder = run_folder(tmp_path / "run", "a")
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text(json.dumps(content))
+    (note,) = only(folder).notes
+    assert note.startswith(f"{Path(name).name} has no {lacks}") and note.endswith(". It is left out.")
 
 
 def test_no_damage_raises(tmp_path: Path) -> None:

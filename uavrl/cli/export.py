@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
 from uavrl.config import validate
-from uavrl.config.sentences import require
+from uavrl.errors import UavrlError
 from uavrl.ranges import Folder, Text
 from uavrl.rollout.policies import packaged_policies, policy_folder, unknown_policy
 from uavrl.runs.names import CONTRACT
@@ -26,7 +26,9 @@ class ExportConfig:
 
     def __post_init__(self) -> None:
         """Checks that there is a place to write to."""
-        require(self.output is not None, "output", "a folder to write the policy to", self.output)
+        if self.output is None:
+            name = self.policy or "my_policy"
+            raise UavrlError(f"output must be a folder to write the policy to, and none is given: add output={name}.")
 
 
 @command("export")

@@ -1,11 +1,12 @@
 """Collecting and learning in turn, in one process."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar
 
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
 
 
 class SyncCollector(Collector):
@@ -18,8 +19,10 @@ class SyncCollector(Collector):
 
     is_remote: ClassVar[bool] = False
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
+    def __init__(
+        self, create_env_fn: Callable[[], EnvBase], policy: Callable[..., Any] | None = None, **kwargs: Any
+    ) -> None:
+        super().__init__(create_env_fn, policy, **kwargs)
         self._counted: float = math.inf
         self._ended = 0
 

@@ -146,7 +146,8 @@ def _read(path: Path, read: Callable[[Path], T]) -> T:
     try:
         return read(path)
     except OtherFormat as error:
-        raise UavrlError(str(error).replace(str(path), path.name)) from error
+        error.args = (str(error).replace(str(path), path.name),)
+        raise
     except Exception as error:  # a file can be broken in more ways than can be named
         raise UavrlError(f"{path.name} cannot be read: mend it from a copy, or leave the folder out.") from error
 
@@ -155,16 +156,28 @@ def _optional(path: Path, read: Callable[[Path], T], notes: list[str]) -> T | No
     """The content of a file that a run may lack; a broken one is noted."""
     try:
         return _read(path, read) if path.is_file() else None
+    except OtherFormat as error:
+        notes.append(f"{error} It is left out.")
+        return None
     except UavrlError:
         notes.append(f"{path.name} cannot be read and is left out.")
         return None
 
 
+def _require_keys(path: Path, content: Any, *keys: str, writer: str = "uavrl-train") -> None:
+    """Tells a whole file of another format from a damaged one: it lacks one of these keys, given by dotted names."""
+    for key in keys:
+        node, names = content, key.split(".")
+        for count, name in enumerate(names, 1):
+            if not isinstance(node, Mapping) or name not in node:
+                raise OtherFormat(path, f"key `{'.'.join(names[:count])}`", writer)
+            node = node[name]
+
+
 def _config(path: Path) -> dict[str, Any]:
     config: Any = OmegaConf.to_container(load_config(path))
-    for key in ("seed", "trainer", "choices"):
-        if config and key not in config:  # an empty file is a broken one
-            raise OtherFormat(path, f"key `{key}`")
+    if config:  # an empty file is a broken one
+        _require_keys(path, config, "seed", "trainer.episodes", "choices.algo")
     seed, trainer, _ = int(config["seed"]), config["trainer"], learner_name(config["choices"])
     kinds = {"episodes": int, "steps": int, "window": int, "until_success": float}
     limits = {key: kind(trainer[key]) for key, kind in kinds.items() if key == "episodes" or trainer.get(key)}
@@ -188,16 +201,21 @@ def _episodes(path: Path) -> list[Episode]:
 
 
 def _versions(path: Path) -> dict[str, Any]:
-    return {key: value for key, value in json.loads(path.read_bytes())["versions"].items() if value is not None}
+    content = json.loads(path.read_bytes())
+    _require_keys(path, content, "versions")
+    return {key: value for key, value in content["versions"].items() if value is not None}
 
 
 def _class_sizes(path: Path) -> dict[str, Any]:
-    sizes = json.loads(path.read_bytes())["class_sizes"]
+    content = json.loads(path.read_bytes())
+    _require_keys(path, content, "class_sizes", writer="uavrl-pretrain")
+    sizes = content["class_sizes"]
     return {str(name): {"number": size.get("classes"), "sd": float(size["sd"])} for name, size in sizes.items()}
 
 
 def _evaluation(path: Path) -> dict[str, Any]:
     content = json.loads(path.read_bytes())
+    _require_keys(path, content, "episodes", *(f"{name}.rate" for name in RATES), writer="uavrl-evaluate")
     tasks = int(content["episodes"])
     rates = {name: wilson(round(float(content[name]["rate"]) * tasks), tasks) for name in RATES}
     copied = {key: content.get(key) for key in _COPIED}

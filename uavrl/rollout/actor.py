@@ -1,12 +1,11 @@
 """The policy of a configuration: made new, or loaded from a run or a folder of its own."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.checkpoint import Checkpoint
@@ -17,6 +16,7 @@ from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.rollout.environment import NetworkSizes, make_env, network_sizes
+from uavrl.rollout.loaded import LoadedPolicy
 from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.names import CONFIG
@@ -91,15 +91,11 @@ def load_actor(
 
 def load_policy(
     folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
-) -> tuple[DictConfig, Callable[[TensorDictBase], TensorDictBase], dict[str, Any]]:
+) -> tuple[DictConfig, LoadedPolicy, dict[str, Any]]:
     """What :func:`load_actor` loads, as a policy of an environment on the CPU."""
     config, actor, about = load_actor(folder, checkpoint, device, packages)
-
-    def policy(tensordict: TensorDictBase) -> TensorDictBase:
-        acted = actor(tensordict.select("observation").to(device))
-        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
-
-    return config, policy, {"run": str(folder), **{key: about[key] for key in POLICY_INFO if key in about}}
+    source = {"run": str(folder), **{key: about[key] for key in POLICY_INFO if key in about}}
+    return config, LoadedPolicy(actor, config, source), source
 
 
 def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:

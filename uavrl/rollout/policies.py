@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-import uavrl
 from uavrl.config import TrainConfig, validate, validate_run
-from uavrl.config.build import TARGET, arguments, build, find_class
+from uavrl.config.build import TARGET, build, find_class
 from uavrl.config.context import CONTEXT
 from uavrl.config.parts import Part
 from uavrl.config.sentences import did_you_mean
 from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
+from uavrl.rollout.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.runs.names import CONTRACT
 from uavrl.runs.weights import POLICY
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
 
-PACKAGED = Path(uavrl.__file__).parent / "policies"  # what `policy=NAME` names, beside the baselines
+    from uavrl.rollout.loaded import LoadedPolicy
+
+PACKAGED = Path(__file__).parents[1] / "policies"  # what `policy=NAME` names, beside the baselines
 EXPORTED = "uavrl.deploy.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
 GONE = ("static", "dynamic")  # what came with uavrl 0.1.0
-
-OF_SENSOR = ("perception.lidar.", "perception.blind")  # and blind_to: what may be changed for a trained policy
 
 # Keys of an evaluation that do not say which policy was evaluated in which tasks.
 PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
@@ -62,7 +62,7 @@ def choose(
     """Loads what the command line asks for."""
     from uavrl.rollout.actor import load_policy
 
-    if "env.num_uavs" in _keys(overrides):
+    if "env.num_uavs" in keys_of(overrides):
         instead = "write num_uavs=N" if hasattr(settings, "num_uavs") else "a replay flies one vehicle"
         raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
     if folder is None:
@@ -88,8 +88,8 @@ def _as_contracted(policy: Any, settings: FlyingConfig, config: DictConfig, over
     if terms is None:
         return settings
     config = config.copy()
-    given = _keys(overrides)
-    _require_sensor_alone(given, ("perception",), "policy")
+    given = keys_of(overrides)
+    require_sensor_alone(given, ("perception",), "policy")
     for key, value in terms.items():
         if key not in given and OmegaConf.select(config, key.rpartition(".")[0]) is not None:
             OmegaConf.update(config, key, value, merge=False)
@@ -116,60 +116,6 @@ def require_fit(chosen: PolicySetup, env: EnvBase) -> None:
         )
 
 
-def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str) -> None:
-    """Refuses a key that another environment has no use for."""
-    if "world" not in env:
-        raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
-
-
-def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
-    """The run's configuration with what the command line says about environment and sensor.
-
-    ``env=NAME`` replaces the environment, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
-    ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value`` change one value. The
-    rest of perception makes the policy's input: it stays.
-    """
-    result = run_config.copy()
-    result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
-    keys = _keys(overrides)
-    if "env" in keys:
-        result.env = composed.env
-        result.choices.env = composed.choices.env
-        _require_env_of_policy(result)
-    if "randomize" in keys:
-        require_valley(result.env, result.choices, "randomize")
-        result.env.randomize = composed.env.randomize
-    _require_sensor_alone(keys, ("perception", "reward"), "run")
-    for key in keys:
-        if key.startswith(("env.", *OF_SENSOR)):
-            OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
-    return result
-
-
-def _require_sensor_alone(keys: Iterable[str], groups: Collection[str], owner: str) -> None:
-    """Refuses what makes the inputs of a trained policy, or has trained it; its sensor may be another."""
-    for key in keys:
-        if key.split(".")[0] in groups and not key.startswith(OF_SENSOR):
-            told = "cannot change where its policy is evaluated: leave it out."
-            raise UavrlError(f"{key} belongs to the {owner} and {told}")
-
-
-def _keys(overrides: Iterable[str]) -> list[str]:
-    return [override.split("=", 1)[0] for override in overrides]
-
-
-def _require_env_of_policy(run: DictConfig) -> None:
-    """Refuses an environment that takes less than the policy's perception says."""
-    targets = (str(part[TARGET]) for part in (run.perception, run.env) if part[TARGET])
-    classes = [find_class(target, object, run.packages) for target in targets]
-    taken = {TARGET, *(name for each in classes for name in arguments(each))}
-    if not taken.issuperset(map(str, run.perception)):
-        raise UavrlError(
-            f"The policy and env={run.choices.env} do not go together: the policy reads what perception="
-            f"{run.choices.perception} makes of another environment. Leave env out, or choose another policy."
-        )
-
-
 def result_overrides(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
     """The overrides of a command line whose keys are not plain: those by which its result differs from another one."""
     return [override for override in overrides if override.split("=")[0] not in plain]
@@ -193,6 +139,40 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
     if run is not None:
         return Path(run)
     return PACKAGED / str(policy) if policy in packaged_policies() else None
+
+
+def load_policy(
+    policy: str | Path, *, checkpoint: str | Path | None = None, device: str = "cpu", packages: Iterable[str] = ()
+) -> LoadedPolicy:
+    """Loads a trained policy: it reads what an environment emits, and writes ``action``.
+
+    Environments for it come from :meth:`~uavrl.rollout.loaded.LoadedPolicy.make_env`.
+
+    Args:
+        policy: the name of a packaged policy (``"best"``), the folder of a run, or one that ``uavrl-export`` wrote.
+        checkpoint: the file of one of a run's checkpoints; None: the newest.
+        device: where the network is computed: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
+        packages: whose code may be executed because the run names their classes.
+
+    Raises:
+        UavrlError: where there is no such policy, or its files are damaged.
+
+    Examples:
+        >>> policy = load_policy("best")
+        >>> env = policy.make_env(num_uavs=2)
+        >>> env.rollout(5, policy)["action"].shape  # 2 vehicles, 5 steps, 3 velocities and a yaw rate
+        torch.Size([2, 5, 4])
+    """
+    name, folder = str(policy), Path(policy).expanduser()
+    if name in packaged_policies():
+        folder = PACKAGED / name
+    elif not folder.is_dir() and "/" not in name:
+        own = "for your own give the folder of a run, or one that uavrl-export wrote."
+        raise unknown_policy(name, packaged_policies(), own)
+    from uavrl.rollout import actor, environment
+
+    at = environment.make_device(device)
+    return actor.load_policy(folder, None if checkpoint is None else str(checkpoint), at, tuple(packages))[1]
 
 
 def named_policy(

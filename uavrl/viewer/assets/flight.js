@@ -4,7 +4,7 @@
 const TERM_COLOURS = { progress: "#0072B2", altitude: "#E69F00", heading: "#009E73", elevation: "#CC79A7",
   reward: "#0072B2" };
 const EVENTS = ["arrival", "collision"];
-const { body: BODY, plane: PLANE, goal: GOAL } = data.colours;
+const { body: BODY, plane: PLANE, goal: GOAL } = data.colours, CELLS = "#fdc066";
 const OUTCOMES = Object.fromEntries([["arrived", data.states ? "arrived" : "success"], ["collided", "collision"],
   ["timed_out", "time-out"], ["ended", "ended"]].map(([key, name]) => [key, [name, data.colours[key]]]));
 
@@ -57,7 +57,7 @@ function goalShape([x, y, z], [radius, height]) {
 // Index of each trace; those from FLOWN on move.
 const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, VEHICLE, MARK, POINTS,
   EDGES, FACES] = Array(16).keys();
-const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], "#fdc066"],
+const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], CELLS],
   [data.states ? "all scans" : "obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
 
@@ -153,7 +153,15 @@ const VIEWS = {
   chase: (p, h) => ({ eye: [p[0] - 5.4 * h[0], p[1] - 5.4 * h[1], p[2] + 2.3], // outside of the faces
     center: [p[0] + 2 * h[0], p[1] + 2 * h[1], p[2]] }),
 };
-let view = "chase", offset = null, reach = 1;
+const OPENING = 2000; // ms for which the page shows where everything is, before it follows the UAV
+let view = "chase", offset = null, reach = 1, opening = null;
+
+function look(name) {
+  clearTimeout(opening);
+  view = name;
+  for (const button of $("views").children) button.classList.toggle("on", button.textContent === name);
+  Plotly.relayout($("scene"), { "scene.camera": camera(flight, moment, true) });
+}
 
 // The share of the way from one point to another that no obstacle blocks (Möller and Trumbore 1997, all triangles).
 function clearShare({ vertices: v, triangles: t }, from, to) {
@@ -332,14 +340,11 @@ function start() {
     `task ${item.task}: ${OUTCOMES[item.outcome][0]}, ${item.steps} steps`));
   $("flight").hidden = flights.length < 2;
   $("flight").addEventListener("change", (event) => choose(Number(event.target.value)));
-  for (const name of Object.keys(VIEWS)) {
-    const button = element("button", { class: name === view ? "on" : "" }, $("views"), name);
-    button.addEventListener("click", () => {
-      view = name;
-      for (const other of $("views").children) other.classList.toggle("on", other === button);
-      Plotly.relayout($("scene"), { "scene.camera": camera(flight, moment, true) });
-    });
-  }
+  const moving = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (moving) view = "overview";
+  for (const name of Object.keys(VIEWS))
+    element("button", { class: name === view ? "on" : "" }, $("views"), name).addEventListener("click", () => look(name));
+  for (const touch of ["pointerdown", "wheel"]) $("scene").addEventListener(touch, () => clearTimeout(opening));
   for (const [name, which, colour] of LAYERS) {
     if (name === "planes" && flights.every((item) => !item.planeCount)) continue;
     if (name === "other flights" && flights.length < 2) continue;
@@ -361,6 +366,8 @@ function start() {
   const happened = new Set(flights.map((item) => item.outcome));
   for (const [key, [name, colour]] of Object.entries(OUTCOMES)) if (happened.has(key) && !data.states) legend(colour, `path: ${name}`);
   for (const [state, colour] of Object.entries(STATES)) legend(colour, `path: ${state}`);
+  legend(GOAL, "goal");
+  legend(CELLS, "cells and points, by distance:");
   const { ball: radius } = Object.values(sceneries)[0];
   distanceScale($("legend"), radius);
   $("slider").addEventListener("input", (event) => { play(false); show(Number(event.target.value)); });
@@ -377,7 +384,7 @@ function start() {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => choose(flights.indexOf(flight)));
   window.addEventListener("resize", () => { for (const chart of charts) { chart.draw(); chart.move(moment); } });
   choose(0).then(() => {
-    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+    if (moving) { opening = setTimeout(() => look("chase"), OPENING); play(true); }
     $("scene").on("plotly_relayout", (event) => {
       const now = event["scene.camera"];
       if (now && view === "follow") offset = minus(now.eye, now.center);

@@ -1,0 +1,66 @@
+"""What a command line, or a program, may change where a trained policy flies."""
+
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from uavrl.config.build import TARGET, arguments, find_class
+from uavrl.errors import UavrlError
+
+OF_SENSOR = ("perception.lidar.", "perception.blind")  # and blind_to: what may be changed for a trained policy
+
+
+def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str) -> None:
+    """Refuses a key that another environment has no use for."""
+    if "world" not in env:
+        raise UavrlError(f"{key} is for the valley, and the environment is {choices.get('env')}: leave {key} out.")
+
+
+def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
+    """The run's configuration with what the command line says about environment and sensor.
+
+    ``env=NAME`` replaces the environment, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
+    ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value`` change one value. The
+    rest of perception makes the policy's input: it stays.
+    """
+    result = run_config.copy()
+    result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
+    keys = keys_of(overrides)
+    if "env" in keys:
+        result.env = composed.env
+        result.choices.env = composed.choices.env
+        _require_env_of_policy(result)
+    if "randomize" in keys:
+        require_valley(result.env, result.choices, "randomize")
+        result.env.randomize = composed.env.randomize
+    require_sensor_alone(keys, ("perception", "reward"), "run")
+    for key in keys:
+        if key.startswith(("env.", *OF_SENSOR)):
+            OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
+    return result
+
+
+def require_sensor_alone(keys: Iterable[str], groups: Collection[str], owner: str) -> None:
+    """Refuses what makes the inputs of a trained policy, or has trained it; its sensor may be another."""
+    for key in keys:
+        if key.split(".")[0] in groups and not key.startswith(OF_SENSOR):
+            told = "cannot change where its policy is evaluated: leave it out."
+            raise UavrlError(f"{key} belongs to the {owner} and {told}")
+
+
+def keys_of(overrides: Iterable[str]) -> list[str]:
+    """The key of each override."""
+    return [override.split("=", 1)[0] for override in overrides]
+
+
+def _require_env_of_policy(run: DictConfig) -> None:
+    """Refuses an environment that takes less than the policy's perception says."""
+    targets = (str(part[TARGET]) for part in (run.perception, run.env) if part[TARGET])
+    classes = [find_class(target, object, run.packages) for target in targets]
+    taken = {TARGET, *(name for each in classes for name in arguments(each))}
+    if not taken.issuperset(map(str, run.perception)):
+        raise UavrlError(
+            f"The policy and env={run.choices.env} do not go together: the policy reads what perception="
+            f"{run.choices.perception} makes of another environment. Leave env out, or choose another policy."
+        )
