@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from docutils import nodes
+if TYPE_CHECKING:
+    from docutils import nodes
 
 _PIECE = re.compile(r"\([+−-]?\d[^()]{0,24}\)|[+−-]?\d[\d.,]*(?:[–-]\d[\d.,]*)? %")
 
@@ -24,6 +26,8 @@ def pieces(text: str) -> Iterator[tuple[str, bool]]:
 
 def keep_together(doctree: nodes.document) -> None:
     """Marks these pieces in all tables of a page with the class ``together``."""
+    from docutils import nodes  # what comes before needs none of it
+
     for entry in doctree.findall(nodes.entry):
         for text in list(entry.findall(nodes.Text)):
             parts = list(pieces(text.astext()))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from docutils import nodes
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -38,6 +37,7 @@ def test_the_pieces_of_a_cell(text: str, together: list[str], tables: Any) -> No
 
 
 def test_they_are_marked_in_cells_and_left_alone_in_code(tables: Any) -> None:
+    nodes = pytest.importorskip("docutils.nodes", reason="comes with the extra docs")
     cell = nodes.entry(
         "", nodes.paragraph("", "", nodes.strong("", "9 %"), nodes.Text(" (8–10), "), nodes.literal("", "1 %"))
     )

@@ -278,8 +278,10 @@ def test_planes_stand_where_the_traffic_is_right_after_a_reset() -> None:
 
 def test_the_attitude_is_that_of_the_rotation_with_the_yaw_that_the_vehicle_measures() -> None:
     env = NavigationEnv(3, randomize=Randomization(heading_bias=(0.1, 0.1)), seed=1)
-    flown = env.rollout(4, lambda state: act(state, 2.0, 1.0, 0.5, 1.0))
-    roll, pitch, yaw = flown["next", "attitude"][:, -1].double().T.numpy()
+    state = env.reset()
+    for _ in range(4):
+        state = env.step(act(state, 2.0, 1.0, 0.5, 1.0))["next"]
+    roll, pitch, yaw = state["attitude"].double().T.numpy()
     rotation = env.simulation.rotation
     assert np.abs(roll).max() > 0.01 and np.abs(pitch).max() > 0.01
     turned = Rotation.from_euler("ZYX", np.stack([yaw - 0.1, pitch, roll], -1)).as_matrix()

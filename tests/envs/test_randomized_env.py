@@ -60,7 +60,7 @@ def test_the_vehicles_of_a_task_are_the_same_in_any_company_and_under_any_policy
 
 def test_starts_and_goals_are_those_of_vehicles_that_are_as_believed(make: Callable[..., NavigationEnv]) -> None:
     real, plain = make(3, randomize=REAL).reset(task=5), make(3).reset(task=5)
-    assert set(differing(real, plain)) == {"point_cloud", "altitude", "heading_deg"}
+    assert set(differing(real, plain)) == {"point_cloud", "altitude", "heading_deg", "attitude"}
 
 
 def test_another_seed_has_other_vehicles_and_the_same_one_the_same_flights(make: Callable[..., NavigationEnv]) -> None:
@@ -92,7 +92,9 @@ def test_a_partial_reset_changes_only_its_own_vehicle(make: Callable[..., Naviga
 def test_biases_reach_what_the_policy_reads_and_nothing_else(make: Callable[..., NavigationEnv]) -> None:
     biased = make(randomize=Randomization(altitude_bias=(0.2, 0.2), heading_bias=(0.1, 0.1)))
     for seen, true in zip(*(rollout(env, 6)["next"].unbind(1) for env in (biased, make())), strict=True):
-        assert set(differing(seen, true)) == {"altitude", "heading_deg"}
+        assert set(differing(seen, true)) == {"altitude", "heading_deg", "attitude"}
+        turned = seen["attitude"] - true["attitude"]
+        torch.testing.assert_close(turned, torch.tensor([0.0, 0.0, 0.1]).expand_as(turned), atol=1e-5, rtol=0)
         torch.testing.assert_close(seen["altitude"], true["altitude"] + 0.2)
         off = (true["heading_deg"] - seen["heading_deg"] + 180) % 360 - 180
         torch.testing.assert_close(off, torch.full_like(off, np.degrees(0.1)), atol=1e-3, rtol=0)
