@@ -141,7 +141,7 @@ class VectorFieldHistogram:
         return tensordict.set("action", self.to_action(cost, speed, tensordict["heading_deg"]))
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Where moving objects are thought to be, and which there are, as :func:`uavrl.rollout.evasion.evade` asks."""
+        """Where moving objects are thought to be, and which there are, as ``uavrl.rollout.evasion.evade`` asks."""
         return straight_on(tensordict["moving_objects"])
 
     def score_directions(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:

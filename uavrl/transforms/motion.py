@@ -76,7 +76,7 @@ class MotionSight:
     ) -> np.ndarray:
         """Takes in another scan and returns the moving objects ``float32 [N, K, 7]``, nearest first, 0 for none.
 
-        Each is :data:`OBJECT`: its position seen from the sensor and its velocity over ground, in axes that are level
+        Each is ``OBJECT``: its position seen from the sensor and its velocity over ground, in axes that are level
         and point where the sensor's yaw does, and the diagonal of the box around its returns.
 
         Args:
@@ -178,7 +178,7 @@ class MovingObjects(Transform):
         period: time between two scans, s.
         in_keys: point clouds ``[*B, P, 3]`` (m, sensor frame), velocities ``[*B, 3]`` (m/s, world axes) and attitudes
             ``[*B, 3]`` (roll, pitch and yaw in rad).
-        out_keys: where the objects go, ``[*B, K * 7]``: :data:`OBJECT` of each, nearest first, 0 for none.
+        out_keys: where the objects go, ``[*B, K * 7]``: ``OBJECT`` of each, nearest first, 0 for none.
 
     Raises:
         ValueError: for a range, a number or a period that is not above 0, or another number of keys than three and one.
