@@ -37,11 +37,11 @@ def signature_of(thing: Callable[..., Any], bound: bool = False) -> inspect.Sign
 
 
 def _shown(parameter: inspect.Parameter, hint: Any) -> inspect.Parameter:
-    factory = type(parameter.default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
-    made_anew = (
-        callable(parameter.default) or factory or repr(parameter.default).startswith("lambda")
-    )  # as Sphinx has it
-    default = MadeAnew() if made_anew and parameter.default is not parameter.empty else parameter.default
+    default = parameter.default
+    factory = type(default).__name__ == "_HAS_DEFAULT_FACTORY_CLASS"
+    code = callable(default) or repr(default).startswith("lambda")  # which Sphinx keeps as the text of its source
+    if default is not parameter.empty and (factory or code):
+        default = MadeAnew()
     return parameter.replace(annotation=hint, default=default)
 
 

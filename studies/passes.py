@@ -14,7 +14,7 @@ from torchrl.envs.utils import step_mdp
 
 from uavrl.config import TrainConfig, compose, validate_run
 from uavrl.envs import NavigationEnv
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import with_overrides
 from uavrl.transforms import PointCloudReduction
@@ -40,9 +40,9 @@ class Moment(NamedTuple):
 
 def among_planes(folder: Path, *overrides: str) -> tuple[TrainConfig, Callable[[TensorDictBase], TensorDictBase]]:
     """The configuration of a run or a packaged policy, among planes and with what is changed, and the policy."""
-    config, policy, _ = load_policy(folder, None, "cpu")
+    policy = read_policy(folder)
     told = ["env=dynamic", *overrides]
-    return validate_run(with_overrides(config, compose(*told, name="evaluate"), told)), policy
+    return validate_run(with_overrides(policy.config, compose(*told, name="evaluate"), told)), policy
 
 
 def scan(base: NavigationEnv, planes: np.ndarray | None) -> np.ndarray:

@@ -15,7 +15,7 @@ from tensordict import TensorDict
 
 from uavrl.cli.errors import one_sentence
 from uavrl.pretraining import read_states
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 
 ACTIONS = ("forward", "sideways", "up", "turn")
 
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=20_000, help="the last so many")
     args = parser.parse_args()
     states = torch.as_tensor(read_states(args.run).states[-args.states :])
-    policy = load_policy(args.run, None, "cpu")[1]
+    policy = read_policy(args.run)
     with torch.no_grad():
         action = policy(TensorDict({"observation": states}, [len(states)]))["action"]
     print(f"{len(states):,} states; share of them in which the policy asks for 99 % of the most or more")

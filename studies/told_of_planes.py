@@ -81,7 +81,7 @@ class ToldOfPlanes(VectorFieldHistogram):
 
 
 def main() -> None:
-    """Flies all four, and prints a table."""
+    """Flies with each knowledge, and prints a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--tasks", type=int, default=192)
     parser.add_argument("--valleys", type=int, default=200, help="the first of ten")

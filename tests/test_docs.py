@@ -18,14 +18,14 @@ MEGABYTE = 1_000_000
 
 def anchors(page: Path) -> set[str]:
     """What the headings of a page are called in links, on GitHub and on the site."""
-    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text()):
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", page.read_text(encoding="utf-8")):
         path, _, heading = target.partition("#")
         found = page.parent / path if path else page
         assert found.exists(), target
@@ -35,11 +35,11 @@ def test_links_lead_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_includes_is_there(page: Path) -> None:
     for target, name in re.findall(
-        r"^```\{literalinclude\} (\S+)\n(?::pyobject: (\w+))?", page.read_text(), re.MULTILINE
+        r"^```\{literalinclude\} (\S+)\n(?::pyobject: (\w+))?", page.read_text(encoding="utf-8"), re.MULTILINE
     ):
-        assert re.search(rf"^(class|def) {name}\b" if name else "", (page.parent / target).read_text(), re.MULTILINE), (
-            name
-        )
+        assert re.search(
+            rf"^(class|def) {name}\b" if name else "", (page.parent / target).read_text(encoding="utf-8"), re.MULTILINE
+        ), name
 
 
 def tracked(folder: str) -> list[Path]:
@@ -64,9 +64,9 @@ def test_pictures_and_tables_stay_small() -> None:
 
 def test_the_site_shows_what_the_tutorials_import() -> None:
     folder = ROOT / "docs/tutorials"
-    assert "```{literalinclude} shell.py\n" in (folder / "index.md").read_text()
+    assert "```{literalinclude} shell.py\n" in (folder / "index.md").read_text(encoding="utf-8")
     for script in sorted(folder.glob("*.py")):
-        text = script.read_text()
+        text = script.read_text(encoding="utf-8")
         assert "from shell import" not in text or "](index.md#what-they-share)" in text, script
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.helpers.docs_modules import docs_module
 from uavrl.buffers import ABR, EpisodeBuffer, PrioritizedBuffer
 from uavrl.buffers.backward_reward import StateClassifier
 from uavrl.collectors.async_ import AsyncCollector
@@ -20,16 +19,10 @@ from uavrl.losses import Imitation, TD3Loss
 from uavrl.models import Actor
 from uavrl.ranges import Count, Discount, Folder, Fraction, NonNegative, Pairs, Positive, Share, Text, Whole, Widths
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "signatures.py"
-
 
 @pytest.fixture(scope="module")
 def shown() -> Any:
-    spec = importlib.util.spec_from_file_location("signatures", PAGE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return docs_module("signatures")
 
 
 @pytest.mark.parametrize(

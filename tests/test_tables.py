@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.helpers.docs_modules import DOCS, docs_module
 
 
 @pytest.fixture(scope="module")
 def tables() -> Any:
-    spec = importlib.util.spec_from_file_location("tables", ROOT / "docs/tables.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return docs_module("tables")
 
 
 @pytest.mark.parametrize(
@@ -49,5 +43,5 @@ def test_they_are_marked_in_cells_and_left_alone_in_code(tables: Any) -> None:
 
 
 def test_the_site_does_not_break_them_and_cuts_no_line_off() -> None:
-    style = (ROOT / "docs/_static/site.css").read_text()
+    style = (DOCS / "_static/site.css").read_text(encoding="utf-8")
     assert ".together { white-space: nowrap; }" in style and "pre { white-space: pre-wrap;" in style

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
-
 from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import small_config
 from uavrl.config.validation import validate
 from uavrl.losses.imitation import action_distance
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_training_env
 from uavrl.training.run import create_run, train
@@ -45,7 +43,7 @@ def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> Non
         flown = ["guide=vfh", "actor_penalty=imitation", f"actor_penalty.weight={weight}", "algo.exploration_noise=0.1"]
         config = small_config(tmp_path / f"run{weight}", *flown, *seen, *learn, *EASY)
         train(config, create_run(config))
-        policy = load_policy(tmp_path / f"run{weight}", None, torch.device("cpu"), ())[1]
+        policy = read_policy(tmp_path / f"run{weight}")
         env = make_training_env(validate(config), seed=0)
         states = env.rollout(20, policy=policy, break_when_any_done=False)
         far[weight] = action_distance(states["action"], states["guide_action"], 2.0).mean().item()

@@ -19,7 +19,7 @@ from tests.helpers.flights import unpack
 from tests.helpers.logged import write_log
 from tests.helpers.pages import Page
 from uavrl.cli import replay as command
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 from uavrl.rollout.recording import load_recording
 
 WORLD = ["env.world.size=[26,20]", "env.world.obstacles=6"]
@@ -63,11 +63,11 @@ def test_the_policy_of_the_run_flies(run_dir: Path, tmp_path: Path) -> None:
     data = tmp_path / "f.npz"
     assert in_process(command.main, f"run={run_dir}", f"output={tmp_path / 'p.html'}", f"data={data}", *SMALL) == 0
     (flight,) = load_recording(data).flights
-    _, policy, source = load_policy(run_dir, None, torch.device("cpu"))
+    policy = read_policy(run_dir)
     states = TensorDict({"observation": torch.from_numpy(flight.observations[:-1])}, [flight.summary.steps])
     with torch.no_grad():
         np.testing.assert_allclose(policy(states)["action"].numpy(), flight.actions, atol=1e-5)
-    assert source["run"] == str(run_dir)
+    assert policy.source["run"] == str(run_dir)
 
 
 def test_the_page_goes_into_the_run_and_its_name_tells_what_was_changed(run_dir: Path) -> None:

@@ -25,7 +25,7 @@ from uavrl.config import validate_run
 from uavrl.deploy.policy import Policy
 from uavrl.deploy.simulated import ExportedPolicy
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 from uavrl.rollout.environment import build
 from uavrl.rollout.rollout import rollout
 from uavrl.transforms import NavigationState, PointCloudReduction
@@ -58,7 +58,7 @@ def folder(folders: Callable[[str], Path], tmp_path: Path) -> Path:
 
 
 def torch_policy(folder: Path) -> Callable[[TensorDictBase], TensorDictBase]:
-    return load_policy(folder, None, "cpu")[1]
+    return read_policy(folder)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -78,7 +78,7 @@ def test_scans_and_poses_lead_to_the_same_actions(kind: str, folders: Callable[[
     """Reduction, scaling, frames, padding and last action, of every vehicle its own."""
     folder, scans = folders(kind), load_file(SCANS)
     scans = {key: scans[key] for key in ("cloud", "action", *READ)}
-    settings = validate_run(load_policy(folder, None, "cpu")[0])
+    settings = validate_run(read_policy(folder).config)
     state = build(settings.perception, NavigationState)
     for part in state.modules():
         if isinstance(part, PointCloudReduction):

@@ -149,3 +149,13 @@ def test_the_same_seed_plans_the_same_lanes_and_a_closed_valley_is_refused() -> 
     lid = loft(np.stack([np.array([[-16.0, -16, z], [16, -16, z], [16, 16, z], [-16, 16, z]]) for z in (5.5, 6.0)]))
     with pytest.raises(UavrlError, match=r"a straight way of 13\.5 m .* lower plane_wingspan"):
         plan_lanes(np.random.default_rng(0), Mesh.merge([*flat.tiles(), lid]), flat.size, 9.0, 5.0, 0.6, 2)
+
+
+def test_where_the_ceiling_is_above_all_walls_lanes_above_these_are_level_throughout() -> None:
+    flat = HeightField(np.zeros((2, 2)), (30.0, 30.0))
+    lanes = plan_lanes(np.random.default_rng(0), Mesh.merge(flat.tiles()), flat.size, 6.0, 20.0, 0.6, 4)
+    levels = sorted(lane.corners[2, 2] for lane in lanes)
+    np.testing.assert_allclose(levels, np.linspace(LOWEST, 20.0 - BELOW_CEILING, 4))
+    for lane in lanes:
+        low, high = lane.corners[:, 2].min(), lane.corners[:, 2].max()
+        assert (high - low > 4.0) if low < 6.0 else (high == low)

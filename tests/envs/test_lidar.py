@@ -277,7 +277,14 @@ def test_every_fifth_firing_cycle_looks_farther_and_the_others_as_before(near: f
     assert torch.equal(reduced[0], reduced[1]) and torch.equal(reduced[0], reduced[2])
 
 
-def test_the_far_range_is_none_or_beyond_the_other() -> None:
-    assert LidarConfig(max_range=4.0, far_range=4.0).far_range == 4.0
-    with pytest.raises(ValueError, match=r"far_range must be a length in metres, at least max_range \(4\)"):
-        LidarConfig(max_range=4.0, far_range=3.0)
+def test_a_far_range_that_is_no_farther_changes_nothing() -> None:
+    """It is how far every fifth firing cycle reaches at least."""
+    (position, rotation), scenes = poses(3, 2), clutter(3)
+    plain, nearer = (Lidar(scenes, config=LidarConfig(max_range=9.0, far_range=far)) for far in (None, 3.0))
+    assert np.array_equal(plain.scan(position, rotation), nearer.scan(position, rotation), equal_nan=True)
+
+
+@pytest.mark.parametrize("far", [0.0, -1.0, float("nan"), float("inf")])
+def test_the_far_range_is_none_or_a_length(far: float) -> None:
+    with pytest.raises(ValueError, match="far_range must be a positive length in metres"):
+        LidarConfig(max_range=4.0, far_range=far)

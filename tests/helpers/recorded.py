@@ -27,7 +27,7 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from uavrl.config import TrainConfig, compose, validate, validate_run
 from uavrl.config.build import build
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import Policy, rollout
@@ -59,9 +59,9 @@ def evaluation(name: str) -> dict[str, Any]:
 
 def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
     """A packaged policy, and the configuration in which its evaluation was flown."""
-    config, policy, _ = load_policy(PACKAGED / name, None, torch.device("cpu"))
+    policy = read_policy(PACKAGED / name)
     overrides = evaluation(name)["overrides"]
-    return validate_run(with_overrides(config, compose(*overrides, name="evaluate"), overrides)), policy
+    return validate_run(with_overrides(policy.config, compose(*overrides, name="evaluate"), overrides)), policy
 
 
 def recorded(name: str) -> dict[str, Tensor]:

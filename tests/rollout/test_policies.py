@@ -17,7 +17,7 @@ from tests.helpers.recorded import SCANS, as_evaluated, evaluation, recorded, st
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.values import to_plain
 from uavrl.deploy.export import contract
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
 from uavrl.rollout.rollout import fly
@@ -85,7 +85,7 @@ def test_it_acts_as_it_did_in_recorded_states(name: str) -> None:
 
 def test_a_packaged_policy_is_evaluated_in_randomized_vehicles_and_without_again() -> None:
     def randomized(*overrides: str) -> dict[str, Any]:
-        config = load_policy(PACKAGED / "best", None, torch.device("cpu"))[0]
+        config = read_policy(PACKAGED / "best").config
         config.env.randomize = {"mass": [0.5, 0.6]}
         run = validate_run(with_overrides(config, compose(*overrides, name="evaluate"), list(overrides)))
         return {key: value for key, value in to_plain(run.env.randomize).items() if value is not None}

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import torch
 
 from tests.helpers.commands import TINY, newest
 from tests.helpers.configs import composed
@@ -30,7 +29,7 @@ from tests.helpers.foreign import (
 )
 from uavrl.config import validate
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import load_policy
+from uavrl.rollout.actor import read_policy
 from uavrl.rollout.recording import load_recording
 from uavrl.runs.checkpoint import DamagedCheckpoint, RandomState, check_checkpoint
 from uavrl.runs.config import read_config
@@ -88,7 +87,7 @@ def test_a_manifest_that_is_none_is_damage(manifest: bytes, run: Path, tmp_path:
 def test_a_policy_is_loaded_from_no_checkpoint_with_a_pickle(run: Path, checkpoint: Path, tmp_path: Path) -> None:
     rewrite(checkpoint, plant("policy/state", tmp_path / "ran"))
     with pytest.raises(UavrlError, match="none of it was loaded"):
-        load_policy(run, str(checkpoint), torch.device("cpu"))
+        read_policy(run, str(checkpoint))
     assert not (tmp_path / "ran").exists()
 
 

@@ -20,6 +20,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.errors import UavrlError
+from uavrl.rollout.environment import make_env
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
 from uavrl.transforms.motion import _rotations
@@ -92,7 +93,7 @@ def test_a_body_8_m_away_is_reported_with_its_velocity(lidar: Lidar, heading: fl
     assert (np.linalg.norm(seen[4:, :3] - places[4:], axis=-1) < 0.6).all()
 
 
-def test_an_autopilots_errors_change_little(lidar: Lidar) -> None:
+def test_fixed_errors_of_attitude_and_noise_of_velocity_leave_a_body_found(lidar: Lidar) -> None:
     way = straight((8.0, 0.5, 0.3), 3.5, math.pi, 10)
     seen = Vehicle().seen(lidar, way, noisy=True)
     errors = np.linalg.norm(seen[6:, 0, 3:6] - [-3.5, 0.0, 0.0], axis=-1)
@@ -240,6 +241,22 @@ def test_the_sensor_looks_as_far_as_objects_are_looked_for() -> None:
     assert validate_run(compose("perception.motion=12")).perception["lidar"].far_range == 12.0
     off = validate_run(compose()).perception
     assert off["motion"] is None and off["lidar"].far_range is None
+
+
+@pytest.mark.parametrize("motion", [3, 12])
+def test_a_sensor_that_reaches_as_far_without_it_will_do(motion: int) -> None:
+    """With a LiDAR of 20 m no firing cycle need look farther, nor with sight that ends before the cells."""
+    seen = validate_run(compose(f"perception.motion={motion}", "perception.lidar.max_range=20")).perception
+    env = make_env(small_env(), seen, num_uavs=1)
+    assert env.rollout(2)["observation"].shape == (1, 2, 3 * (35 + 21))
+    env.close()
+
+
+def test_looking_farther_than_the_sensor_reaches_is_refused() -> None:
+    """What is not scanned would seem to be free, and all that comes into range to move."""
+    seen = validate_run(compose("perception.motion=12", "perception.lidar.far_range=8")).perception
+    with pytest.raises(UavrlError, match=r"perception\.motion=12 looks farther than the LiDAR, which reaches 8 m"):
+        make_env(small_env(), seen)
 
 
 def test_a_policy_that_sees_motion_has_no_contract_and_that_is_said(caplog: pytest.LogCaptureFixture) -> None:

@@ -98,7 +98,7 @@ def plan_lanes(
 
 def _search(rng: np.random.Generator, airspace: Airspace, level: float) -> Lane | None:
     """One lane at a level from edge to edge, or None where there is none."""
-    rows = int(np.ceil((airspace.top - level) / STEP))  # of which a dive has as many steps
+    rows = max(0, int(np.ceil((airspace.top - level) / STEP)))  # of which a dive has as many steps; 0 above all walls
     heights = level + STEP * np.arange(rows + 1)
     least = int(np.ceil(LEVEL_SHARE * max(airspace.size) / STEP))
     for _ in range(ATTEMPTS):

@@ -49,8 +49,8 @@ class LidarConfig:
         range_noise: standard deviation of the range error in metres; 0 is off. About 0.01 for the device.
         dropout: probability in [0, 1) that a hit is not reported.
         motion_distortion: whether the sensor moves on during the 0.1 s of a spin.
-        far_range: range of every fifth firing cycle in metres, beyond ``max_range``, for what looks farther and needs
-            fewer rays, as :class:`uavrl.transforms.MovingObjects` does. None: that of the others.
+        far_range: to which every fifth firing cycle reaches at least, in metres, for what looks farther and needs fewer
+            rays, as :class:`uavrl.transforms.MovingObjects` does. None: as far as the others.
 
     Examples:
         >>> LidarConfig(max_range=4.0, range_noise=0.01).max_range
@@ -73,9 +73,9 @@ class LidarConfig:
             )
         if not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"min_range must be in [0, max_range) metres, got {self.min_range}.")
-        if self.far_range is not None and not self.max_range <= self.far_range <= LARGEST_RANGE:
+        if self.far_range is not None and not 0.0 < self.far_range <= LARGEST_RANGE:
             raise ValueError(
-                f"far_range must be a length in metres, at least max_range ({self.max_range:g}), or None, "
+                f"far_range must be a positive length in metres, at most {LARGEST_RANGE:g}, or None, "
                 f"got {self.far_range}."
             )
         if self.range_noise < 0.0:
@@ -125,11 +125,9 @@ class Lidar:
         self._static_scene = _embree_scene(Mesh.merge(self._meshes)) if self._meshes else None
         self._moving_scene = None if moving is None else _embree_scene(moving)
         self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
-        self._reach, self._far = np.full(NUM_RAYS, self.config.max_range, np.float32), np.zeros(NUM_RAYS, bool)
-        self._farthest = self.config.max_range
-        if self.config.far_range is not None and self.config.far_range > self.config.max_range:
-            self._far.reshape(AZIMUTH_STEPS, -1)[::FAR_EVERY] = True
-            self._reach[self._far] = self._farthest = self.config.far_range
+        self._reach = np.full(NUM_RAYS, self.config.max_range, np.float32)
+        self._farthest = max(self.config.max_range, self.config.far_range or 0.0)
+        self._reach.reshape(AZIMUTH_STEPS, -1)[::FAR_EVERY] = self._farthest
         self._culler: RayCuller | None = None
         # In a long scan all rays are candidates, and a moving sensor sweeps more: culling would not pay.
         if self._meshes and self.config.max_range <= _CULLED_RANGE and not self.config.motion_distortion:
@@ -200,6 +198,8 @@ class Lidar:
         first, last, _ = slice(None).indices(NUM_RAYS) if rays is None else rays.indices(NUM_RAYS)
         every = None if rays is None else np.arange(first, last)
         near = None if self._culler is None else self._culler.candidates(positions, rotations)
+        if near is not None and self._farthest > self.config.max_range:
+            near[:, ::FAR_EVERY] = True
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
             origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ self._columns
             speed = 0.0
@@ -208,9 +208,7 @@ class Lidar:
                 directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
                 speed = float(np.linalg.norm(velocities[vehicle]))
             if self._static_scene is not None:
-                passing = (
-                    every if near is None else np.flatnonzero((near[vehicle].ravel() | self._far)[first:last]) + first
-                )
+                passing = every if near is None else np.flatnonzero(near[vehicle].ravel()[first:last]) + first
                 _cast(self._static_scene, origins, directions, passing, ranges[vehicle], self._reach)
             for pose in poses[vehicle]:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])

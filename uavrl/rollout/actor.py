@@ -89,13 +89,13 @@ def load_actor(
     return config, actor, {**about, "versions": recorded_versions(folder)}
 
 
-def load_policy(
-    folder: Path, checkpoint: str | None, device: torch.device | str, packages: Iterable[str] = ()
-) -> tuple[DictConfig, LoadedPolicy, dict[str, Any]]:
+def read_policy(
+    folder: Path, checkpoint: str | None = None, device: torch.device | str = "cpu", packages: Iterable[str] = ()
+) -> LoadedPolicy:
     """What :func:`load_actor` loads, as a policy of an environment on the CPU."""
     config, actor, about = load_actor(folder, checkpoint, device, packages)
     source = {"run": str(folder), **{key: about[key] for key in POLICY_INFO if key in about}}
-    return config, LoadedPolicy(actor, config, source), source
+    return LoadedPolicy(actor, config, source)
 
 
 def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:

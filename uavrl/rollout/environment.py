@@ -62,6 +62,7 @@ def make_env(
 
     ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins.
     """
+    require_sight(perception)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
@@ -82,6 +83,19 @@ def make_env(
     if mark_resets:
         made.append_transform(InitTracker())
     return made
+
+
+def require_sight(perception: Mapping[str, Any]) -> None:
+    """Refuses to look for moving objects farther than the LiDAR reaches: what is not scanned would seem to be free."""
+    motion, lidar = perception.get("motion"), perception.get("lidar")
+    if not isinstance(motion, int | float) or lidar is None:  # somebody else's perception
+        return
+    reach = max(lidar.max_range, lidar.far_range or 0.0)
+    if motion > reach:
+        raise UavrlError(
+            f"perception.motion={motion:g} looks farther than the LiDAR, which reaches {reach:g} m: leave "
+            f"perception.lidar.far_range out, or lower perception.motion."
+        )
 
 
 def require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:

@@ -60,7 +60,7 @@ def choose(
     settings: FlyingConfig, config: DictConfig, overrides: list[str], folder: Path | None, device: torch.device
 ) -> PolicySetup:
     """Loads what the command line asks for."""
-    from uavrl.rollout.actor import load_policy
+    from uavrl.rollout.actor import read_policy
 
     if "env.num_uavs" in keys_of(overrides):
         instead = "write num_uavs=N" if hasattr(settings, "num_uavs") else "a replay flies one vehicle"
@@ -73,9 +73,9 @@ def choose(
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
         chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
     else:
-        run_config, policy, source = load_policy(folder, settings.checkpoint, device, settings.packages)
-        run = validate_run(with_overrides(run_config, config, overrides))
-        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, source, run)
+        policy = read_policy(folder, settings.checkpoint, device, settings.packages)
+        run = validate_run(with_overrides(policy.config, config, overrides))
+        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, policy.source, run)
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
@@ -172,7 +172,7 @@ def load_policy(
     from uavrl.rollout import actor, environment
 
     at = environment.make_device(device)
-    return actor.load_policy(folder, None if checkpoint is None else str(checkpoint), at, tuple(packages))[1]
+    return actor.read_policy(folder, None if checkpoint is None else str(checkpoint), at, tuple(packages))
 
 
 def named_policy(

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import torch
 from pydantic import Field
-from torchrl.envs import CatFrames, CatTensors, Compose, ExcludeTransform, ObservationNorm, Transform
+from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
 from uavrl.cells import FAR_EVERY
 from uavrl.ranges import Positive
@@ -40,8 +40,7 @@ def _with_motion(max_range: float) -> Iterator[Transform]:
         out_keys=["scaled_objects"],
         standard_normal=False,
     )
-    yield CatTensors(["observation", "scaled_objects"], "observation", del_keys=False, sort=False)
-    yield ExcludeTransform("scaled_objects")
+    yield CatTensors(["observation", "scaled_objects"], "observation", del_keys=True, sort=False)
 
 
 class NavigationState(Compose):
