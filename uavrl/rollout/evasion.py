@@ -14,19 +14,19 @@ WIDE = 1.45  # m: 0.6 of wing, 0.35 of hull, 0.5 between
 HIGH = 0.6  # m: 0.27 of fin, 0.14 of hull, 0.19 between
 
 
-def flown(told: Tensor, velocity: Tensor) -> Tensor:
-    """Where a vehicle will be ``[*B, T, 3]`` from here: its velocity comes to what it was told as a first-order lag.
+def predict_path(commanded: Tensor, velocity: Tensor) -> Tensor:
+    """Where a vehicle will be ``[*B, T, 3]`` from here: its velocity follows the commanded one with a first-order lag.
 
     Args:
-        told: velocities ``[*B, 3]`` in m/s.
+        commanded: velocities ``[*B, 3]`` in m/s.
         velocity: what it has now, likewise.
 
     Examples:
-        >>> flown(torch.tensor([2.0, 0.0, 0.0]), torch.tensor([2.0, 0.0, 0.0]))[-1].tolist()
+        >>> predict_path(torch.tensor([2.0, 0.0, 0.0]), torch.tensor([2.0, 0.0, 0.0]))[-1].tolist()
         [4.0, 0.0, 0.0]
     """
     lost = LAG * (1 - torch.exp(-TIMES / LAG))
-    return told[..., None, :] * (TIMES - lost)[:, None] + velocity[..., None, :] * lost[:, None]
+    return commanded[..., None, :] * (TIMES - lost)[:, None] + velocity[..., None, :] * lost[:, None]
 
 
 def threat(gap: Tensor) -> Tensor:
@@ -69,8 +69,8 @@ def evade(
     for body in range(known.shape[-1]):
         which = known[:, body].nonzero()[:, 0]
         if len(which):
-            told = speed[which, :, None, None] * SHARES[:, None] * directions[:, None]  # [M, D, S, 3]
-            gap = flown(told, velocity[which, None, None]) - ways[which, body, None, None]
+            commanded = speed[which, :, None, None] * SHARES[:, None] * directions[:, None]  # [M, D, S, 3]
+            gap = predict_path(commanded, velocity[which, None, None]) - ways[which, body, None, None]
             worst[which] = torch.maximum(worst[which], threat(gap))
     least, share = (cost[..., None] + SLOWNESS * (1 - SHARES) + THREAT * worst).min(-1)
     return least, SHARES[share] * speed
