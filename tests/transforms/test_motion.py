@@ -23,7 +23,7 @@ from uavrl.errors import UavrlError
 from uavrl.rollout.environment import make_env
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
-from uavrl.transforms.motion import _rotations
+from uavrl.transforms.motion import body_to_world
 
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
@@ -55,7 +55,7 @@ class Vehicle:
         """Cloud, position and attitude, one vehicle."""
         for step, body in enumerate(bodies):
             place, attitude = self.at(step)
-            yield lidar.scan(place[None], _rotations(attitude[None]), body), place, attitude
+            yield lidar.scan(place[None], body_to_world(attitude[None]), body), place, attitude
 
     def seen(
         self, lidar: Lidar, bodies: list[np.ndarray], sight: MotionSight | None = None, *, noisy: bool = False
@@ -68,7 +68,7 @@ class Vehicle:
             objects = sight.look(far, self.velocity[None] + rng.normal(0, 0.1, 3) * noisy, (attitude + bias)[None])[
                 0
             ].astype(float)
-            turn = _rotations(np.array([[0.0, 0.0, attitude[2]]]))[0]
+            turn = body_to_world(np.array([[0.0, 0.0, attitude[2]]]))[0]
             there = objects[:, 6:] > 0
             objects[:, :3] = there * (objects[:, :3] @ turn.T + place)
             objects[:, 3:6] = objects[:, 3:6] @ turn.T

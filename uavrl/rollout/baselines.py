@@ -9,6 +9,9 @@ from torch import Tensor
 
 from uavrl.errors import UavrlError
 from uavrl.rollout.evasion import evade, straight_on, to_yaw
+from uavrl.rollout.mppi import MPPI
+from uavrl.rollout.potential_field import PotentialField
+from uavrl.rollout.vfh_star import VFHStar
 from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
@@ -181,5 +184,11 @@ class VectorFieldHistogram:
         return torch.cat([(weight * speed).sum(-1, keepdim=True) * way, turn], -1)
 
 
-BASELINES = {"straight": StraightPolicy, "vfh": VectorFieldHistogram}
+BASELINES = {
+    "straight": StraightPolicy,
+    "vfh": VectorFieldHistogram,
+    "vfh_star": VFHStar,
+    "mppi": MPPI,
+    "potential_field": PotentialField,
+}
 """By the name that chooses them on the command line."""

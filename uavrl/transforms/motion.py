@@ -86,7 +86,7 @@ class MotionSight:
             which: ``bool [N]``, which have a new scan; what the others report is not to be used. None: all.
         """
         which = np.ones(len(self._ages), bool) if which is None else which
-        rotations = _rotations(attitudes)
+        rotations = body_to_world(attitudes)
         moved = self.period * (velocities + self._velocities) / 2
         self._positions += np.where((which & (self._ages > 0))[:, None], moved, 0.0)
         self._velocities = np.where(which[:, None], velocities, self._velocities)
@@ -153,7 +153,7 @@ class MotionSight:
         return found
 
 
-def _rotations(attitudes: np.ndarray) -> np.ndarray:
+def body_to_world(attitudes: np.ndarray) -> np.ndarray:
     """Body-to-world rotations ``[N, 3, 3]`` of roll, pitch and yaw ``[N, 3]``: yaw about z, then pitch, then roll."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(attitudes).T, np.sin(attitudes).T
     rows = [

@@ -1,0 +1,235 @@
+"""Planners with memory, which the learned policies are compared with: what they see, remember, avoid and forget."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from uavrl.cells import LASERS
+from uavrl.rollout.baselines import BASELINES
+from uavrl.rollout.mppi import MPPI, STEPS, response
+from uavrl.rollout.policies import named_policy
+from uavrl.rollout.potential_field import PotentialField
+from uavrl.rollout.remembered import LIDAR_ABOVE, THINNED, ScanMemory, polar_histogram
+from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
+
+Rival = Callable[[TensorDictBase], TensorDictBase]
+PLANNERS = ("vfh_star", "mppi")
+RIVALS = (*PLANNERS, "potential_field")
+
+
+def grid(x: float, left: tuple[float, float], up: tuple[float, float] = (-0.7, 0.7)) -> torch.Tensor:
+    """Points of a wall across the way: ``[P, 3]``."""
+    y, z = torch.arange(*left, 0.1), torch.arange(*up, 0.1)
+    return torch.stack(
+        [torch.full((len(y) * len(z),), x), *(each.flatten() for each in torch.meshgrid(y, z, indexing="ij"))], -1
+    )
+
+
+def scan(points: torch.Tensor) -> torch.Tensor:
+    """A scan ``[R, 3]`` of points given from the hull's middle, as a sensor gives it that is read thinly."""
+    points = points - torch.tensor([0.0, 0.0, LIDAR_ABOVE])
+    full = torch.full((LASERS * 64, 3), torch.nan)
+    full[: len(points)] = points
+    return full.unflatten(0, (-1, LASERS)).repeat_interleave(THINNED, 0).flatten(0, 1)
+
+
+def seen(*clouds: torch.Tensor, fresh: bool = False, **told: Any) -> TensorDict:
+    """What vehicles read that stand at the flight level, with the goal ahead."""
+    count = len(clouds)
+    state = {
+        "point_cloud": torch.stack(clouds),
+        "is_init": torch.full((count, 1), fresh),
+        "altitude": torch.full((count, 1), 3.5),
+        "heading_deg": torch.zeros(count, 1),
+        "velocity": torch.zeros(count, 3),
+        "attitude": torch.zeros(count, 3),
+    }
+    return TensorDict(state | told, [count])
+
+
+def flown(rival: Rival, obstacles: torch.Tensor, steps: int) -> np.ndarray:
+    """Where a vehicle comes to from the origin, whose velocity follows its commands with a lag: ``[T, 3]`` m."""
+    place, velocity, path = torch.zeros(3), torch.zeros(3), []
+    for step in range(steps):
+        apart = obstacles - place
+        near = apart[apart.norm(dim=-1) < 4.0][: LASERS * 64]
+        state = seen(scan(near), fresh=step == 0, velocity=velocity[None], altitude=3.5 + place[None, 2:])
+        velocity = velocity + 0.22 * (rival(state)["action"][0, :3] - velocity)
+        place = place + 0.1 * velocity
+        path.append(place.numpy())
+    return np.stack(path)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_they_are_chosen_like_any_other_policy(name: str) -> None:
+    rival = named_policy(name, {"flight_level": 3.0, "radius": 5.0, "reduction": "range_image", "frames": 3}, ())
+    assert isinstance(rival, BASELINES[name]) and isinstance(rival, VFHStar | MPPI | PotentialField)
+    assert {"point_cloud", "is_init"} <= set(rival.in_keys)
+    assert (rival.flight_level, rival._survey.memory.sight) == (3.0, 5.0)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_wall_with_a_gap_is_passed_through_the_gap(name: str, side: float) -> None:
+    """The wall reaches 0.7 m to the gap's side of the straight way, and 4 m to the other."""
+    wall = grid(2.5, (-4.0, 0.7), (-1.5, 1.5)) * torch.tensor([1.0, side, 1.0])
+    path = flown(BASELINES[name](), wall, 45)
+    assert path[-1, 0] > 3.0
+    passing = path[np.abs(path[:, 0] - 2.5) < 0.35]
+    assert (side * passing[:, 1] > 0.7 + 0.3).all()
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_it_flies_ahead_where_nothing_is_and_returns_to_the_flight_level(name: str) -> None:
+    path = flown(BASELINES[name](), torch.zeros(0, 3), 30)
+    assert path[-1, 0] > 4.0 and np.abs(path[:, 1:]).max() < 0.6
+
+
+@pytest.mark.parametrize("name", RIVALS)
+@pytest.mark.parametrize(("altitude", "way"), [(5.0, -1), (1.5, 1)])
+def test_it_flies_back_to_the_flight_level(name: str, altitude: float, way: int) -> None:
+    rival, nothing = BASELINES[name](), scan(torch.zeros(0, 3))
+    for step in range(3):
+        action = rival(seen(nothing, fresh=step == 0, altitude=torch.tensor([[altitude]])))["action"]
+    assert way * action[0, 2] > 0.2
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_what_is_out_of_sight_still_repels_until_the_episode_ends(name: str) -> None:
+    """A sill lies ahead, below the field of view: what a vehicle has seen of it keeps it away, each its own."""
+    sill = scan(grid(0.8, (-0.8, 0.8), (-0.3, -0.2)))
+    nothing = torch.full_like(sill, torch.nan)
+    rival, other = (BASELINES[name](seconds=2.0) for _ in range(2))
+    rival(seen(sill, nothing, fresh=True))
+    first, second = rival(seen(nothing, nothing))["action"]
+    assert (first - second).norm() > 0.3
+    state = seen(nothing, nothing)
+    state["is_init"][0] = True  # the first one's next episode begins
+    forgot, went_on = rival(state)["action"]
+    other(seen(nothing, nothing, fresh=True)), other(seen(nothing, nothing))
+    assert torch.allclose(went_on, other(seen(nothing, nothing))["action"][1])
+    assert torch.allclose(forgot, BASELINES[name]()(seen(nothing, fresh=True))["action"][0])
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_vehicles_do_not_know_of_each_other_and_stay_within_the_limits(name: str) -> None:
+    generator = torch.Generator().manual_seed(3)
+    clouds = 2.5 * torch.randn(3, 3, 100, 3, generator=generator)
+    velocity = torch.randn(3, 3, 3, generator=generator)
+    heading, yaw = 360 * torch.rand(3, 3, 1, generator=generator), torch.randn(3, 3, 3, generator=generator)
+    yaw[..., :2] *= 0.2
+
+    def acts(vehicles: list[int]) -> torch.Tensor:
+        rival, actions = BASELINES[name](), []
+        for step in range(3):
+            state = seen(*(scan(clouds[step, one]) for one in vehicles), attitude=yaw[step, vehicles])
+            state["velocity"], state["heading_deg"] = velocity[step, vehicles], heading[step, vehicles]
+            state["is_init"][:] = torch.tensor([[step == 0 or (step == 2 and one == 1)] for one in vehicles])
+            actions.append(rival(state)["action"])
+        return torch.stack(actions)
+
+    together = acts([0, 1, 2])
+    assert together.isfinite().all() and together.abs().max() <= 2.0
+    alone = torch.cat([acts([one]) for one in range(3)], 1)
+    assert torch.allclose(together, alone, atol=1e-4)
+
+
+def test_mppi_samples_by_its_own_seed_alone() -> None:
+    state = seen(scan(grid(2.0, (-1.0, 0.5))), fresh=True)
+    before = torch.get_rng_state()
+    actions = [MPPI(seed=seed)(state.clone())["action"] for seed in (1, 1, 2)]
+    assert torch.equal(before, torch.get_rng_state())
+    assert torch.equal(actions[0], actions[1]) and not torch.equal(actions[0], actions[2])
+
+
+def test_mppi_knows_where_commands_lead() -> None:
+    """Of 2 m/s to the left from 1 m/s ahead: what the lag leaves after 2 s, as in one piece."""
+    commands, now = response()
+    ahead = (commands @ torch.tensor([[0.0, 2.0]]).expand(STEPS, 2) + now @ torch.tensor([[1.0, 0.0]]))[-1]
+    lost = 0.4 * (1 - np.exp(-2.0 / 0.4))
+    assert ahead.tolist() == pytest.approx([lost, 2.0 * (2.0 - lost)], abs=1e-4)
+
+
+# ---------------------------------------------------------------------- memory
+
+
+def look(
+    memory: ScanMemory, points: list[list[float]], velocity: float = 0.0, yaw: float = 0.0, fresh: bool = False
+) -> None:
+    memory.look(
+        np.asarray(points, np.float32)[None], np.array([[velocity, 0, 0]]), np.array([[0, 0, yaw]]), np.array([fresh])
+    )
+
+
+def test_memory_moves_with_the_vehicle_and_turns_with_its_yaw() -> None:
+    memory = ScanMemory()
+    look(memory, [[1.0, 0.0, 1.0]], velocity=1.0, yaw=np.pi / 2, fresh=True)
+    look(memory, [[np.nan] * 3], velocity=1.0, yaw=0.3)
+    look(memory, [[np.nan] * 3], velocity=1.0, yaw=-1.0)
+    assert memory.recall()[0][0] == pytest.approx([-0.2, 1.0, 1.0 + LIDAR_ABOVE], abs=1e-5)
+
+
+def test_memory_forgets_what_is_seen_through_and_what_is_old() -> None:
+    above, level = [1.0, 0.0, 1.0], [2.0, 0.0, 0.0]
+    memory = ScanMemory(seconds=1.0)
+    look(memory, [above, level], fresh=True)
+    look(memory, [[np.nan] * 3])
+    points, owners = memory.recall()
+    assert points.tolist() == [pytest.approx([1.0, 0.0, 1.0 + LIDAR_ABOVE])] and owners.tolist() == [0]
+    for _ in range(10):
+        look(memory, [[np.nan] * 3])
+    assert not len(memory.recall()[0])
+
+
+def test_memory_keeps_what_is_hidden_behind_something_nearer() -> None:
+    memory = ScanMemory()
+    look(memory, [[3.0, 0.0, 0.0]], fresh=True)
+    look(memory, [[1.0, 0.0, 0.0]])
+    assert sorted(memory.recall()[0][:, 0].round(3).tolist()) == [1.0, 3.0]
+
+
+def test_a_histogram_keeps_the_nearest_point_of_each_cell_and_vehicle() -> None:
+    points = np.array([[2.0, 0.1, 0.1], [1.0, 0.05, 0.05], [-1.0, 0.1, 0.1], [0.0, 0.0, 2.0]])
+    found = polar_histogram(points, np.array([0, 0, 0, 2]), 3)
+    assert [sorted(each.tolist()) for each in found] == [
+        [points[2].tolist(), points[1].tolist()],
+        [],
+        [points[3].tolist()],
+    ]
+
+
+# ---------------------------------------------------------------------- 3DVFH*
+
+
+def test_lines_meet_what_is_as_near_as_the_hull_is_wide_and_high() -> None:
+    costs, ahead = VFHStarWeights(near=0.15, reach=3.0), torch.tensor([[1.0, 0.0, 0.0]])
+    for place, meets in [((0.49, 0.0), True), ((0.51, 0.0), False), ((0.0, 0.28), True), ((0.0, 0.3), False)]:
+        lines = look_along(torch.tensor([[2.0, *place]]), torch.zeros(1, 1, 3), ahead, costs)
+        assert (lines.free.item() < 3.0) is meets
+        assert lines.threat.item() > 0
+    behind = look_along(torch.tensor([[-0.4, 0.0, 0.0]]), torch.zeros(1, 1, 3), ahead, costs)
+    assert (behind.threat.item(), behind.free.item()) == (0.0, 3.0)
+
+
+def test_its_own_speed_carries_it_before_it_turns() -> None:
+    """Flying fast to the left beside a post there, it does not fly as it would at rest."""
+    post = scan(grid(1.0, (0.7, 1.0)))
+    still, fast = (
+        VFHStar()(seen(post, fresh=True, velocity=torch.tensor([[0.0, speed, 0.0]])))["action"][0]
+        for speed in (0.0, 2.0)
+    )
+    assert fast[1] < still[1] - 0.2
+
+
+def test_looking_ahead_tells_of_what_lies_beyond_the_first_lines() -> None:
+    """A wall across the way begins 3.6 m ahead, which ends on the left; costs reach 3 m."""
+    wall = scan(grid(3.6, (-1.6, 0.4), (-0.9, 0.9)))
+    blind, far = (VFHStar(depth=depth)(seen(wall, fresh=True))["action"][0] for depth in (0, 2))
+    assert blind.tolist() == pytest.approx([2.0, 0.0, 0.0, 0.0], abs=1e-5)
+    assert far[1] > 0.1

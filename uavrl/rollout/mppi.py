@@ -1,0 +1,173 @@
+"""Model predictive path integral control, a sampling MPC: a rival of what is learned."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import torch
+from pydantic import Field
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from uavrl.ranges import Positive, Seed
+from uavrl.rollout.evasion import LAG
+from uavrl.rollout.remembered import HULL, PERIOD, Surroundings, Surveyor, acted, off_altitudes
+from uavrl.transforms.state import ACTION_LIMIT
+
+STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in
+KNOTS = 5  # times between which the noise of a sample is interpolated: commands change gradually
+BANK = 8  # sets of samples that take turns
+
+
+@dataclass(frozen=True)
+class MPPIWeights:
+    """What a path costs an :class:`MPPI`, and how it samples."""
+
+    collision: float = 30.0  #: cost of a path that collides at once; less, the later
+    obstacle: float = 3.0  #: cost of a path that is ever about to touch something
+    goal: float = 1.0  #: cost of a metre that is not gained on the way to the goal
+    across: float = 0.3  #: cost of a metre to either side of the way to the goal
+    level: float = 0.3  #: cost of a metre off the flight level
+    outside: float = 10.0  #: cost of a metre beyond the altitudes in which one may fly
+    effort: float = 0.1  #: gamma / lambda, cost of samples away from 0 along the plan
+    near: float = 0.15  #: m that are kept between hull and obstacle
+    far: float = 0.7  #: m between hull and obstacle from which on it costs nothing
+    spread: float = 0.8  #: sigma, m/s
+    temperature: float = 0.2  #: lambda
+
+
+def response() -> tuple[Tensor, Tensor]:
+    """Matrices ``[T, T]`` and ``[T, 1]`` from commanded velocities, and that of now, to places: x = A u + b v.
+
+    The velocity follows its command with a first-order lag; a command is held for a step.
+
+    Examples:
+        >>> commands, now = response()
+        >>> round((commands @ torch.full((STEPS, 1), 2.0) + 2.0 * now)[-1].item(), 3)  # m after 2 s at 2 m/s
+        4.0
+    """
+    kept, coming = math.exp(-PERIOD / LAG), LAG * (1 - math.exp(-PERIOD / LAG))
+    place, velocity, rows = torch.zeros(STEPS), torch.zeros(STEPS), []
+    for command in torch.eye(STEPS):
+        place = place + PERIOD * command + coming * (velocity - command)
+        velocity = kept * velocity + (1 - kept) * command
+        rows.append(place)
+    return torch.stack(rows), LAG * (1 - kept ** torch.arange(1.0, STEPS + 1)[:, None])
+
+
+def interpolated(noise: Tensor) -> Tensor:
+    """Noise ``[*B, KNOTS, 3]`` at all steps, ``[*B, T, 3]``, straight from knot to knot."""
+    at = torch.linspace(0, KNOTS - 1, STEPS)
+    share = (1 - (at[:, None] - torch.arange(KNOTS)).abs()).clamp_min(0)  # [T, KNOTS]
+    return share @ noise
+
+
+def hull_distances(points: Tensor, places: Tensor) -> Tensor:
+    """How far the hull is from its nearest obstacle ``[*B]`` m at ``places [*B, 3]``, of ``points [P, 3]``.
+
+    Heights are stretched until the hull is as high as wide.
+
+    Examples:
+        >>> hull_distances(torch.tensor([[1.35, 0.0, 0.0]]), torch.tensor([[0.0, 0.0, 0.0]]))
+        tensor([1.])
+    """
+    stretch = torch.tensor([1.0, 1.0, HULL[0] / HULL[1] / 1.5])  # the distances to keep are not stretched as much
+    points, flat = points * stretch, places.reshape(-1, 3) * stretch
+    if not len(points):
+        return torch.full(places.shape[:-1], math.inf)
+    apart = (flat @ points.T).mul_(-2).add_((points * points).sum(-1))
+    least = apart.amin(-1) + (flat * flat).sum(-1)
+    return (least.clamp_min(0).sqrt() - HULL[0]).reshape(places.shape[:-1])
+
+
+class MPPI:
+    """Samples plans of two seconds around the last one, and flies the first step of their weighted mean.
+
+    A sample weighs the more, the less its path costs: what is gained towards the goal, how near it comes to the
+    obstacles of the last seconds, its height. The vehicle is a velocity that follows its command with a lag.
+
+    Source: Williams, Wagener, Goldfain, Drews, Rehg, Boots and Theodorou (2017), Information theoretic MPC for
+    model-based reinforcement learning, Algorithm 2; samples that change gradually take the place of its smoothing. It
+    knows no distance to the goal, only its direction, as the policies do. It does not turn: it flies to any side.
+
+    Vehicles of one age share their samples, so that an episode does not depend on what flies beside it.
+
+    Args:
+        flight_level: altitude to hold where nothing is in the way, m.
+        radius: how far it sees, m; what lies farther is not used.
+        seconds: for which obstacles are remembered.
+        samples: plans that are tried in each step.
+        seed: of the samples.
+        costs: None for those that were chosen in valleys 200 to 209.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> seen = {"point_cloud": torch.full((1, 16, 3), torch.nan), "altitude": torch.full((1, 1), 3.5)}
+        >>> still = {"velocity": torch.zeros(1, 3), "attitude": torch.zeros(1, 3), "heading_deg": torch.zeros(1, 1)}
+        >>> state = TensorDict({**seen, **still, "is_init": torch.ones(1, 1, dtype=bool)}, [1])
+        >>> bool(MPPI()(state)["action"][0, 0] > 0)  # ahead, to the goal
+        True
+    """
+
+    in_keys = Surveyor.in_keys
+
+    def __init__(
+        self,
+        flight_level: float = 3.5,
+        radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
+        *,
+        seconds: Positive = 2.0,
+        samples: Annotated[int, Field(ge=2, le=100_000)] = 256,
+        seed: Seed = 0,
+        costs: MPPIWeights | None = None,
+    ) -> None:
+        self.flight_level = flight_level
+        self.costs = MPPIWeights() if costs is None else costs
+        self._survey = Surveyor(radius, seconds)
+        generator = torch.Generator().manual_seed(seed)
+        noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator)
+        noise[:, 0] = 0.0  # the plan itself
+        self._noise = interpolated(noise) * self.costs.spread
+        self._response, self._coasting = response()
+        self._plans, self._ages = torch.zeros(0, STEPS, 3), torch.zeros(0, dtype=torch.long)
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action``, and remembers the scan and the plan."""
+        seen = self._survey(tensordict)
+        count = len(seen.fresh)
+        if len(self._plans) != count:
+            self._plans, self._ages = torch.zeros(count, STEPS, 3), torch.zeros(count, dtype=torch.long)
+        self._plans[seen.fresh[:, 0]] = 0.0
+        self._ages = torch.where(seen.fresh[:, 0], 0, self._ages + 1)
+        plans = torch.stack([self._improved(seen, one) for one in range(count)])
+        self._plans = torch.cat([plans[:, 1:], plans[:, -1:]], 1)
+        return acted(tensordict, plans[:, 0], torch.zeros(count, 1))
+
+    def _improved(self, seen: Surroundings, one: int) -> Tensor:
+        """The next plan ``[T, 3]`` of one vehicle, m/s (Williams et al. 2017, Eq. 26 and 27)."""
+        plan, costs = self._plans[one], self.costs
+        tried = (plan + self._noise[self._ages[one] % BANK]).clamp(-ACTION_LIMIT, ACTION_LIMIT)  # [K, T, 3]
+        noise = tried - plan
+        places = self._response @ tried + self._coasting * seen.velocity[one]
+        paid = self._cost(places, seen, one) + costs.effort * costs.temperature / costs.spread**2 * (plan * noise).mean(
+            1
+        ).sum(-1)
+        weight = torch.softmax(-paid / costs.temperature, 0)
+        return plan + torch.einsum("k,ktd->td", weight, noise)
+
+    def _cost(self, places: Tensor, seen: Surroundings, one: int) -> Tensor:
+        """What paths ``[K, T, 3]`` of one vehicle cost, ``[K]``."""
+        costs = self.costs
+        off = seen.altitude[one] + places[..., 2] - self.flight_level
+        beside = hull_distances(seen.points[one], places[:, EVERY - 1 :: EVERY])  # [K, T / 2]
+        nearness = ((costs.far - beside) / (costs.far - costs.near)).clamp(0, 1).amax(-1)
+        gained = places[:, -1] @ seen.goal[one]  # m
+        collided = (beside < costs.near).cummax(-1).values.to(places)  # once it has, it has
+        return (
+            costs.collision * collided.mean(-1)
+            + costs.obstacle * nearness
+            - costs.goal * gained
+            + costs.across * (places[:, -1, :2] - gained[:, None] * seen.goal[one, :2]).norm(dim=-1)
+            + costs.level * off.abs().mean(-1)
+            + costs.outside * off_altitudes(off).amax(-1)
+        )

@@ -1,0 +1,89 @@
+"""Attraction and repulsion: the simplest rival of what is learned."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import torch
+from pydantic import Field
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from uavrl.ranges import Positive
+from uavrl.rollout.remembered import HULL, Surveyor, acted
+from uavrl.transforms.state import ACTION_LIMIT
+
+
+@dataclass(frozen=True)
+class FieldWeights:
+    """How strongly a :class:`PotentialField` pulls and pushes."""
+
+    attraction: float = 2.0  #: m/s towards the goal
+    repulsion: float = 0.3  #: eta, m³/s
+    reach: float = 1.5  #: rho_0, m between hull and obstacle from which on nothing pushes
+    level: float = 1.0  #: 1/s, vertical speed for each metre off the flight level
+
+
+def repulsion(points: Tensor, reach: float) -> Tensor:
+    """The push ``[3]`` of the obstacles of one vehicle, averaged over those that push, for eta = 1.
+
+    Source: Khatib (1986), Real-time obstacle avoidance for manipulators and mobile robots, Eq. 21: each pushes by
+    (1/rho - 1/rho_0) / rho² straight away, where it is nearer than rho_0. Here rho is the distance from the hull, at
+    least 0.05 m.
+
+    Args:
+        points: obstacles, ``[P, 3]``, m from the vehicle.
+        reach: rho_0 in m.
+
+    Examples:
+        >>> repulsion(torch.tensor([[1.35, 0.0, 0.0], [9.0, 0.0, 0.0]]), 2.0)[0].round(decimals=3)
+        tensor(-0.5000)
+    """
+    distances = points.norm(dim=-1, keepdim=True)
+    rho = (distances - HULL[0]).clamp_min(0.05)
+    push = (1 / rho - 1 / reach).clamp_min(0) / (rho * rho)
+    return -(push * points / distances.clamp_min(1e-6)).sum(0) / (push > 0).sum().clamp_min(1)
+
+
+class PotentialField:
+    """Is drawn to the goal and pushed away from what it has just seen: Khatib's law, with velocities for forces.
+
+    Source: Khatib (1986). The pull has one strength, as the distance to the goal is not known. Where pull and push
+    cancel each other it stands, and nothing leads it away.
+
+    Args:
+        flight_level: altitude to hold, m.
+        radius: how far it sees, m.
+        seconds: for which obstacles are remembered.
+        costs: None for those that were chosen in valleys 200 to 209.
+
+    Examples:
+        >>> from tensordict import TensorDict
+        >>> seen = {"point_cloud": torch.full((1, 16, 3), torch.nan), "altitude": torch.full((1, 1), 3.5)}
+        >>> still = {"velocity": torch.zeros(1, 3), "attitude": torch.zeros(1, 3), "heading_deg": torch.zeros(1, 1)}
+        >>> state = TensorDict({**seen, **still, "is_init": torch.ones(1, 1, dtype=bool)}, [1])
+        >>> PotentialField()(state)["action"].tolist()
+        [[2.0, 0.0, 0.0, 0.0]]
+    """
+
+    in_keys = Surveyor.in_keys
+
+    def __init__(
+        self,
+        flight_level: float = 3.5,
+        radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
+        *,
+        seconds: Positive = 0.5,
+        costs: FieldWeights | None = None,
+    ) -> None:
+        self.flight_level = flight_level
+        self.costs = FieldWeights() if costs is None else costs
+        self._survey = Surveyor(radius, seconds)
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action``, and remembers the scan."""
+        seen, costs = self._survey(tensordict), self.costs
+        push = torch.stack([repulsion(points, costs.reach) for points in seen.points])
+        velocity = costs.attraction * seen.goal + costs.repulsion * push
+        velocity[:, 2:] += costs.level * (self.flight_level - seen.altitude)
+        fastest = velocity.norm(dim=-1, keepdim=True).clamp_min(ACTION_LIMIT) / ACTION_LIMIT
+        return acted(tensordict, velocity / fastest, seen.turn)

@@ -1,0 +1,201 @@
+"""What vehicles remember of their own scans: the returns of the last seconds, moved by odometry."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from uavrl.cells import LASERS, NEAREST_RETURN
+from uavrl.rollout.evasion import to_yaw
+from uavrl.transforms.motion import body_to_world
+from uavrl.transforms.occlusion import Grid, Returns, find_returns, least_around, range_images
+from uavrl.transforms.state import ACTION_LIMIT
+
+PERIOD = 0.1  # s between two scans
+HULL = (0.35, 0.14)  # m: its radius, and half its height
+LIDAR_ABOVE = 0.1  # m, of the sensor over the hull's middle
+THINNED = 4  # of the scan's firing cycles, 0.2 degrees apart, one of so many is read
+MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to forget it
+TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt
+AZIMUTHS, ELEVATIONS = 45, 23  # of the polar histogram: 8 degrees each; Baumann (2018), section 3.1, has 6
+NEVER = -(2**30)  # a scan's number before all others
+LOWEST, HIGHEST = -2.3, 0.7  # m from the flight level, between which one may fly
+TURN_GAIN, TURN_LIMIT = 0.6, 1.0  # 1/s and rad/s; a fast turn makes a late command point elsewhere
+
+
+class ScanMemory:
+    """The returns of the last scans of N vehicles, thinned to one in a cube, the newest.
+
+    A vehicle knows its place since the episode's start by its own velocity, integrated from scan to scan. What a later
+    scan sees through is forgotten, as Baumann (2018), section 3.2, forgets what lies in the field of view. The cubes
+    are a ring around each vehicle: what lies farther away is overwritten by what is near.
+
+    Args:
+        sight: how far returns count, m.
+        seconds: for which they are remembered.
+        cube: edge of a cube, m.
+
+    Examples:
+        A point ahead and above is seen once, and remembered where it is while the vehicle flies on at 1 m/s:
+
+        >>> memory, cloud = ScanMemory(), np.full((1, 2, 3), np.nan, np.float32)
+        >>> cloud[0, 0] = [2.0, 0.0, 1.9]
+        >>> at_1 = {"velocities": np.array([[1.0, 0, 0]]), "attitudes": np.zeros((1, 3))}
+        >>> for step in range(3):
+        ...     memory.look(cloud if step == 0 else 0 * cloud, fresh=np.array([step == 0]), **at_1)
+        >>> memory.recall()[0].round(3)
+        array([[1.8, 0. , 2. ]])
+    """
+
+    def __init__(self, sight: float = 4.0, seconds: float = 10.0, cube: float = 0.15) -> None:
+        self.sight, self.seconds, self.cube = sight, seconds, cube
+        wide = int(np.ceil(2.2 * sight / cube))
+        self._shape = np.array([wide, wide, int(np.ceil(TALL * wide))])
+        self._grid, self._now = Grid(), 0
+        self._begin(0)
+
+    def _begin(self, count: int) -> None:
+        """Makes room for so many vehicles."""
+        cubes = int(self._shape.prod())
+        self._stamps = np.full(count * cubes, NEVER, np.int32)
+        self._points = np.zeros((count * cubes, 3), np.float32)  # since the episode's start, world axes
+        self._places, self._velocities = np.zeros((2, count, 3))
+
+    def look(self, clouds: np.ndarray, velocities: np.ndarray, attitudes: np.ndarray, fresh: np.ndarray) -> None:
+        """Takes in another scan of each vehicle.
+
+        Args:
+            clouds: ``[N, R, 3]``, m, sensor axes.
+            velocities: ``[N, 3]``, m/s, world axes.
+            attitudes: ``[N, 3]``, roll, pitch and yaw in rad.
+            fresh: ``bool [N]``, whose episode begins: it has seen nothing before.
+        """
+        count = len(clouds)
+        if len(self._places) != count:
+            self._begin(count)
+        self._stamps.reshape(count, -1)[fresh] = NEVER
+        self._places += np.where(fresh[:, None], -self._places, PERIOD * (velocities + self._velocities) / 2)
+        self._velocities, self._now = velocities, self._now + 1
+        turns, seen = body_to_world(attitudes).astype(np.float32), find_returns(clouds, self.sight)
+        sensors = self._places + LIDAR_ABOVE * turns[:, :, 2]
+        self._forget(seen, turns, sensors)
+        world = np.einsum("mij,jm->mi", turns[seen.clouds], seen.points) + sensors[seen.clouds]
+        ring = np.floor(world / self.cube).astype(np.int64) % self._shape
+        cell = ((seen.clouds * self._shape[0] + ring[:, 0]) * self._shape[1] + ring[:, 1]) * self._shape[2] + ring[:, 2]
+        self._stamps[cell], self._points[cell] = self._now, world
+
+    def _known(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which cubes hold a point that is young enough, and whose they are: ``[M]`` each."""
+        known = np.flatnonzero(self._stamps > self._now - max(round(self.seconds / PERIOD), 1))
+        return known, known // int(self._shape.prod())
+
+    def _forget(self, seen: Returns, turns: np.ndarray, sensors: np.ndarray) -> None:
+        """Drops what the scans ``seen`` by sensors at ``[N, 3]``, turned by ``[N, 3, 3]``, see through."""
+        known, owners = self._known()
+        if not len(known):
+            return
+        images = least_around(range_images(seen, len(sensors), self._grid))
+        apart = (self._points[known] - sensors[owners]).astype(np.float32)
+        points = np.einsum("mji,mj->im", turns[owners], apart)
+        ranges = np.sqrt((points * points).sum(0))
+        row, column = self._grid.cells(points, np.maximum(ranges, NEAREST_RETURN))
+        inside = (row >= 0) & (row <= self._grid.rows - 1) & (ranges < self.sight - MARGIN)
+        least = images[owners, np.rint(row).astype(np.int64).clip(0, self._grid.rows - 1), column]
+        self._stamps[known[inside & (least > ranges + MARGIN)]] = NEVER
+
+    def recall(self) -> tuple[np.ndarray, np.ndarray]:
+        """What is remembered within sight: ``[M, 3]`` m from the hull's middle, world axes, and whose it is ``[M]``."""
+        known, owners = self._known()
+        apart = self._points[known] - self._places[owners]
+        near = (apart * apart).sum(1) < self.sight**2
+        return apart[near], owners[near]
+
+
+def polar_histogram(points: np.ndarray, owners: np.ndarray, count: int) -> list[np.ndarray]:
+    """The nearest point of each cell of a polar histogram around each of ``count`` vehicles, ``[P, 3]`` each.
+
+    Source: Baumann (2018), section 3.1; it keeps the point itself and not its distance alone, so that the hull's width
+    can be added exactly.
+
+    Args:
+        points: ``[M, 3]``, m from the vehicle.
+        owners: ``[M]``, whose they are, in rising order.
+        count: of the vehicles.
+
+    Examples:
+        >>> points = np.array([[2.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
+        >>> [each.tolist() for each in polar_histogram(points, np.array([0, 0, 1]), 2)]
+        [[[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]]
+    """
+    x, y, z = points.T
+    ranges = np.sqrt((points * points).sum(1))
+    azimuth = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(np.int64) % AZIMUTHS
+    rise = np.arcsin((z / np.maximum(ranges, 1e-6)).clip(-1, 1)) / np.pi + 0.5
+    elevation = np.minimum((rise * ELEVATIONS).astype(np.int64), ELEVATIONS - 1)
+    cell = (owners * AZIMUTHS + azimuth) * ELEVATIONS + elevation
+    order = np.lexsort((ranges, cell))
+    first = order[np.flatnonzero(np.diff(cell[order], prepend=-1))]  # in the order of the cells
+    return np.split(points[first], np.searchsorted(owners[first], np.arange(1, count)))
+
+
+class Surroundings(NamedTuple):
+    """What a planner knows; vectors in axes that are level and point where the vehicle's yaw does."""
+
+    points: list[Tensor]  #: of each vehicle the nearest obstacles by direction, ``[P, 3]``, m from the hull's middle
+    velocity: Tensor  #: ``[N, 3]`` m/s
+    goal: Tensor  #: unit vectors ``[N, 3]`` to the goal's axis, level
+    altitude: Tensor  #: ``[N, 1]`` m
+    fresh: Tensor  #: ``bool [N, 1]``, whether the episode begins
+    turn: Tensor  #: yaw rates ``[N, 1]`` in rad/s that slowly turn to the goal
+    yaw: Tensor  #: ``[N]`` rad
+
+
+class Surveyor:
+    """Reads what an environment emits and gives what a planner knows, with the obstacles of the last seconds.
+
+    Args:
+        sight: how far returns count, m.
+        seconds: for which they are remembered.
+    """
+
+    in_keys = ("point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude")
+
+    def __init__(self, sight: float, seconds: float) -> None:
+        self.memory = ScanMemory(sight, seconds)
+
+    def __call__(self, tensordict: TensorDictBase) -> Surroundings:
+        """Takes in one step of all vehicles."""
+        fresh, attitude = tensordict["is_init"], tensordict["attitude"]
+        velocity, yaw = tensordict["velocity"], attitude[:, 2]
+        told = (velocity.double().numpy(), attitude.double().numpy(), fresh[:, 0].numpy())
+        turns = tensordict["point_cloud"].unflatten(1, (-1, LASERS))
+        self.memory.look(turns[:, ::THINNED].flatten(1, 2).numpy(), *told)
+        points, owners = self.memory.recall()
+        level = to_yaw(torch.from_numpy(points).float(), yaw[torch.from_numpy(owners)]).numpy()
+        heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
+        return Surroundings(
+            [torch.from_numpy(each) for each in polar_histogram(level, owners, len(yaw))],
+            to_yaw(velocity, yaw),
+            torch.cat([heading.cos(), heading.sin(), torch.zeros_like(heading)], -1),
+            tensordict["altitude"],
+            fresh,
+            (TURN_GAIN * heading).clamp(-TURN_LIMIT, TURN_LIMIT),
+            yaw,
+        )
+
+
+def off_altitudes(off: Tensor) -> Tensor:
+    """How far heights ``off`` the flight level, in m, lie out of where one may fly: below the ceiling, off the ground.
+
+    Examples:
+        >>> off_altitudes(torch.tensor([0.0, 1.0, -3.0]))
+        tensor([0.0000, 0.3000, 0.7000])
+    """
+    return (LOWEST - off).clamp_min(0) + (off - HIGHEST).clamp_min(0)
+
+
+def acted(tensordict: TensorDictBase, velocity: Tensor, turn: Tensor) -> TensorDictBase:
+    """Writes ``action``: velocities ``[N, 3]`` and yaw rates ``[N, 1]``, each component within its limits."""
+    return tensordict.set("action", torch.cat([velocity, turn], -1).clamp(-ACTION_LIMIT, ACTION_LIMIT))
