@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import math
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TextIO
 
@@ -13,6 +14,7 @@ from scipy.stats import trim_mean
 
 from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import moving_mean
+from uavrl.runs.episodes import wilson
 
 RESAMPLES = 10_000
 FEWEST = 5  # seeds, for an interval
@@ -88,3 +90,28 @@ def difference_of_rates(one: Mapping[str, float], other: Mapping[str, float]) ->
     below = math.hypot(one["rate"] - one["low"], other["high"] - other["rate"])
     above = math.hypot(one["high"] - one["rate"], other["rate"] - other["low"])
     return found, found - below, found + above
+
+
+def paired_difference(ours: str, theirs: str) -> tuple[float, float, float]:
+    """By how many points one of two policies that flew the same tasks succeeds more often, with its 95 % interval.
+
+    Source: Newcombe (1998), Improved confidence intervals for the difference between binomial proportions based on
+    paired data, method 10: Wilson's intervals, and the correlation of the outcomes with a correction for continuity.
+
+    Args:
+        ours: how each task ended, a letter each, ``S`` for success.
+        theirs: likewise.
+    """
+    pairs, count = [(a == "S", b == "S") for a, b in zip(ours, theirs, strict=True)], len(ours)
+    both, first, second, neither = (pairs.count(pair) for pair in product((True, False), repeat=2))
+    one, other = wilson(both + first, count), wilson(both + second, count)
+    spread = math.sqrt((both + first) * (second + neither) * (both + second) * (first + neither))
+    linked = both * neither - first * second
+    linked = max(linked - count / 2, 0) if linked > 0 else linked
+    share = linked / spread if spread else 0.0
+    found = one["rate"] - other["rate"]
+    below, above = one["rate"] - one["low"], other["high"] - other["rate"]
+    least = math.sqrt(below**2 - 2 * share * below * above + above**2)
+    below, above = one["high"] - one["rate"], other["rate"] - other["low"]
+    most = math.sqrt(below**2 - 2 * share * below * above + above**2)
+    return 100 * found, 100 * (found - least), 100 * (found + most)

@@ -119,6 +119,62 @@ def test_differences_of_evaluations(said: Said, capsys: pytest.CaptureFixture[st
     assert capsys.readouterr().err.startswith("uavrl: Expected FILE.json:WORLD")
 
 
+@pytest.mark.parametrize(
+    ("cells", "interval"),
+    [
+        ((36, 12, 2, 0), (20.0, 5.69, 34.04)),
+        ((1, 1, 7, 12), (-28.57, -50.69, -2.56)),
+        ((54, 0, 0, 0), (0, -6.64, 6.64)),
+    ],
+)
+def test_paired_differences_are_newcombes(
+    said: Said, cells: tuple[int, int, int, int], interval: tuple[float, float, float]
+) -> None:
+    """Both, one alone, the other alone, neither: the first as in his paper, the second as in Fagerland et al. (2013)."""
+    ours, theirs = ("".join(a * n for a, n in zip(ends, cells, strict=True)) for ends in ("SSCC", "SCSC"))
+    found = importlib.import_module("run_statistics").paired_difference(ours, theirs)
+    assert found == pytest.approx(interval, abs=6e-3)
+
+
+def test_a_rivals_settings_are_drawn_and_the_better_ones_fly_on(
+    said: Said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A world in which the third setting arrives: of eight two are left, which fly four times as many tasks."""
+    import tune_rivals
+
+    settings, flown = tune_rivals.drawn(tune_rivals.RIVALS["mppi"], 8), list[int]()
+
+    def fly(env: Any, policy: Any, tasks: int) -> list[Any]:
+        flown.append(tasks)
+        outcome = "arrived" if policy.costs.spread == settings[2]["spread"] else "collided"
+        return [SimpleNamespace(outcome=outcome, steps=100)] * tasks
+
+    monkeypatch.setattr(tune_rivals, "fly", fly)
+    monkeypatch.setattr(tune_rivals, "make_env", lambda *parts, **more: SimpleNamespace(set_seed=lambda seed: None))
+    arguments = f"tune_rivals.py mppi --settings 8 --tasks 4 --json {tmp_path}/t.json"
+    monkeypatch.setattr(sys, "argv", arguments.split())
+    tune_rivals.main()
+    rounds = json.loads((tmp_path / "t.json").read_text())["rounds"]
+    assert [len(found) for found in rounds] == [8, 2] and flown == [4] * 8 + [16] * 2
+    assert rounds[1][0]["setting"] == settings[2] and settings[0]["temperature"] == 0.2
+
+
+def test_rivals_are_told_beside_the_packaged_policy(
+    said: Said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rivals
+
+    suite = {"dense": {**json.loads(rivals.BEST.read_text())["dense"], "outcomes": "C" * 500}}
+    monkeypatch.setattr(rivals, "fly", lambda *told: suite)
+    monkeypatch.setattr(rivals, "milliseconds", lambda name, vehicles: float(vehicles))
+    monkeypatch.setattr(sys, "argv", f"rivals.py {tmp_path} --rivals mppi --rows dense".split())
+    told: list[str] = []
+    monkeypatch.setattr("builtins.print", lambda *words, **more: told.append(str(words[0])))
+    rivals.main()
+    assert told[2].startswith("| `policy=mppi` | 0.0% (0.0%–0.8%) | -91.2 (") and "| 1.0, 16.0 |" in told[2]
+    assert rivals.lines_of(importlib.import_module("uavrl.rollout.potential_field")) in range(30, 60)
+
+
 def test_two_evaluations_are_compared_task_by_task(said: Said, tmp_path: Path) -> None:
     """Of six tasks one success is lost and two are won; a time-out in a collision's place changes no success."""
     import outcomes

@@ -1,0 +1,131 @@
+"""How do planners with memory do in the tasks of the suite, beside the packaged policy and the scripted controller?
+
+    python studies/rivals.py FOLDER                                   # all, in all rows: about an hour
+    python studies/rivals.py FOLDER --rivals vfh_star --rows dense    # FOLDER keeps what has been flown
+
+Each flies 500 tasks of each row by `uavrl-evaluate suite=...`, the same tasks that `policy=best` has flown for its
+`suite.json`. The table tells success with Wilson's interval, the difference to `policy=best` with Newcombe's for
+paired tasks and the p of McNemar, steps per success, milliseconds per decision of one vehicle and of 16 at a time on
+one thread, without the scan, and how many lines of code the rival takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+from outcomes import compared, evaluation
+from run_statistics import paired_difference
+
+from uavrl.cli.errors import one_sentence
+from uavrl.config import compose, validate
+from uavrl.errors import UavrlError
+from uavrl.rollout import baselines, remembered
+from uavrl.rollout.environment import make_env
+from uavrl.rollout.policies import named_policy
+from uavrl.rollout.rollout import rollout
+from uavrl.runs.episodes import wilson
+
+BEST = Path(baselines.__file__).parents[1] / "policies/best/suite.json"
+CELLS = ["perception=range_image", "perception.last_action=true"]
+RIVALS: dict[str, list[str]] = {"vfh_star": [], "mppi": [], "potential_field": [], "vfh": CELLS}
+ROWS = ("static", "held_out", "dense")
+
+
+def fly(name: str, rows: list[str], folder: Path, tasks: int) -> dict[str, Any]:
+    """The suite's rows, flown by the command that anybody would use; what is there is not flown again."""
+    chosen = [f"policy={name}", *RIVALS[name], f"suite=[{','.join(rows)}]", f"output={folder / name}"]
+    subprocess.run([sys.executable, "-m", "uavrl", "evaluate", *chosen, f"episodes={tasks}"], check=True)
+    found: dict[str, Any] = json.loads((folder / name / "suite.json").read_text(encoding="utf-8"))
+    return found
+
+
+def milliseconds(name: str, vehicles: int, steps: int = 40) -> float:
+    """Of one decision, in the middle of episodes in a dense valley: what the policy takes without the scan."""
+    settings = validate(compose("env.world.obstacles=90", "env.world.seeds=[200]", *RIVALS[name]))
+    told = {**settings.perception, "flight_level": settings.env.world.flight_level}
+    policy, took = named_policy(name, told, ()), []
+
+    def timed(tensordict: Any) -> Any:
+        begun = time.perf_counter()
+        acted = policy(tensordict)
+        took.append(time.perf_counter() - begun)
+        return acted
+
+    seen: dict[str, Any] = {"keep_cloud": True, "mark_resets": True, "seed": 30_000, "num_uavs": vehicles}
+    env = make_env(settings.env, settings.perception, **seen)
+    try:
+        for _, _ in zip(range(steps), rollout(env, timed, env.reset()), strict=False):
+            pass
+    finally:
+        env.close()
+    return 1e3 * sorted(took)[len(took) // 2] / vehicles
+
+
+def lines_of(*modules: Any) -> int:
+    """Lines on which code of modules begins: without blank ones, comments and docstrings."""
+    count = 0
+    for module in modules:
+        tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
+        strings = [
+            node for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        ]
+        texts = {*strings, *(node.value for node in strings)}
+        count += len({node.lineno for node in ast.walk(tree) if hasattr(node, "lineno") and node not in texts})
+    return count
+
+
+def row_of(result: dict[str, Any], best: dict[str, Any] | None) -> list[str]:
+    """What a table says of a row: success, difference to the best, steps per success."""
+    arrived, tasks = result["outcomes"].count("S"), result["episodes"]
+    success = "{rate:.1%} ({low:.1%}–{high:.1%})".format(**wilson(arrived, tasks))
+    steps = f"{result['steps_per_arrival']:.0f}" if arrived else "–"
+    if best is None or best["episodes"] != tasks:
+        return [success, "–", steps]
+    difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*paired_difference(result["outcomes"], best["outcomes"]))
+    return [success, f"{difference}, p = {compared(result, best)['p']:.2g}", steps]
+
+
+def main() -> None:
+    """Flies what is missing and prints the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--rivals", nargs="+", choices=RIVALS, default=list(RIVALS))
+    parser.add_argument("--rows", nargs="+", default=list(ROWS))
+    parser.add_argument("--tasks", type=int, default=500)
+    parser.add_argument("--json", type=Path, help="also put what was found into this file, without the single flights")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    found = {name: fly(name, args.rows, args.folder, args.tasks) for name in args.rivals}
+    heads = [f"{row}: {told}" for row in args.rows for told in ("success", "to `best`, points", "steps")]
+    print(f"| policy | {' | '.join(heads)} | ms (1, 16 vehicles) | lines |")
+    print("|---" * (len(heads) + 3) + "|")
+    for name in args.rivals:
+        cells = [cell for row in args.rows for cell in row_of(found[name][row], told_of_best(row))]
+        kind = baselines.BASELINES[name]
+        own = [sys.modules[kind.__module__]] + [remembered] * hasattr(kind(), "_survey")
+        times = ", ".join(f"{milliseconds(name, vehicles):.1f}" for vehicles in (1, 16))
+        print(f"| `policy={name}` | {' | '.join(cells)} | {times} | {lines_of(*own)} |", flush=True)
+    if args.json:
+        args.json.parent.mkdir(parents=True, exist_ok=True)
+        args.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def told_of_best(row: str) -> dict[str, Any] | None:
+    """What the packaged policy came to in a row of the suite; None where it has not flown it."""
+    try:
+        return evaluation(f"{BEST}:{row}")
+    except UavrlError:
+        return None
+
+
+if __name__ == "__main__":
+    with one_sentence():
+        main()
