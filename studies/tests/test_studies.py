@@ -130,7 +130,7 @@ def test_differences_of_evaluations(said: Said, capsys: pytest.CaptureFixture[st
 def test_paired_differences_are_newcombes(
     said: Said, cells: tuple[int, int, int, int], interval: tuple[float, float, float]
 ) -> None:
-    """Both, one alone, the other alone, neither: the first as in his paper, the second as in Fagerland et al. (2013)."""
+    """Both, one alone, the other alone, neither: first as in his paper, then as in Fagerland et al. (2013)."""
     ours, theirs = ("".join(a * n for a, n in zip(ends, cells, strict=True)) for ends in ("SSCC", "SCSC"))
     found = importlib.import_module("run_statistics").paired_difference(ours, theirs)
     assert found == pytest.approx(interval, abs=6e-3)

@@ -11,11 +11,14 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cells import LASERS
+from uavrl.config import compose, validate
 from uavrl.rollout.baselines import BASELINES
+from uavrl.rollout.environment import make_env
 from uavrl.rollout.mppi import MPPI, STEPS, response
 from uavrl.rollout.policies import named_policy
 from uavrl.rollout.potential_field import PotentialField
 from uavrl.rollout.remembered import LIDAR_ABOVE, THINNED, ScanMemory, polar_histogram
+from uavrl.rollout.rollout import fly
 from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
 
 Rival = Callable[[TensorDictBase], TensorDictBase]
@@ -156,6 +159,21 @@ def test_mppi_knows_where_commands_lead() -> None:
     assert ahead.tolist() == pytest.approx([lost, 2.0 * (2.0 - lost)], abs=1e-4)
 
 
+@pytest.mark.parametrize("name", RIVALS)
+def test_they_fly_episode_after_episode_in_the_valley(name: str) -> None:
+    chosen = validate(
+        compose("env.world.size=[14,12]", "env.world.obstacles=3", "env.world.min_goal_distance=4", "env.max_steps=4")
+    )
+    told = {**chosen.perception, "flight_level": chosen.env.world.flight_level}
+    rival = named_policy(name, told, ())
+    env = make_env(chosen.env, chosen.perception, num_uavs=2, keep_cloud=True, mark_resets=True)
+    try:
+        flights = fly(env, rival, 4)
+    finally:
+        env.close()
+    assert [flight.steps for flight in flights] == [4] * 4
+
+
 # ---------------------------------------------------------------------- memory
 
 
@@ -209,9 +227,9 @@ def test_a_histogram_keeps_the_nearest_point_of_each_cell_and_vehicle() -> None:
 
 def test_lines_meet_what_is_as_near_as_the_hull_is_wide_and_high() -> None:
     costs, ahead = VFHStarWeights(near=0.15, reach=3.0), torch.tensor([[1.0, 0.0, 0.0]])
-    for place, meets in [((0.49, 0.0), True), ((0.51, 0.0), False), ((0.0, 0.28), True), ((0.0, 0.3), False)]:
+    for place, meets in [((0.42, 0.0), True), ((0.43, 0.0), False), ((0.0, 0.24), True), ((0.0, 0.25), False)]:
         lines = look_along(torch.tensor([[2.0, *place]]), torch.zeros(1, 1, 3), ahead, costs)
-        assert (lines.free.item() < 3.0) is meets
+        assert lines.free.item() == pytest.approx(1.65 if meets else 3.0)
         assert lines.threat.item() > 0
     behind = look_along(torch.tensor([[-0.4, 0.0, 0.0]]), torch.zeros(1, 1, 3), ahead, costs)
     assert (behind.threat.item(), behind.free.item()) == (0.0, 3.0)

@@ -37,14 +37,14 @@ class VFHStarWeights:
     step: float = 1.0  #: m from node to node
     discount: float = 0.8  #: of the cost of each further step
     caution: float = 0.5  #: share of the speed that is left out where an obstacle is near
-    brake: float = 0.7  #: s in which it could stop
+    brake: float = 0.5  #: s, share of the free way that it flies in a second; it could stop in twice that
 
 
 class Lines(NamedTuple):
     """What lies on lines from S starts in D directions, ``[S, D]`` each."""
 
     threat: Tensor  #: how near the nearest obstacle is, beside the line and ahead, in [0, 1]
-    free: Tensor  #: m until the hull meets something, at most the reach
+    free: Tensor  #: m until the hull comes within half the distance to keep of something, at most the reach
 
 
 def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights) -> Lines:
@@ -62,7 +62,7 @@ def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHSta
     Examples:
         >>> ahead, origin = torch.tensor([[1.0, 0.0, 0.0]]), torch.zeros(1, 1, 3)
         >>> look_along(torch.tensor([[2.0, 0.0, 0.0], [1.0, 3.0, 0.0]]), origin, ahead, VFHStarWeights()).free
-        tensor([[2.]])
+        tensor([[1.6500]])
     """
     stretch = torch.tensor([1.0, 1.0, (HULL[0] + costs.near) / (HULL[1] + costs.near)])
     points, starts, directions = points * stretch, starts * stretch, directions * stretch
@@ -72,7 +72,7 @@ def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHSta
     apart = (starts @ points.T).mul_(-2).add_((points * points).sum(-1)).add_((starts * starts).sum(-1)[..., None])
     beside = (along * along).mul_(-squared).add_(apart).clamp_min_(0).sqrt_().sub_(HULL[0])  # m from the hull
     behind = along <= 0
-    free = along.masked_fill(behind | (beside > costs.near), costs.reach)
+    free = (along - HULL[0]).clamp_min_(0).masked_fill_(behind | (beside > costs.near / 2), costs.reach)
     side = beside.sub_(costs.far).div_(costs.near - costs.far).clamp_(0, 1)
     soon = along.div_(-costs.reach).add_(1).clamp_min_(0).pow_(costs.soon)
     threat = side.mul_(soon).masked_fill_(behind, 0)
