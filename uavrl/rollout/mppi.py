@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uavrl.ranges import Positive, Seed
 from uavrl.rollout.evasion import LAG
-from uavrl.rollout.remembered import HULL, PERIOD, Surroundings, Surveyor, acted, off_altitudes
+from uavrl.rollout.remembered import HULL, PERIOD, Surroundings, Surveyor, acted, off_altitudes, stretch
 from uavrl.transforms.state import ACTION_LIMIT
 
 STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in
@@ -62,19 +62,18 @@ def interpolated(noise: Tensor) -> Tensor:
     return share @ noise
 
 
-def hull_distances(points: Tensor, places: Tensor) -> Tensor:
+def hull_distances(points: Tensor, places: Tensor, near: float) -> Tensor:
     """How far the hull is from its nearest obstacle ``[*B]`` m at ``places [*B, 3]``, of ``points [P, 3]``.
 
-    Heights are stretched until the hull is as high as wide.
+    Heights are stretched until the hull, with ``near`` metres around it, is as high as wide.
 
     Examples:
-        >>> hull_distances(torch.tensor([[1.35, 0.0, 0.0]]), torch.tensor([[0.0, 0.0, 0.0]]))
+        >>> hull_distances(torch.tensor([[1.35, 0.0, 0.0]]), torch.zeros(1, 3), 0.15)
         tensor([1.])
     """
-    stretch = torch.tensor([1.0, 1.0, HULL[0] / HULL[1] / 1.5])  # the distances to keep are not stretched as much
-    points, flat = points * stretch, places.reshape(-1, 3) * stretch
     if not len(points):
         return torch.full(places.shape[:-1], math.inf)
+    points, flat = points * stretch(near), places.reshape(-1, 3) * stretch(near)
     apart = (flat @ points.T).mul_(-2).add_((points * points).sum(-1))
     least = apart.amin(-1) + (flat * flat).sum(-1)
     return (least.clamp_min(0).sqrt() - HULL[0]).reshape(places.shape[:-1])
@@ -159,7 +158,7 @@ class MPPI:
         """What paths ``[K, T, 3]`` of one vehicle cost, ``[K]``."""
         costs = self.costs
         off = seen.altitude[one] + places[..., 2] - self.flight_level
-        beside = hull_distances(seen.points[one], places[:, EVERY - 1 :: EVERY])  # [K, T / 2]
+        beside = hull_distances(seen.points[one], places[:, EVERY - 1 :: EVERY], costs.near)  # [K, T / 2]
         nearness = ((costs.far - beside) / (costs.far - costs.near)).clamp(0, 1).amax(-1)
         gained = places[:, -1] @ seen.goal[one]  # m
         collided = (beside < costs.near).cummax(-1).values.to(places)  # once it has, it has

@@ -186,6 +186,16 @@ class Surveyor:
         )
 
 
+def stretch(near: float) -> Tensor:
+    """Factors ``[3]`` by which the flat hull, with ``near`` metres kept all around it, becomes as high as wide.
+
+    Examples:
+        >>> (torch.tensor([0.0, 0.0, 0.14 + 0.15]) * stretch(0.15))[2].item()  # the hull's radius, and 0.15 m
+        0.5
+    """
+    return torch.tensor([1.0, 1.0, (HULL[0] + near) / (HULL[1] + near)])
+
+
 def off_altitudes(off: Tensor) -> Tensor:
     """How far heights ``off`` the flight level, in m, lie out of where one may fly: below the ceiling, off the ground.
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from uavrl.ranges import Positive
 from uavrl.rollout.evasion import LAG
-from uavrl.rollout.remembered import HULL, Surroundings, Surveyor, acted, off_altitudes
+from uavrl.rollout.remembered import HULL, Surroundings, Surveyor, acted, off_altitudes, stretch
 from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.state import ACTION_LIMIT
 
@@ -64,8 +64,7 @@ def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHSta
         >>> look_along(torch.tensor([[2.0, 0.0, 0.0], [1.0, 3.0, 0.0]]), origin, ahead, VFHStarWeights()).free
         tensor([[1.6500]])
     """
-    stretch = torch.tensor([1.0, 1.0, (HULL[0] + costs.near) / (HULL[1] + costs.near)])
-    points, starts, directions = points * stretch, starts * stretch, directions * stretch
+    points, starts, directions = (each * stretch(costs.near) for each in (points, starts, directions))
     squared = (directions * directions).sum(-1)[:, None]  # [D, 1]
     began = (starts * directions).sum(-1)[..., None]  # [S, D, 1]
     along = (directions @ points.T - began).div_(squared)  # [S, D, P], m
