@@ -110,7 +110,7 @@ def main() -> None:
     for name in args.rivals:
         cells = [cell for row in args.rows for cell in row_of(found[name][row], told_of_best(row))]
         kind = baselines.BASELINES[name]
-        own = [sys.modules[kind.__module__]] + [remembered] * hasattr(kind(), "_survey")
+        own = [sys.modules[kind.__module__]] + [remembered] * issubclass(kind, remembered.Planner)
         times = ", ".join(f"{milliseconds(name, vehicles):.1f}" for vehicles in (1, 16))
         print(f"| `policy={name}` | {' | '.join(cells)} | {times} | {lines_of(*own)} |", flush=True)
     if args.json:

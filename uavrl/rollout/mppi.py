@@ -6,12 +6,11 @@ from typing import Annotated
 
 import torch
 from pydantic import Field
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.ranges import Positive, Seed
 from uavrl.rollout.evasion import LAG
-from uavrl.rollout.remembered import HULL, PERIOD, Surroundings, Surveyor, acted, off_altitudes, stretch
+from uavrl.rollout.remembered import HULL, PERIOD, Planner, Surroundings, off_altitudes, stretch
 from uavrl.transforms.state import ACTION_LIMIT
 
 STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in
@@ -79,7 +78,7 @@ def hull_distances(points: Tensor, places: Tensor, near: float) -> Tensor:
     return (least.clamp_min(0).sqrt() - HULL[0]).reshape(places.shape[:-1])
 
 
-class MPPI:
+class MPPI(Planner):
     """Samples plans of two seconds around the last one, and flies the first step of their weighted mean.
 
     A sample weighs the more, the less its path costs: what is gained towards the goal, how near it comes to the
@@ -108,8 +107,6 @@ class MPPI:
         True
     """
 
-    in_keys = Surveyor.in_keys
-
     def __init__(
         self,
         flight_level: float = 3.5,
@@ -120,9 +117,8 @@ class MPPI:
         seed: Seed = 0,
         costs: MPPIWeights | None = None,
     ) -> None:
-        self.flight_level = flight_level
+        super().__init__(flight_level, radius, seconds)
         self.costs = MPPIWeights() if costs is None else costs
-        self._survey = Surveyor(radius, seconds)
         generator = torch.Generator().manual_seed(seed)
         noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator)
         noise[:, 0] = 0.0  # the plan itself
@@ -130,9 +126,8 @@ class MPPI:
         self._response, self._coasting = response()
         self._plans, self._ages = torch.zeros(0, STEPS, 3), torch.zeros(0, dtype=torch.long)
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action``, and remembers the scan and the plan."""
-        seen = self._survey(tensordict)
+    def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
+        """The first velocities of plans that are better than the last ones, and yaw rates of 0."""
         count = len(seen.fresh)
         if len(self._plans) != count:
             self._plans, self._ages = torch.zeros(count, STEPS, 3), torch.zeros(count, dtype=torch.long)
@@ -140,7 +135,7 @@ class MPPI:
         self._ages = torch.where(seen.fresh[:, 0], 0, self._ages + 1)
         plans = torch.stack([self._improved(seen, one) for one in range(count)])
         self._plans = torch.cat([plans[:, 1:], plans[:, -1:]], 1)
-        return acted(tensordict, plans[:, 0], torch.zeros(count, 1))
+        return plans[:, 0], torch.zeros(count, 1)
 
     def _improved(self, seen: Surroundings, one: int) -> Tensor:
         """The next plan ``[T, 3]`` of one vehicle, m/s (Williams et al. 2017, Eq. 26 and 27)."""

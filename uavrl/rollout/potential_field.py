@@ -5,11 +5,10 @@ from typing import Annotated
 
 import torch
 from pydantic import Field
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.ranges import Positive
-from uavrl.rollout.remembered import HULL, Surveyor, acted
+from uavrl.rollout.remembered import HULL, Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 
 
@@ -44,7 +43,7 @@ def repulsion(points: Tensor, reach: float) -> Tensor:
     return -(push * points / distances.clamp_min(1e-6)).sum(0) / (push > 0).sum().clamp_min(1)
 
 
-class PotentialField:
+class PotentialField(Planner):
     """Is drawn to the goal and pushed away from what it has just seen: Khatib's law, with velocities for forces.
 
     Source: Khatib (1986). The pull has one strength, as the distance to the goal is not known. Where pull and push
@@ -65,8 +64,6 @@ class PotentialField:
         [[2.0, 0.0, 0.0, 0.0]]
     """
 
-    in_keys = Surveyor.in_keys
-
     def __init__(
         self,
         flight_level: float = 3.5,
@@ -75,15 +72,14 @@ class PotentialField:
         seconds: Positive = 0.5,
         costs: FieldWeights | None = None,
     ) -> None:
-        self.flight_level = flight_level
+        super().__init__(flight_level, radius, seconds)
         self.costs = FieldWeights() if costs is None else costs
-        self._survey = Surveyor(radius, seconds)
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action``, and remembers the scan."""
-        seen, costs = self._survey(tensordict), self.costs
+    def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
+        """The sums of pull and push, and yaw rates to the goal."""
+        costs = self.costs
         push = torch.stack([repulsion(points, costs.reach) for points in seen.points])
         velocity = costs.attraction * seen.goal + costs.repulsion * push
         velocity[:, 2:] += costs.level * (self.flight_level - seen.altitude)
         fastest = velocity.norm(dim=-1, keepdim=True).clamp_min(ACTION_LIMIT) / ACTION_LIMIT
-        return acted(tensordict, velocity / fastest, seen.turn)
+        return velocity / fastest, seen.turn

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.cells import LASERS, NEAREST_RETURN
@@ -149,23 +150,53 @@ class Surroundings(NamedTuple):
     altitude: Tensor  #: ``[N, 1]`` m
     fresh: Tensor  #: ``bool [N, 1]``, whether the episode begins
     turn: Tensor  #: yaw rates ``[N, 1]`` in rad/s that slowly turn to the goal
-    yaw: Tensor  #: ``[N]`` rad
 
 
-class Surveyor:
-    """Reads what an environment emits and gives what a planner knows, with the obstacles of the last seconds.
+def stretch(near: float) -> Tensor:
+    """Factors ``[3]`` by which the flat hull, with ``near`` metres kept all around it, becomes as high as wide.
+
+    Examples:
+        >>> (0.14 + 0.15) * stretch(0.15)[2].round(decimals=3)  # the hull's radius, and 0.15 m
+        tensor(0.5000)
+    """
+    return torch.tensor([1.0, 1.0, (HULL[0] + near) / (HULL[1] + near)])
+
+
+def off_altitudes(off: Tensor) -> Tensor:
+    """How far heights ``off`` the flight level, in m, lie out of where one may fly: below the ceiling, off the ground.
+
+    Examples:
+        >>> off_altitudes(torch.tensor([0.0, 1.0, -3.0]))
+        tensor([0.0000, 0.3000, 0.7000])
+    """
+    return (LOWEST - off).clamp_min(0) + (off - HIGHEST).clamp_min(0)
+
+
+class Planner(TensorDictModuleBase):
+    """A policy that flies by what it remembers of its scans; a class of it says how (``steer``).
 
     Args:
+        flight_level: altitude to hold where nothing is in the way, m.
         sight: how far returns count, m.
         seconds: for which they are remembered.
     """
 
-    in_keys = ("point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude")
+    def __init__(self, flight_level: float, sight: float, seconds: float) -> None:
+        super().__init__()
+        self.in_keys = ["point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude"]
+        self.out_keys = ["action"]
+        self.flight_level, self.memory = flight_level, ScanMemory(sight, seconds)
 
-    def __init__(self, sight: float, seconds: float) -> None:
-        self.memory = ScanMemory(sight, seconds)
+    def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
+        """The velocities to fly at, ``[N, 3]`` m/s, and the yaw rates ``[N, 1]`` in rad/s."""
+        raise NotImplementedError
 
-    def __call__(self, tensordict: TensorDictBase) -> Surroundings:
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action``, each component within its limits, and remembers the scan."""
+        action = torch.cat(self.steer(self._survey(tensordict)), -1)
+        return tensordict.set("action", action.clamp(-ACTION_LIMIT, ACTION_LIMIT))
+
+    def _survey(self, tensordict: TensorDictBase) -> Surroundings:
         """Takes in one step of all vehicles."""
         fresh, attitude = tensordict["is_init"], tensordict["attitude"]
         velocity, yaw = tensordict["velocity"], attitude[:, 2]
@@ -182,30 +213,4 @@ class Surveyor:
             tensordict["altitude"],
             fresh,
             (TURN_GAIN * heading).clamp(-TURN_LIMIT, TURN_LIMIT),
-            yaw,
         )
-
-
-def stretch(near: float) -> Tensor:
-    """Factors ``[3]`` by which the flat hull, with ``near`` metres kept all around it, becomes as high as wide.
-
-    Examples:
-        >>> (torch.tensor([0.0, 0.0, 0.14 + 0.15]) * stretch(0.15))[2].item()  # the hull's radius, and 0.15 m
-        0.5
-    """
-    return torch.tensor([1.0, 1.0, (HULL[0] + near) / (HULL[1] + near)])
-
-
-def off_altitudes(off: Tensor) -> Tensor:
-    """How far heights ``off`` the flight level, in m, lie out of where one may fly: below the ceiling, off the ground.
-
-    Examples:
-        >>> off_altitudes(torch.tensor([0.0, 1.0, -3.0]))
-        tensor([0.0000, 0.3000, 0.7000])
-    """
-    return (LOWEST - off).clamp_min(0) + (off - HIGHEST).clamp_min(0)
-
-
-def acted(tensordict: TensorDictBase, velocity: Tensor, turn: Tensor) -> TensorDictBase:
-    """Writes ``action``: velocities ``[N, 3]`` and yaw rates ``[N, 1]``, each component within its limits."""
-    return tensordict.set("action", torch.cat([velocity, turn], -1).clamp(-ACTION_LIMIT, ACTION_LIMIT))

@@ -6,12 +6,11 @@ from typing import Annotated, NamedTuple
 
 import torch
 from pydantic import Field
-from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.ranges import Positive
 from uavrl.rollout.evasion import LAG
-from uavrl.rollout.remembered import HULL, Surroundings, Surveyor, acted, off_altitudes, stretch
+from uavrl.rollout.remembered import HULL, Planner, Surroundings, off_altitudes, stretch
 from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.state import ACTION_LIMIT
 
@@ -80,7 +79,7 @@ def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHSta
     return Lines(threat.amax(-1), free.amin(-1).clamp_max(costs.reach))
 
 
-class VFHStar:
+class VFHStar(Planner):
     """Looks some steps ahead through the obstacles of the last seconds, and flies the first step of the best way.
 
     Each direction costs what stands in it, its angle to the goal, to the one before and its height. In each azimuth
@@ -107,8 +106,6 @@ class VFHStar:
         [[2.0, 0.0, 0.0, 0.0]]
     """
 
-    in_keys = Surveyor.in_keys
-
     def __init__(
         self,
         flight_level: float = 3.5,
@@ -118,17 +115,16 @@ class VFHStar:
         depth: Annotated[int, Field(ge=0, le=10)] = 2,
         costs: VFHStarWeights | None = None,
     ) -> None:
-        self.flight_level, self.depth = flight_level, depth
+        super().__init__(flight_level, radius, seconds)
+        self.depth = depth
         self.costs = VFHStarWeights() if costs is None else costs
-        self._survey = Surveyor(radius, seconds)
         self.directions = grid_directions(AZIMUTHS, ELEVATIONS)
         self._beyond = grid_directions(AZIMUTHS_BEYOND, ELEVATIONS)
         self._close = self.directions @ self.directions.T > BLENDED
         self._flown = torch.zeros(0, 3)  # unit vectors, which way was flown last; 0 for none
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action``, and remembers the scan."""
-        seen = self._survey(tensordict)
+    def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
+        """The velocities of the best ways' first steps, and yaw rates to the goal."""
         if len(self._flown) != len(seen.fresh):
             self._flown = torch.zeros(len(seen.fresh), 3)
         self._flown = self._flown.masked_fill(seen.fresh, 0.0)
@@ -139,7 +135,7 @@ class VFHStar:
         cost = self._cost(lines, self.directions, seen.goal, height, self._flown[:, None])
         way, speed = self._blended(cost + self._ahead(cost, start, seen), lines)
         self._flown = way
-        return acted(tensordict, speed * way, seen.turn)
+        return speed * way, seen.turn
 
     def _look(self, points: list[Tensor], starts: Tensor, directions: Tensor) -> Lines:
         """What lies on lines from ``starts [N, S, D, 3]``: ``[N * S, D]``, vehicle by vehicle, which a cache holds."""
