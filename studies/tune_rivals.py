@@ -46,7 +46,8 @@ RIVALS = {
         VFHStar,
         VFHStarWeights,
         {
-            "obstacle": (0.7, 6.0),
+            "blocked": (1.0, 20.0),
+            "obstacle": (0.5, 5.0),
             "level": (0.1, 0.6),
             "change": (0.05, 0.6),
             "near": (0.05, 0.25),

@@ -25,7 +25,8 @@ OUTSIDE = 5.0  # cost of a metre beyond the altitudes in which one may fly
 class VFHStarWeights:
     """What a direction costs a :class:`VFHStar`, and how fast it is flown."""
 
-    obstacle: float = 2.0  #: cost of a direction that leads into something at once
+    blocked: float = 5.0  #: cost of a direction in which the hull would meet something at once
+    obstacle: float = 2.0  #: cost of a direction that passes something as near as may be, at once
     goal: float = 1.0  #: cost of a direction that leads away from the goal
     level: float = 0.3  #: cost of a metre off the flight level after a step of the look-ahead
     change: float = 0.2  #: cost of a direction away from the one before
@@ -156,7 +157,8 @@ class VFHStar(Planner):
         """
         costs, off = self.costs, height - self.flight_level
         return (
-            costs.obstacle * lines.threat
+            costs.blocked * (1 - lines.free / costs.reach)
+            + costs.obstacle * lines.threat
             + costs.goal * (1 - goal @ directions.T)
             + costs.level * off.abs()
             + OUTSIDE * off_altitudes(off)
