@@ -20,7 +20,7 @@ BANK = 8  # sets of samples that take turns
 
 @dataclass(frozen=True)
 class MPPIWeights:
-    """What a path costs an :class:`MPPI`, and how it samples."""
+    """What a path costs an :class:`MPPI`, and how it samples. The numbers are first guesses."""
 
     collision: float = 30.0  #: cost of a path that collides at once; less, the later
     obstacle: float = 3.0  #: cost of a path that is ever about to touch something
@@ -96,7 +96,7 @@ class MPPI(Planner):
         seconds: for which obstacles are remembered.
         samples: plans that are tried in each step.
         seed: of the samples.
-        costs: None for those that were chosen in valleys 200 to 209.
+        costs: None for the ones above.
 
     Examples:
         >>> from tensordict import TensorDict

@@ -14,7 +14,7 @@ from uavrl.transforms.state import ACTION_LIMIT
 
 @dataclass(frozen=True)
 class FieldWeights:
-    """How strongly a :class:`PotentialField` pulls and pushes."""
+    """How strongly a :class:`PotentialField` pulls and pushes. The numbers are first guesses."""
 
     attraction: float = 2.0  #: m/s towards the goal
     repulsion: float = 0.3  #: eta, m³/s
@@ -53,7 +53,7 @@ class PotentialField(Planner):
         flight_level: altitude to hold, m.
         radius: how far it sees, m.
         seconds: for which obstacles are remembered.
-        costs: None for those that were chosen in valleys 200 to 209.
+        costs: None for the ones above.
 
     Examples:
         >>> from tensordict import TensorDict

@@ -23,7 +23,10 @@ OUTSIDE = 5.0  # cost of a metre beyond the altitudes in which one may fly
 
 @dataclass(frozen=True)
 class VFHStarWeights:
-    """What a direction costs a :class:`VFHStar`, and how fast it is flown."""
+    """What a direction costs a :class:`VFHStar`, and how fast it is flown.
+
+    The numbers are first guesses, of which one was corrected by watching 32 tasks in valleys 200 to 209.
+    """
 
     blocked: float = 5.0  #: cost of a direction in which the hull would meet something at once
     obstacle: float = 2.0  #: cost of a direction that passes something as near as may be, at once
@@ -96,7 +99,7 @@ class VFHStar(Planner):
         radius: how far it sees, m; what lies farther is not used.
         seconds: for which obstacles are remembered.
         depth: steps that are looked ahead.
-        costs: None for those that were chosen in valleys 200 to 209.
+        costs: None for the ones above.
 
     Examples:
         >>> from tensordict import TensorDict
