@@ -138,7 +138,7 @@ class MPPI(Planner):
         return plans[:, 0], torch.zeros(count, 1)
 
     def _improved(self, seen: Surroundings, one: int) -> Tensor:
-        """The next plan ``[T, 3]`` of one vehicle, m/s (Williams et al. 2017, Eq. 26 and 27)."""
+        """The next plan ``[T, 3]`` of one vehicle, m/s."""
         plan, costs = self._plans[one], self.costs
         tried = (plan + self._noise[self._ages[one] % BANK]).clamp(-ACTION_LIMIT, ACTION_LIMIT)  # [K, T, 3]
         noise = tried - plan

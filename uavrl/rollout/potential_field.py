@@ -25,7 +25,7 @@ class FieldWeights:
 def repulsion(points: Tensor, reach: float) -> Tensor:
     """The push ``[3]`` of the obstacles of one vehicle, averaged over those that push, for eta = 1.
 
-    Source: Khatib (1986), Real-time obstacle avoidance for manipulators and mobile robots, Eq. 21: each pushes by
+    Source: Khatib (1986), Real-time obstacle avoidance for manipulators and mobile robots, FIRAS: each pushes by
     (1/rho - 1/rho_0) / rho² straight away, where it is nearer than rho_0. Here rho is the distance from the hull, at
     least 0.05 m.
 

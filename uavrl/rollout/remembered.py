@@ -20,7 +20,7 @@ LIDAR_ABOVE = 0.1  # m, of the sensor over the hull's middle
 THINNED = 4  # of the scan's firing cycles, 0.2 degrees apart, one of so many is read
 MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to forget it
 TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt
-AZIMUTHS, ELEVATIONS = 45, 23  # of the polar histogram: 8 degrees each; Baumann (2018), section 3.1, has 6
+AZIMUTHS, ELEVATIONS = 45, 23  # of the polar histogram (Baumann 2018, section 3.1), 8 degrees each
 NEVER = -(2**30)  # a scan's number before all others
 LOWEST, HIGHEST = -2.3, 0.7  # m from the flight level, between which one may fly
 TURN_GAIN, TURN_LIMIT = 0.6, 1.0  # 1/s and rad/s; a fast turn makes a late command point elsewhere
@@ -30,7 +30,7 @@ class ScanMemory:
     """The returns of the last scans of N vehicles, thinned to one in a cube, the newest.
 
     A vehicle knows its place since the episode's start by its own velocity, integrated from scan to scan. What a later
-    scan sees through is forgotten, as Baumann (2018), section 3.2, forgets what lies in the field of view. The cubes
+    scan sees through is forgotten, as Baumann (2018), section 3.2, lets the new scan decide where it looks. The cubes
     are a ring around each vehicle: what lies farther away is overwritten by what is near.
 
     Args:

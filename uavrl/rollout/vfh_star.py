@@ -53,7 +53,7 @@ class Lines(NamedTuple):
 def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights) -> Lines:
     """What the hull of one vehicle would meet on straight lines, each obstacle enlarged by the hull and a distance.
 
-    Source: Ulrich and Borenstein (1998), VFH+, section 2: an obstacle at distance d fills all directions within
+    Source: Ulrich and Borenstein (1998), VFH+: an obstacle at distance d fills all directions within
     asin((r + d_s) / d); here without cells. The hull is flat: heights are stretched until it is as high as wide.
 
     Args:
@@ -91,7 +91,7 @@ class VFHStar(Planner):
     tree has 24 branches, which do not fork. VFH* follows all free directions from each node, until one way is best.
 
     Sources: Baumann (2018), Obstacle avoidance for drones using a 3DVFH* algorithm, for three dimensions and the
-    memory of points; Ulrich and Borenstein (2000), VFH*, section 3, for the look-ahead. It knows no distance to the
+    memory of points; Ulrich and Borenstein (2000), VFH*, for the look-ahead. It knows no distance to the
     goal, only its direction, as the policies do. The first line begins where the vehicle's own speed carries it.
 
     Args:
@@ -149,7 +149,7 @@ class VFHStar(Planner):
     def _cost(self, lines: Lines, directions: Tensor, goal: Tensor, height: Tensor, before: Tensor) -> Tensor:
         """What each direction costs, ``[B, D]``.
 
-        Source: Baumann (2018), section 3.3; Ulrich and Borenstein (2000), Eq. 1 to 3.
+        Source: Baumann (2018), section 3.1, and Ulrich and Borenstein (2000), VFH*, for the cost of a change.
 
         Args:
             lines: what lies in the directions.
@@ -171,7 +171,7 @@ class VFHStar(Planner):
     def _ahead(self, cost: Tensor, start: Tensor, seen: Surroundings) -> Tensor:
         """What the ways cost that go on from the first directions, ``[N, D]``, the same at all elevations.
 
-        Source: Ulrich and Borenstein (2000), section 3: nodes lie ``step`` apart, and each further one counts less.
+        Source: Ulrich and Borenstein (2000), VFH*: nodes lie ``step`` apart, and each further one counts less.
 
         Args:
             cost: of the first directions, ``[N, D]``.
