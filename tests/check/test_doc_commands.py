@@ -25,7 +25,7 @@ YAML = {
     "fly": "fly",
     "sitl": "sitl",
 }
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/journal").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def commands(page: Path) -> Iterator[str]:
