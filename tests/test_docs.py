@@ -89,6 +89,7 @@ def test_what_a_policy_may_be_trusted_with_is_what_its_suite_found() -> None:
 
 
 HOW_TO = sorted((ROOT / "docs/howto").glob("*.md"))
+HOW_TO_INDEX = ROOT / "docs/howto/index.md"
 
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
@@ -99,7 +100,6 @@ def test_a_how_to_is_short_and_says_what_to_type(page: Path) -> None:
     assert page.stem == "index" or f"]({page.name})" in HOW_TO_INDEX.read_text(encoding="utf-8")
 
 
-HOW_TO_INDEX = ROOT / "docs/howto/index.md"
 SEARCHED = """my own LiDAR, point cloud, my own vehicle, airframe, domain randomisation, my own reward, environment, moving
 obstacles, GPU, many machines, Ray, Slurm, compare methods, reproduce the thesis, ONNX, Gymnasium, ROS 2, MAVLink, PX4,
 ArduPilot, limitations, hyper-parameters, glossary, how to cite"""
