@@ -44,7 +44,7 @@ def _rows(group: str, usual: DictConfig, best: DictConfig, name: str = "config")
     meanings: dict[str, str] = {}
     for key in (key for file in files for key in keys(file, f"{group}." if group else "")):
         meanings.setdefault(key.name, key.meaning)
-    composed = {file.stem: compose(f"{group}={_quoted(file.stem)}", name=name) for file in files if group}
+    composed = {file.stem: compose(f"{group}={file.stem}", name=name) for file in files if group}
     for key, meaning in meanings.items():
         default = _value(usual, key)
         others: dict[str, list[str]] = {}
@@ -58,10 +58,6 @@ def _rows(group: str, usual: DictConfig, best: DictConfig, name: str = "config")
         chosen = _value(best, key)
         changed = "" if chosen in (_ABSENT, default) else f"`{chosen}`"
         yield f"`{key}`", "; ".join(cells), changed, re.sub(r"([\\`*_\[\]<>|$])", r"\\\1", meaning)
-
-
-def _quoted(choice: str) -> str:
-    return f'"{choice}"' if choice == "on" else choice
 
 
 def _value(config: DictConfig, key: str) -> Any:

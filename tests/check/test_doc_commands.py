@@ -20,6 +20,7 @@ YAML = {
     "evaluate": "evaluate",
     "replay": "replay",
     "pretrain": "pretrain",
+    "report": "report",
     "export": "export",
     "scan": "scan",
     "fly": "fly",
@@ -35,7 +36,7 @@ def commands(page: Path) -> Iterator[str]:
             continue
         for line in block.replace("\\\n", " ").splitlines():
             yield from re.findall(
-                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export|scan|fly|sitl) .*)", line
+                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|report|export|scan|fly|sitl) .*)", line
             )
 
 
