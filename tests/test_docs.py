@@ -100,14 +100,16 @@ def test_a_how_to_is_short_and_says_what_to_type(page: Path) -> None:
     assert page.stem == "index" or f"]({page.name})" in HOW_TO_INDEX.read_text(encoding="utf-8")
 
 
-SEARCHED = """my own LiDAR, point cloud, my own vehicle, airframe, domain randomisation, my own reward, environment, moving
-obstacles, GPU, many machines, Ray, Slurm, compare methods, reproduce the thesis, ONNX, Gymnasium, ROS 2, MAVLink, PX4,
-ArduPilot, limitations, hyper-parameters, glossary, how to cite"""
+SEARCHED = """my own LiDAR, point cloud, my own vehicle, airframe, domain randomisation, my own reward, environment,
+moving obstacles, GPU, many machines, Ray, Slurm, compare methods, reproduce the thesis, ONNX, Gymnasium, ROS 2,
+MAVLink, PX4, ArduPilot, limitations, hyper-parameters, glossary, how to cite"""
 
 
 @pytest.mark.parametrize("words", re.split(r",\s+", SEARCHED.replace("\n", " ")))
 def test_what_people_search_for_is_a_title(words: str) -> None:
-    linked = [HOW_TO_INDEX.parent / target for target in re.findall(r"\]\(([\w./]+\.md)\)", HOW_TO_INDEX.read_text("utf-8"))]
+    linked = [
+        HOW_TO_INDEX.parent / target for target in re.findall(r"\]\(([\w./]+\.md)\)", HOW_TO_INDEX.read_text("utf-8"))
+    ]
     titles = [page.read_text(encoding="utf-8").partition("\n")[0].lower() for page in linked]
     assert any(words.lower() in title for title in titles), titles
 
@@ -118,5 +120,7 @@ def test_the_reference_has_each_public_name_of_a_room(room: str) -> None:
     pages = "\n".join(page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs/api").glob("*.md")))
     shown = set(re.findall(rf"auto(?:class|function|data):: uavrl\.{room}\.(\w+)", pages))
     whole = re.search(rf"automodule:: uavrl\.{room}\n(?:   :exclude-members: (.*)\n)?", pages)
-    left_out = set((whole[1] or "").split(", ")) - {""} if whole else set(importlib.import_module(f"uavrl.{room}").__all__)
+    left_out = (
+        set((whole[1] or "").split(", ")) - {""} if whole else set(importlib.import_module(f"uavrl.{room}").__all__)
+    )
     assert left_out <= shown, left_out - shown

@@ -33,7 +33,9 @@ def test_all_places_name_one_version(citation: dict[str, Any]) -> None:
 
 def test_how_to_cite_says_what_the_citation_file_says(citation: dict[str, Any]) -> None:
     page = (ROOT / "docs/howto/cite.md").read_text(encoding="utf-8")
-    software, thesis = (dict(re.findall(r"(\w+) += \{+(.*?)\}+,?$", entry, re.MULTILINE)) for entry in page.split("@")[1:])
+    software, thesis = (
+        dict(re.findall(r"(\w+) += \{+(.*?)\}+,?$", entry, re.MULTILINE)) for entry in page.split("@")[1:]
+    )
     assert software == {
         "title": citation["title"],
         "author": citation["authors"][0]["name"],
@@ -71,7 +73,9 @@ def test_addresses_are_placeholders_until_the_release_page_has_been_followed() -
     assert len(owners) == 1, "one account holds repository and site"
     page = (ROOT / "docs/release.md").read_text(encoding="utf-8")
     assert owners != {"OWNER"} or "sed -i 's/OWNER/" in page
-    assert "! grep -n OWNER pyproject.toml" in [step.get("run") for step in workflow("release")["jobs"]["build"]["steps"]]
+    assert "! grep -n OWNER pyproject.toml" in [
+        step.get("run") for step in workflow("release")["jobs"]["build"]["steps"]
+    ]
 
 
 def test_an_sdist_holds_what_is_there() -> None:
