@@ -57,7 +57,7 @@ class PlaneBodies:
         flown = np.linalg.norm(np.diff(path[..., :3], axis=0), axis=-1).max(0, initial=0.0) * len(path)  # [K]
         ends = path[[0, -1], :, None, :3] - vehicles  # a plane may enter anew between them
         near = (np.linalg.norm(ends, axis=-1) < self._reach + flown[:, None]).any((0, 2))
-        for plane in np.flatnonzero(self._near & ~near):
+        for plane in np.flatnonzero(self._near & ~near).tolist():
             self._put_aside(plane)
         self._near, self._moved = near, np.flatnonzero(near).tolist()
         chosen = path[:, near]

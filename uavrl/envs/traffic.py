@@ -145,7 +145,7 @@ class Traffic:
         ways = self._ways
         flown = ways.flown[:, None] + ways.speed[:, None] * (np.arange(1, steps + 1) * dt)
         path = ways.poses(flown)
-        for plane in np.flatnonzero((flown > ways.length[:, None]).any(1)):
+        for plane in np.flatnonzero((flown > ways.length[:, None]).any(1)).tolist():
             leg = self.legs[plane]
             leg.flown = float(ways.flown[plane])
             path[plane] = leg.fly(steps, dt)
