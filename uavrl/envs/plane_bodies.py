@@ -53,7 +53,7 @@ class PlaneBodies:
             pybullet.resetBasePositionAndOrientation(self.bodies[plane], place, turn, physicsClientId=self._client)
 
     def _choose(self, path: np.ndarray, vehicles: np.ndarray) -> None:
-        """Finds the planes that are near anywhere on their ways ``[T, K, 4]``, and puts aside those that no more are."""
+        """Finds the planes that are near anywhere on their ways ``[T, K, 4]``, and puts the others aside."""
         flown = np.linalg.norm(np.diff(path[..., :3], axis=0), axis=-1).max(0, initial=0.0) * len(path)  # [K]
         ends = path[[0, -1], :, None, :3] - vehicles  # a plane may enter anew between them
         near = (np.linalg.norm(ends, axis=-1) < self._reach + flown[:, None]).any((0, 2))
