@@ -1,6 +1,6 @@
 """Draws success in each world, with its interval, from the files that ``uavrl-evaluate suite=... output=FILE`` writes.
 
-python examples/scenarios.py "straight=docs/data/suite/straight.json" "best=docs/data/suite/best.json"
+python examples/scenarios.py "vfh=docs/data/suite/vfh_turning.json" "best=uavrl/policies/best/suite.json"
 """
 
 from __future__ import annotations
