@@ -45,7 +45,7 @@ def main() -> None:
         at = [args.worlds.index(world) + offset for world in worlds]
         axes.errorbar(at, rate, yerr=(rate - low, high - rate), fmt="o", capsize=3, label=name)
     axes.set_xticks(range(len(args.worlds)), [world.replace("_", " ") for world in args.worlds])
-    axes.set(ylabel="success [%]", ylim=(0, 103))  # so that a dot at 100 is whole
+    axes.set(ylabel="success [%]", xlim=(-0.5, len(args.worlds) - 0.5), ylim=(0, 103))  # so that a dot at 100 is whole
     axes.grid(axis="y", alpha=0.3)
     figure.legend(loc="outside right upper")
     figure.savefig(args.output, dpi=120)
