@@ -67,7 +67,7 @@ def test_a_way_is_threatened_exactly_where_a_fine_simulation_comes_too_near(seed
     rng = np.random.default_rng(seed)
     velocity, flies = rng.uniform(-2, 2, 3), rng.uniform([-4, -4, -0.5], [4, 4, 0.5])
     paths = fly(np.concatenate([2 * DIRECTIONS.numpy(), np.zeros((1, 3))]), velocity)
-    place = paths[9, rng.integers(73)] - flies  # so that one of the ways meets it after a second
+    place = paths[15, rng.integers(73)] - 1.6 * flies  # so that one of the ways meets it after 1.6 s
     found = threats((*place, *flies, 1.0), velocity=tuple(velocity)).numpy()
     x, y, z = np.moveaxis(paths - place - flies * (np.arange(1, 21) * 0.1)[:, None, None], -1, 0)
     least = np.maximum(np.hypot(x, y) / WIDE, np.abs(z) / HIGH).min(0)
