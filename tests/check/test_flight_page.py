@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -97,6 +98,27 @@ def test_a_browser_shows_another_flight_and_other_views(browser: Any) -> None:
     assert f"task{flight.summary.task}" in shown["task"]
     errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert not errors, errors
+
+
+def test_what_is_seen_to_move_is_drawn_where_it_is_and_where_it_will_be(tmp_path: Path, browser: Any) -> None:
+    replay = small_recording()
+    objects = np.zeros((replay.flights[0].summary.steps + 1, 3, 7))
+    objects[4:, 1] = 1.0, 2.0, 3.0, 0.0, 4.0, 0.0, 0.8
+    write_page(replace(replay, flights=(replace(replay.flights[0], objects=objects),)), tmp_path / "page.html")
+    drawn = """
+        show(arguments[0]);
+        const {x, y, z} = document.getElementById("scene").data[OBJECTS];
+        return [x, y, z].map((axis) => Array.from(axis).filter((v) => v !== null));
+    """
+    layers = "return document.getElementById('layers').textContent"
+    assert "seen to move" not in browser.execute_script(layers), "where nothing looks for it"
+    with browser_with(tmp_path / "page.html") as driver:
+        assert "seen to move" in driver.execute_script(layers)
+        assert driver.execute_script(drawn, 3) == [[], [], []]
+        x, y, z = (np.array(axis) for axis in driver.execute_script(drawn, 4))
+    np.testing.assert_allclose(np.hypot(x[:-2] - 1, y[:-2] - 2), 0.4, atol=1e-5)
+    np.testing.assert_allclose([x[-2:], y[-2:]], [[1, 1], [2, 6]], atol=1e-5)
+    np.testing.assert_allclose(z, 3.0)
 
 
 def test_it_opens_with_an_overview_and_then_follows_the_uav_until_somebody_looks_elsewhere(browser: Any) -> None:

@@ -41,9 +41,13 @@ def small_env(planes: int = 0, steps: int = STEPS) -> DictConfig:
     return validate(composed("config", f"env.max_steps={steps}", *overrides)).env
 
 
-def flying_env(planes: int = 0, reward: DictConfig | None = None, num_uavs: int = 1) -> TransformedEnv:
-    """What a flight is recorded in."""
-    return make_env(small_env(planes), PERCEPTION, reward, num_uavs=num_uavs, measure_clearance=True, keep_cloud=True)
+def flying_env(
+    planes: int = 0, reward: DictConfig | None = None, num_uavs: int = 1, steps: int = STEPS, *seen: str
+) -> TransformedEnv:
+    """What a flight is recorded in, with overrides of what is seen."""
+    perception = validate(composed("config", *seen)).perception if seen else PERCEPTION
+    env = small_env(planes, steps)
+    return make_env(env, perception, reward, num_uavs=num_uavs, measure_clearance=True, keep_cloud=True)
 
 
 @cache

@@ -5,10 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import TransformedEnv
 
+from uavrl.envs import NavigationEnv
+from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.baselines import COSTS, VectorFieldHistogram, VFHWeights
+from uavrl.rollout.baselines import BASELINES, COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.rollout.policies import named_policy
+from uavrl.transforms import NavigationState
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import REDUCTIONS, Reduction
 
@@ -124,6 +128,14 @@ def test_without_costs_it_says_what_to_choose() -> None:
 def test_a_class_from_elsewhere_is_told_the_flight_level_alone() -> None:
     policy = named_policy("tests.rollout.test_baselines.Told", {"flight_level": 3.0, "radius": 4.0}, ("tests",))
     assert (policy.flight_level, policy.radius) == (3.0, 0.1)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_torchrl_rolls_a_rule_out(name: str) -> None:
+    base = NavigationEnv(2, world=WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=5.0), seed=0)
+    flown = TransformedEnv(base, NavigationState()).rollout(2, BASELINES[name]())
+    assert flown["action"].shape == (2, 2, 4)
+    assert flown["action"].norm(dim=-1).min() > 0.1
 
 
 def passing(*objects: tuple[float, ...], **told: float) -> list[float]:

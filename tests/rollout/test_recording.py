@@ -87,6 +87,30 @@ def test_planes_fly_between_the_moments() -> None:
         assert ((moved > 2.4) & (moved < 4.1)).mean() > 0.9  # but where one enters anew
 
 
+def test_what_is_seen_to_move_is_kept_where_a_plane_flies() -> None:
+    env = flying_env(6, None, 1, 60, "perception.motion=12")
+    try:
+        flight = record_flight(env, lambda state: state.set("action", torch.zeros(1, 4)), 1, seed=SEED, max_points=50)
+    finally:
+        env.close()
+    assert flight.objects.shape == (flight.summary.steps + 1, 3, 7)
+    moments, which = np.nonzero(flight.objects[..., 6])
+    assert len(moments) > 10
+    seen, planes = flight.objects[moments, which], flight.planes[moments, :, :3]
+    apart = np.linalg.norm(planes - seen[:, None, :3], axis=-1)
+    there = apart.min(1) < 0.5  # not where it is believed to fly on behind an obstacle
+    assert there.mean() > 0.3
+    nearest = planes[np.arange(len(planes)), apart.argmin(1)]
+    flies = (flight.planes[(moments + 1).clip(max=len(flight.planes) - 1), apart.argmin(1), :3] - nearest) / 0.1
+    lengths = np.linalg.norm(flies, axis=-1) * np.linalg.norm(seen[:, 3:6], axis=-1)
+    moved = there & (lengths > 0)
+    assert np.median((flies * seen[:, 3:6]).sum(-1)[moved] / lengths[moved]) > 0.8, "it is said to fly where it flies"
+
+
+def test_without_sight_of_motion_nothing_is_seen_to_move() -> None:
+    assert small_recording().flights[0].objects.shape == (small_recording().flights[0].summary.steps + 1, 0, 7)
+
+
 def test_a_flight_is_that_of_the_evaluation() -> None:
     tasks = (0, 1, 2)
     env = make_env(small_env(), PERCEPTION, seed=SEED, num_uavs=2, measure_clearance=True)

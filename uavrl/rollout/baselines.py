@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
@@ -21,7 +22,7 @@ BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
 
 
-class StraightPolicy:
+class StraightPolicy(TensorDictModuleBase):
     """Turns to the goal on the spot and then flies straight at it at full speed, blind to obstacles.
 
     Args:
@@ -36,10 +37,11 @@ class StraightPolicy:
     """
 
     def __init__(self, flight_level: float = 3.5, cone: float = 0.15) -> None:
-        self.flight_level = flight_level
-        self.cone = cone
+        super().__init__()
+        self.in_keys, self.out_keys = ["heading_deg", "altitude"], ["action"]
+        self.flight_level, self.cone = flight_level, cone
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``heading_deg`` and ``altitude``."""
         heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
         forward = ACTION_LIMIT * (heading.abs() < self.cone).float()
@@ -78,7 +80,7 @@ COSTS: dict[tuple[Reduction, Statistic], VFHWeights] = {
 }
 
 
-class VectorFieldHistogram:
+class VectorFieldHistogram(TensorDictModuleBase):
     """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
@@ -122,8 +124,10 @@ class VectorFieldHistogram:
                 f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
                 "perception.statistic so, or give a guide its guide.costs."
             )
-        self.in_keys = ("faces", "altitude", "heading_deg", *(["observation"] if last_action else []))
-        self.in_keys += ("moving_objects", "velocity", "attitude") if motion is not None else ()
+        super().__init__()
+        self.in_keys = ["faces", "altitude", "heading_deg", *(["observation"] if last_action else [])]
+        self.in_keys += ["moving_objects", "velocity", "attitude"] if motion is not None else []
+        self.out_keys = ["action"]
         self.motion = motion
         self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
         self.costs = COSTS[reduction, statistic] if costs is None else costs
@@ -132,7 +136,7 @@ class VectorFieldHistogram:
         cosines = self.directions @ REDUCTIONS[reduction].directions().T
         self._seen_in = cosines.clamp_min(0) ** self.costs.width  # [D, cells]: how much of each counts in a direction
 
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
         cost, speed = self.score_directions(tensordict)
         if self.motion is not None:

@@ -20,9 +20,11 @@ from uavrl.rollout.position_stats import PositionStats
 from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.rollout.rollout import FlightMeter, Policy, rollout
 from uavrl.transforms import PointCloudReduction
+from uavrl.transforms.motion import OBJECT
 from uavrl.transforms.rewards import terms_of
 
 Risk = Callable[[Tensor, Tensor], Tensor]
+NONE = np.zeros((0, len(OBJECT)), np.float32)
 _KEPT = ("position", "velocity", "distance", "clearance", "observation")
 
 
@@ -95,6 +97,7 @@ def record_flight(
         faces=np.stack([moment["cells"] for moment in moments]),
         points=np.concatenate([moment["points"] for moment in moments]).astype(np.float32),
         point_ends=np.cumsum([len(moment["points"]) for moment in moments]),
+        objects=np.stack([moment["objects"] for moment in moments]) - np.append(origin, np.zeros(4)),
     )
 
 
@@ -121,13 +124,26 @@ def _moment(
     """One moment in one valley, in the world's frame."""
     cloud = state[reduction.in_keys[0]][0].numpy()
     planes = base.world.config.planes
+    seen = state["moving_objects"][0].unflatten(-1, (-1, len(OBJECT))).numpy() if "moving_objects" in state else NONE
     return {
         "state": state.select(*_KEPT)[0].clone(),
         "cells": state[reduction.out_keys[0]][0].numpy().copy(),
         "attitude": Rotation.from_matrix(base.simulation.rotation[0]).as_quat(),
         "planes": base.plane_poses()[valley * planes : (valley + 1) * planes],
         "points": thinned(cloud[np.isfinite(cloud).all(-1)], max_points),
+        "objects": to_world(seen, base.simulation.lidar_position[0], state["attitude"][0, 2].item()),
     }
+
+
+def to_world(objects: np.ndarray, sensor: np.ndarray, yaw: float) -> np.ndarray:
+    """Moving objects ``[K, 7]`` that a sensor sees, in the world's axes, not the yaw's, and from its origin.
+
+    Examples:
+        >>> to_world(np.array([[2.0, 0, 0, 0, 3, 0, 1]]), np.array([5.0, 5, 3]), np.pi / 2).round(6).tolist()
+        [[5.0, 7.0, 3.0, -3.0, 0.0, 0.0, 1.0]]
+    """
+    turn = Rotation.from_euler("z", yaw).as_matrix().T
+    return np.concatenate([objects[:, :3] @ turn + sensor, objects[:, 3:6] @ turn, objects[:, 6:]], 1)
 
 
 def record_flights(

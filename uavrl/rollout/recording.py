@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,9 @@ class RecordedFlight:
     faces: np.ndarray  #: ``[T + 1, cells]``, the reduction of the scan in m; 0 where a cell reports nothing
     points: np.ndarray  #: ``[P, 3]`` in m in the sensor's frame – the points of all scans, one scan after the other
     point_ends: np.ndarray  #: ``[T + 1]``, how many points there are up to and with each scan
+    #: ``[T + 1, M, 7]``, what the vehicle sees to move: places in m, velocities in m/s (world axes), sizes in m, which
+    #: are 0 where there is none; ``[0, 0, 7]`` where it does not look for any
+    objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 7)))
 
     def cloud(self, moment: int) -> np.ndarray:
         """Returns the points ``[M, 3]`` of one scan in m, in the sensor's frame."""
@@ -99,7 +102,7 @@ def save_recording(recording: Recording, path: Path) -> None:
     }
     arrays: dict[str, Any] = {}
     for name, item in items.items():
-        values = {field.name: getattr(item, field.name) for field in fields(item)}
+        values = {each.name: getattr(item, each.name) for each in fields(item)}
         plain = {key: value for key, value in values.items() if not isinstance(value, np.ndarray)}
         about["items"][name] = {k: asdict(v) if isinstance(v, Flight) else v for k, v in plain.items()}
         arrays |= {f"{name}/{key}": value for key, value in values.items() if key not in plain}

@@ -19,6 +19,7 @@ from uavrl.viewer.flight_shapes import (
     OTHER_KIND,
     OUTCOMES,
     PLANE,
+    SEEN,
     Shell,
     football,
     shell,
@@ -46,7 +47,7 @@ def page_data(recording: Recording) -> dict[str, Any]:
 def drawn_parts(shape: Shell) -> dict[str, Any]:
     """What every page draws: the vehicle, the cells around it, and the colours."""
     return {
-        "colours": {**OUTCOMES, "ended": ENDED, "body": BODY, "plane": PLANE, "goal": GOAL},
+        "colours": {**OUTCOMES, "ended": ENDED, "body": BODY, "plane": PLANE, "goal": GOAL, "seen": SEEN},
         "vehicle": [
             {"vertices": pack(mesh.vertices), "triangles": pack(mesh.faces), "colour": colour}
             for mesh, colour in vehicle()

@@ -4,7 +4,7 @@
 const TERM_COLOURS = { progress: "#0072B2", altitude: "#E69F00", heading: "#009E73", elevation: "#CC79A7",
   reward: "#0072B2" };
 const EVENTS = ["arrival", "collision"];
-const { body: BODY, plane: PLANE, goal: GOAL } = data.colours, CELLS = "#fdc066";
+const { body: BODY, plane: PLANE, goal: GOAL, seen: SEEN } = data.colours, CELLS = "#fdc066";
 const OUTCOMES = Object.fromEntries([["arrived", data.states ? "arrived" : "success"], ["collided", "collision"],
   ["timed_out", "time-out"], ["ended", "ended"]].map(([key, name]) => [key, [name, data.colours[key]]]));
 
@@ -13,7 +13,7 @@ const OUTCOMES = Object.fromEntries([["arrived", data.states ? "arrived" : "succ
 const sceneries = Object.fromEntries(Object.entries(data.sceneries).map(([seed, item]) =>
   [seed, { ...unpackAll(item), grid: item.heights?.shape }]));
 const flights = data.flights.map((item) => ({ ...unpackAll(item), moments: item.times.shape[0],
-  planeCount: item.planes?.shape[1] ?? 0, rewardCount: item.rewards?.shape[1] ?? 0 }));
+  planeCount: item.planes?.shape[1] ?? 0, objectCount: item.objects?.shape[1] ?? 0, rewardCount: item.rewards?.shape[1] ?? 0 }));
 
 function ground({ heights, grid: [rows, across], size }) {
   const x = [], y = [], i = [], j = [], k = [];
@@ -55,9 +55,9 @@ function goalShape([x, y, z], [radius, height]) {
 }
 
 // Index of each trace; those from FLOWN on move.
-const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, VEHICLE, MARK, POINTS,
-  EDGES, FACES] = Array(16).keys();
-const LAYERS = [["planes", [PLANES], PLANE], ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], CELLS],
+const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, OBJECTS, VEHICLE, MARK,
+  POINTS, EDGES, FACES] = Array(17).keys();
+const LAYERS = [["planes", [PLANES], PLANE], ["seen to move", [OBJECTS], SEEN], ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], CELLS],
   [data.states ? "all scans" : "obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
 
@@ -88,6 +88,7 @@ function traces(flight) {
   all[DROP] = line({ x: [], y: [], z: [], line: { width: 2, color: BODY } });
   all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...(flight.planeCount ? manyPlanes(place, flight.planeCount) : corners([])), color: PLANE, flatshading: true,
     lighting: { ...light, ambient: 0.9, diffuse: 0.4 } });
+  all[OBJECTS] = line({ x: [], y: [], z: [], line: { width: 6, color: SEEN } });
   all[VEHICLE] = vehicleTrace();
   all[MARK] = { type: "scatter3d", mode: "markers", ...still, x: [], y: [], z: [],
     marker: { size: 9, symbol: "circle-open", color: BODY, line: { width: 2 } } };
@@ -106,6 +107,23 @@ function manyPlanes(place, count) {
   const step = place.plane_vertices.length / 3, triangles = [];
   for (let n = 0; n < count; n++) triangles.push(...place.plane_triangles.map((v) => v + n * step));
   return corners(triangles);
+}
+
+// What the vehicle sees to move at a moment: a ring of its size, and where it will be within a second if it flies on.
+function movingObjects({ objects, objectCount }, moment) {
+  const out = { x: [], y: [], z: [] }, sides = 16;
+  const add = (x, y, z) => { out.x.push(x); out.y.push(y); out.z.push(z); };
+  for (let n = 0; n < objectCount; n++) {
+    const [x, y, z, u, v, w, size] = row(objects, moment * objectCount + n, 7);
+    if (!size) continue;
+    for (let side = 0; side <= sides; side++) {
+      const angle = 2 * Math.PI * side / sides;
+      add(x + size / 2 * Math.cos(angle), y + size / 2 * Math.sin(angle), z);
+    }
+    add(null, null, null);
+    add(x, y, z); add(x + u, y + v, z + w); add(null, null, null);
+  }
+  return out.x.length ? out : { x: [null], y: [null], z: [null] };
 }
 
 // What changes at a moment, by trace.
@@ -127,6 +145,7 @@ function changes(flight, moment) {
     [FLOWN]: columns(flight.positions.subarray(0, 3 * (moment + 1))),
     [DROP]: { x: [x, x], y: [y, y], z: [z, below] },
     [PLANES]: flight.planeCount ? fleet : { x: [0], y: [0], z: [0] },
+    [OBJECTS]: movingObjects(flight, moment),
     [VEHICLE]: placed(vehicle.vertices, turn, position),
     [MARK]: { x: [x], y: [y], z: [z] },
     [POINTS]: range.length ? { ...placed(cloud, turn, position, place.sensor), colour: range } : nowhere,
@@ -347,6 +366,7 @@ function start() {
   for (const touch of ["pointerdown", "wheel"]) $("scene").addEventListener(touch, () => clearTimeout(opening));
   for (const [name, which, colour] of LAYERS) {
     if (name === "planes" && flights.every((item) => !item.planeCount)) continue;
+    if (name === "seen to move" && flights.every((item) => !item.objectCount)) continue;
     if (name === "other flights" && flights.length < 2) continue;
     const button = element("button", { class: "on" }, $("layers"));
     if (colour) element("i", { style: `background:${colour === OTHERS ? othersColours() : colour}` }, button);
