@@ -10,6 +10,7 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
 from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, Reduction
+from uavrl.transforms.threats import DIRECTIONS
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
@@ -25,9 +26,13 @@ def _places_and_signs(
     """Where each of an observation's numbers comes from in the mirrored one, and its sign."""
     directions = REDUCTIONS[reduction].directions()
     image = ((directions * directions.new_tensor([1.0, -1.0, 1.0])) @ directions.T).argmax(-1)
-    objects = OBJECT_SIGNS * MOVING_OBJECTS if motion else ()
+    objects = OBJECT_SIGNS * MOVING_OBJECTS + (1.0,) * (len(DIRECTIONS) + 1) if motion else ()
     rest = torch.tensor(BESIDE_SIGNS + objects + (ACTION_SIGNS if last_action else ()))
     places = torch.cat([image, len(image) + torch.arange(len(rest))])
+    if motion:
+        first = len(image) + len(BESIDE_SIGNS) + len(OBJECT_SIGNS) * MOVING_OBJECTS
+        turned = ((DIRECTIONS * DIRECTIONS.new_tensor([1.0, -1.0, 1.0])) @ DIRECTIONS.T).argmax(-1)
+        places[first : first + len(DIRECTIONS)] = first + turned
     return places.to(device), torch.cat([torch.ones(len(image)), rest]).to(device)
 
 
@@ -65,7 +70,7 @@ def mirror_observation(
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
     image = frames.index_select(-1, places) * signs.to(frames.dtype)
-    behind = len(ACTION_SIGNS) * last_action + len(OBJECT_SIGNS) * MOVING_OBJECTS * motion
+    behind = len(ACTION_SIGNS) * last_action + (len(OBJECT_SIGNS) * MOVING_OBJECTS + len(DIRECTIONS) + 1) * motion
     heading = image[..., HEADING - behind]
     heading.masked_fill_(heading == 1.0, -1.0)  # straight behind is -1 on either side: folded angles are in [-1, 1)
     return image.flatten(-2)

@@ -14,6 +14,7 @@ from uavrl.transforms.motion import MovingObjects
 from uavrl.transforms.observation import Angles, LastAction, NavigationObservation
 from uavrl.transforms.range_image import RangeImage
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
+from uavrl.transforms.threats import Threats
 
 Reduction = Literal["truncated_icosahedron", "range_image"]
 REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
@@ -40,7 +41,8 @@ def _with_motion(max_range: float) -> Iterator[Transform]:
         out_keys=["scaled_objects"],
         standard_normal=False,
     )
-    yield CatTensors(["observation", "scaled_objects"], "observation", del_keys=True, sort=False)
+    yield Threats()
+    yield CatTensors(["observation", "scaled_objects", "threats"], "observation", del_keys=True, sort=False)
 
 
 class NavigationState(Compose):
