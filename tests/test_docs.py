@@ -43,6 +43,29 @@ def test_what_a_page_includes_is_there(page: Path) -> None:
         ), name
 
 
+def prose(page: Path) -> str:
+    """What a reader reads: the page without code blocks, folded parts and the targets of links."""
+    text = page.read_text(encoding="utf-8")
+    text = re.sub(r"^```.*?^```|<details>.*?</details>", "", text, flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"\]\([^)]*\)", "]", text)
+
+
+def test_the_front_door_stays_short() -> None:
+    readme = ROOT / "README.md"
+    assert len(readme.read_text(encoding="utf-8").splitlines()) <= 90
+    numbers = re.findall(r"(?<![\w.-])\d+(?:[.,]\d+)*(?![\w-])", prose(readme))  # not those in names, as TD3 or VLP-16
+    assert len(numbers) <= 25, numbers
+    assert len(prose(ROOT / "docs/results.md").split()) <= 1500
+
+
+def test_the_journal_is_short_and_text_alone() -> None:
+    pages = sorted((ROOT / "docs/journal").glob("*.md"))
+    texts = [page.read_text(encoding="utf-8") for page in pages]
+    assert sum(len(text.split()) for text in texts) <= 6000
+    assert not [page for page, text in zip(pages, texts, strict=True) if "![" in text]
+    assert {file.suffix for file in tracked("docs/journal")} == {".md"}
+
+
 def tracked(folder: str) -> list[Path]:
     """The files below a folder that git keeps."""
     if not (ROOT / ".git").exists():
