@@ -9,9 +9,9 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.ranges import Positive, Seed
-from uavrl.rollout.evasion import LAG
 from uavrl.rollout.remembered import HULL, PERIOD, Planner, Surroundings, off_altitudes, stretch
 from uavrl.transforms.state import ACTION_LIMIT
+from uavrl.transforms.threats import LAG
 
 STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in
 KNOTS = 5  # times between which the noise of a sample is interpolated: commands change gradually

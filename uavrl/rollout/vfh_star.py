@@ -9,10 +9,10 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.ranges import Positive
-from uavrl.rollout.evasion import LAG
 from uavrl.rollout.remembered import HULL, Planner, Surroundings, off_altitudes, stretch
 from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.state import ACTION_LIMIT
+from uavrl.transforms.threats import LAG
 
 ELEVATIONS = (-0.5, 0.0, 0.5)  # rad, of the directions
 AZIMUTHS, AZIMUTHS_BEYOND = 24, 12  # of the first directions, and of those from a node
