@@ -24,7 +24,8 @@ def evade(
         ways: where K bodies will be, seen from the vehicles, ``[N, K, T, 3]`` in m.
         known: which of them there are, ``bool [N, K]``.
     """
-    commanded = speed[..., None, None] * SHARES[:, None] * directions[:, None]  # [N, D, S, 3]
+    shares = SHARES.to(speed)
+    commanded = speed[..., None, None] * shares[:, None] * directions[:, None]  # [N, D, S, 3]
     worst = greatest_threats(commanded, velocity, ways, known)
-    least, share = (cost[..., None] + SLOWNESS * (1 - SHARES) + THREAT * worst).min(-1)
-    return least, SHARES[share] * speed
+    least, share = (cost[..., None] + SLOWNESS * (1 - shares) + THREAT * worst).min(-1)
+    return least, shares[share] * speed
