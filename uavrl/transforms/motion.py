@@ -35,7 +35,9 @@ class MotionSight:
     hang together begin a track, which a Kalman filter follows straight on; it counts once it was seen in three scans
     and moves at 1.5 to 8 m/s. Bodies that stand, or are larger than 2.5 m, are never reported.
 
-    The sensors' own motion is integrated from their velocities between the scans. Where they are is not needed.
+    The sensors' own motion is taken from their velocities and attitudes, and corrected by laying each scan over the one
+    before (:mod:`uavrl.transforms.registration`). Where these do not fit, the earlier scans are forgotten and nothing
+    new is reported. Where the sensors are is not needed.
 
     Args:
         sensors: N.
@@ -123,13 +125,18 @@ class MotionSight:
         images = point_images(seen, len(which), self._scans.grid)
         back = self._rotations.transpose(0, 2, 1)
         at = register(
-            sample(images), self._images, self._scans.grid, back @ rotations, (back @ (positions - self._positions)[:, :, None])[:, :, 0]
+            sample(images),
+            self._images,
+            self._scans.grid,
+            back @ rotations,
+            (back @ (positions - self._positions)[:, :, None])[:, :, 0],
         )
         good = known & at.fits & (at.compared >= LEAST_COMPARED)
         bad = known & ~at.fits & (at.compared >= LEAST_COMPARED)
-        self.failed = getattr(self, "failed", 0) + bad.sum()
-        self.registered = getattr(self, "registered", 0) + good.sum()
-        turned, shifted = orthonormal(self._rotations @ at.rotations), (self._rotations @ at.places[:, :, None])[:, :, 0]
+        turned, shifted = (
+            orthonormal(self._rotations @ at.rotations),
+            (self._rotations @ at.places[:, :, None])[:, :, 0],
+        )
         rotations = np.where(good[:, None, None], turned, rotations)
         positions = np.where(good[:, None], self._positions + shifted, positions)
         self._ages[bad] = 0

@@ -70,17 +70,13 @@ def sample(images: np.ndarray, count: int = SAMPLES) -> Samples:
     order = np.flatnonzero(valid)
     rank = (np.cumsum(found) - found)[:, None] + np.arange(count) * found[:, None] // count
     chosen = order.take(np.minimum(rank, len(order) - 1)) if len(order) else np.zeros(rank.shape, np.int64)
-    points, across, along = (
-        values.reshape(3, -1)[:, chosen].transpose(1, 0, 2) for values in (points, across, along)
-    )
+    points, across, along = (values.reshape(3, -1)[:, chosen].transpose(1, 0, 2) for values in (points, across, along))
     normals = _cross(across, along)
     length = np.sqrt((normals**2).sum(1, keepdims=True))
     return Samples(points, normals / np.maximum(length, 1e-6), found)
 
 
-def register(
-    samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, places: np.ndarray
-) -> Alignment:
+def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, places: np.ndarray) -> Alignment:
     """Lays scans over earlier ones by Gauss-Newton steps, from where they are expected.
 
     Args:
@@ -104,9 +100,7 @@ def register(
     return found._replace(fits=found.fits & small)
 
 
-def _refine(
-    samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, expected: np.ndarray
-) -> Alignment:
+def _refine(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, expected: np.ndarray) -> Alignment:
     """The steps from one start; the places stay near those that are ``expected``."""
     turn, place = rotations.astype(np.float32), expected.astype(np.float32)
     for gate in GATES:
@@ -117,8 +111,8 @@ def _refine(
         pull = np.concatenate([np.zeros_like(place), expected - place], 1) * EXPECTED
         matrix = weighted @ slopes.transpose(0, 2, 1) + np.diag(EXPECTED)
         step = np.linalg.solve(matrix, weighted @ distances[..., None] + pull[..., None])[..., 0]
-        small = rotation_about(step[:, :3]).astype(np.float32)
-        turn, place = small @ turn, ((small @ place[..., None])[..., 0] + step[:, 3:]).astype(np.float32)
+        turned = rotation_about(step[:, :3]).astype(np.float32)
+        turn, place = turned @ turn, ((turned @ place[..., None])[..., 0] + step[:, 3:]).astype(np.float32)
     _, _, distances, known = _compare(samples, images, grid, turn, place)
     agreeing = (known & (np.abs(distances) < AGREEING)).sum(1) / np.maximum(known.sum(1), 1)
     return Alignment(turn, place, np.minimum(known.sum(1), samples.found), agreeing >= LEAST_AGREEING)
@@ -129,8 +123,8 @@ def _compare(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points and normals in the earlier axes, how far the surfaces there lie from them, and where one is known."""
     points, normals = turn @ samples.points + place[..., None], turn @ samples.normals
-    x, y, z = points.transpose(1, 0, 2)
-    row, column = grid.cells((x, y, z), np.maximum(np.sqrt(x * x + y * y + z * z), 1e-6))
+    x, y, z = axes = points.transpose(1, 0, 2)
+    row, column = grid.cells(axes, np.maximum(np.sqrt(x * x + y * y + z * z), 1e-6))
     rows = np.rint(row).astype(np.int64)
     known = (samples.found > 0)[:, None] & (rows >= 0) & (rows < grid.rows)
     at = (np.arange(len(turn))[:, None] * grid.rows + rows.clip(0, grid.rows - 1)) * grid.columns + column
