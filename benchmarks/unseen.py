@@ -126,13 +126,14 @@ def draw(result: dict[str, Any], path: Path) -> None:
     figure, axes = pyplot.subplots(figsize=(7, 3.2), layout="constrained")
     for colour, row in enumerate(row for row in (RECIPE, SB3) if result["rows"].get(row)):
         for number, line in enumerate(result["rows"][row]):
-            runs = f"{row}{', in one valley' if row == SB3 else ''}, {len(result['rows'][row])} seeds"
+            count = len(result["rows"][row])
+            runs = f"{row}{', in one valley' if row == SB3 else ''}, {count} seed{'s' * (count > 1)}"
             label = runs if number == 0 else "_"
             axes.plot(list(map(int, line)), [100 * y for y in line.values()], color=f"C{colour}", label=label)
     axes.axhline(100 * result["controller"], color="0.4", linestyle="--", label=CONTROLLER)
-    axes.set(xlabel="minutes of training", ylabel="success in unseen valleys [%]", ylim=(0, 100), xlim=(0, None))
+    axes.set(xlabel="minutes of training", ylabel="success in unseen valleys [%]", ylim=(0, 102), xlim=(0, None))
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower right")
+    axes.legend(loc="center right")
     figure.savefig(path, dpi=150)
 
 

@@ -17,6 +17,7 @@ from sphinx.util.inspect import stringify_signature
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
+from hyperparameters import tables as tables_of_keys  # noqa: E402
 from signatures import ranges_in_words, signature_of  # noqa: E402
 from tables import keep_together  # noqa: E402
 
@@ -33,7 +34,7 @@ extensions = [
     "sphinx_copybutton",
     "myst_nb",
 ]
-exclude_patterns = ["_build", "conf.py", "signatures.py", "tables.py", "tutorials/shell.py"]
+exclude_patterns = ["_build", "conf.py", "hyperparameters.py", "signatures.py", "tables.py", "tutorials/shell.py"]
 nitpicky = True
 suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
 
@@ -46,7 +47,7 @@ html_show_sphinx = False
 
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath", "substitution"]
-myst_substitutions = {"ranges": ranges_in_words()}
+myst_substitutions = {"ranges": ranges_in_words(), **tables_of_keys()}
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

@@ -1,6 +1,6 @@
 """Draws success in each world, with its interval, from the files that ``uavrl-evaluate suite=... output=FILE`` writes.
 
-python examples/scenarios.py "straight=docs/data/suite/straight.json" "best=docs/data/suite/best.json"
+python examples/scenarios.py "vfh=docs/data/suite/vfh_turning.json" "best=uavrl/policies/best/suite.json"
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def main() -> None:
         at = [args.worlds.index(world) + offset for world in worlds]
         axes.errorbar(at, rate, yerr=(rate - low, high - rate), fmt="o", capsize=3, label=name)
     axes.set_xticks(range(len(args.worlds)), [world.replace("_", " ") for world in args.worlds])
-    axes.set(ylabel="success [%]", ylim=(0, 103))  # so that a dot at 100 is whole
+    axes.set(ylabel="success [%]", xlim=(-0.5, len(args.worlds) - 0.5), ylim=(0, 103))  # so that a dot at 100 is whole
     axes.grid(axis="y", alpha=0.3)
     figure.legend(loc="outside right upper")
     figure.savefig(args.output, dpi=120)

@@ -100,9 +100,7 @@ def plot(runs: dict[str, dict[str, list[tuple[int, bool]]]], window: int, output
             rates = 100 * moving_mean(arrived, window)[window - 1 :]
             label = f"{method} ({len(seeds)})" if index == 0 else None
             axes.plot(steps[window - 1 :] / 1000, rates, color=f"C{number}", linewidth=1.3, label=label)
-    axes.set(
-        xlabel="environment steps [thousand]", ylabel=f"arrivals of the last {window} dense flights [%]", ylim=(0, 100)
-    )
+    axes.set(xlabel="environment steps [thousand]", ylabel=f"success, last {window} dense episodes [%]", ylim=(0, 100))
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right upper", fontsize="small")
     figure.savefig(output, dpi=120)

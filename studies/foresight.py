@@ -1,14 +1,17 @@
-"""How early do the 32 faces tell where a plane will pass?
+"""How early does what a policy sees tell where a plane will pass?
 
     python studies/foresight.py                       # 6,000 steps of 16 vehicles among nine planes
     python studies/foresight.py perception.radius=8.0
+    python studies/foresight.py perception=range_image perception.motion=12
 
 Small networks are taught to tell whether a plane that passes within reach will pass above or below, left or right,
 with three quarters of the steps, and are asked in the last one. Four inputs are compared, each now and at two steps
-before: the 105 numbers that a policy sees; these and the same without the planes, as if planes could be told from
+before: the numbers that a policy sees; these and the same without the planes, as if planes could be told from
 rocks; mean, nearest and number of the scan's points on planes, before any reduction; and where the plane is, which no
-policy knows, and which shows that the networks can learn it. By the time that is left, the share of right answers is
-printed, and of how many; half is guessing. `policy=vfh` flies, since it can with any reduction.
+policy knows, and which shows that the networks can learn it. With ``perception.motion`` what is reported of the plane
+as a moving object is asked, too, as if it flew straight on; where nothing is reported that counts as wrong. By the time
+that is left, the share of right answers is printed, and of how many; half is guessing. `policy=vfh` flies, since it can
+with any reduction.
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ from torch import nn
 
 from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
-from uavrl.rollout.baselines import VectorFieldHistogram
+from uavrl.rollout.policies import named_policy
 from uavrl.runs.provenance import versions
 
 TAUGHT = 0.75  # share of the steps, from the first on
@@ -62,13 +65,14 @@ def main() -> None:
     args, overrides = parser.parse_known_args()
     torch.set_num_threads(1)
     config = validate(compose("env=dynamic", *overrides))
-    vfh = VectorFieldHistogram(radius=config.perception.radius)
+    vfh = named_policy("vfh", {**config.perception, "flight_level": config.env.world.flight_level}, ())
     steps, flown = [], 0
     for number, now in enumerate(moments(config, vfh, args.steps)):
-        rows = (now.seen, now.hidden, now.points, now.plane, now.time, now.miss, np.full(len(now.time), number))
+        when = np.full(len(now.time), number)
+        rows = (now.seen, now.hidden, now.points, now.plane, now.time, now.miss, now.told, when)
         steps.append([np.asarray(row)[now.danger] for row in rows])
         flown += len(now.time)
-    seen, hidden, points, plane, time, miss, step = (np.concatenate(rows) for rows in zip(*steps, strict=True))
+    seen, hidden, points, plane, time, miss, told, step = (np.concatenate(rows) for rows in zip(*steps, strict=True))
     inputs = {
         "what a policy sees": seen,
         "and the same without the planes": np.concatenate([seen, seen - hidden], 1),
@@ -82,15 +86,18 @@ def main() -> None:
     for question, (axis, least) in QUESTIONS.items():
         label, clear = miss[:, axis] > 0, np.abs(miss[:, axis]) > least
         found[question] = {}
-        for name, x in inputs.items():
-            right = (answers(x, label, taught & clear) > 0) == label
-            told = []
+        answered = {name: answers(x, label, taught & clear) for name, x in inputs.items()}
+        if np.isfinite(told).any():
+            answered["the moving object, straight on"] = told[:, axis]
+        for name, odds in answered.items():
+            right = ((odds > 0) == label) & np.isfinite(odds)
+            shares = []
             for low, high in pairwise(TIMES):
                 asked = ~taught & clear & (time >= low) & (time < high)
-                told.append({"from": low, "to": high, "steps": int(asked.sum()), "right": float(right[asked].mean())})
-            found[question][name] = told
-            shares = "".join(f"{row['right']:11.0%}{row['steps']:5}" for row in told)
-            print(f"{question:16}{name:33}{shares}", flush=True)
+                shares.append({"from": low, "to": high, "steps": int(asked.sum()), "right": float(right[asked].mean())})
+            found[question][name] = shares
+            line = "".join(f"{row['right']:11.0%}{row['steps']:5}" for row in shares)
+            print(f"{question:16}{name:33}{line}", flush=True)
     if args.json:
         args.json.write_text(
             json.dumps({"versions": versions(), "overrides": overrides, "right": found}, indent=1), encoding="utf-8"

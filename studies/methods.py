@@ -152,7 +152,7 @@ def plot(runs: dict[str, list[Flights]], window: int, output: Path) -> None:
         shared = np.linspace(max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves), 200)
         median = np.median([np.interp(shared, steps, rates) for steps, rates in curves], axis=0)
         axes.plot(shared, median, color=colour, linewidth=2.2, label=f"{name} ({len(seeds)})")
-    axes.set(xlabel="environment steps [thousand]", ylabel=f"arrivals of the last {window} flights [%]", ylim=(0, 100))
+    axes.set(xlabel="environment steps [thousand]", ylabel=f"success, last {window} episodes [%]", ylim=(0, 100))
     axes.grid(alpha=0.3)
     axes.legend(loc="best", fontsize="small")
     figure.savefig(output, dpi=120)

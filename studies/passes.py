@@ -18,10 +18,12 @@ from uavrl.rollout.actor import read_policy
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import with_overrides
 from uavrl.transforms import PointCloudReduction
+from uavrl.transforms.motion import OBJECT
 
 VEHICLES, SEED = 16, 20_000
 FRAMES = 3  # of the history that is kept of points and planes
 BESIDE, ABOVE = 1.1, 0.6  # m between the two middles within which a pass is a danger
+NEAR_ENOUGH = 1.0  # m between a plane and what is reported as one
 TIMES = (0.05, 0.3, 0.6, 0.9, 1.3, 2.0)  # s, the ends of the spans that are told apart
 
 
@@ -36,6 +38,7 @@ class Moment(NamedTuple):
     points: np.ndarray  # [N, 3, 7], what on_planes() tells, now and at the two steps before
     plane: np.ndarray  # [N, 3, 3], where it is, and was at the two steps before
     danger: np.ndarray  # [N], whether it is seen and passes within reach
+    told: np.ndarray  # [N, 3], where it would pass by what is reported of it as a moving object; NaN where nothing is
 
 
 def among_planes(folder: Path, *overrides: str) -> tuple[TrainConfig, Callable[[TensorDictBase], TensorDictBase]]:
@@ -72,6 +75,24 @@ def ahead(vectors: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     return np.stack([x * cosine + y * sine, y * cosine - x * sine, z], -1)
 
 
+def reported(state: TensorDictBase, plane: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Where planes at ``plane [N, 3]`` will pass by the moving object reported there, ``[N, 3]``, NaN without one.
+
+    Args:
+        state: what the environment emits; without moving objects nothing is reported.
+        plane: forward, left and up of the vehicles in m.
+        velocity: of the vehicles in m/s, likewise.
+    """
+    if "moving_objects" not in state:
+        return np.full(plane.shape, np.nan)
+    objects = state["moving_objects"].unflatten(-1, (-1, len(OBJECT))).numpy()
+    apart = np.linalg.norm(objects[..., :3] - plane[:, None], axis=-1)
+    nearest = apart.argmin(1)
+    mine = objects[np.arange(len(objects)), nearest]
+    _, miss = passes(mine[:, :3], mine[:, 3:6] - velocity)
+    return np.where((apart.min(1) < NEAR_ENOUGH)[:, None] & (mine[:, -1:] > 0), miss, np.nan)
+
+
 def passes(offset: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """When what is at an offset with a relative velocity ``[N, 3]`` comes nearest, in s, and where it is then."""
     time = np.clip(-(offset * velocity).sum(1) / ((velocity**2).sum(1) + 1e-9), 0.0, 3.0)
@@ -98,15 +119,18 @@ def moments(config: TrainConfig, policy: Callable[[TensorDictBase], TensorDictBa
         hidden[:, -1, :cells] = reduction.reduced(cloud, reduction.radius, reduction.statistic) / reduction.radius
         points = [on_planes(scan(base, base.plane_poses()), without), *points[: FRAMES - 1]]
         shown = ((seen - hidden)[:, -1, :cells].abs() > 0.05).any(-1).numpy()
+        sight = state.copy()
         state = policy(state)
         offsets = np.stack([p[None] - q[:, None] for p, q in zip(planes, places, strict=True)], 2)  # [N, P, 3, 3]
         nearest = np.linalg.norm(offsets[:, :, 0], axis=-1).argmin(1)
         yaw, velocity = base.simulation.yaw, (planes[0] - planes[1]) * 10  # m/s, over the last 0.1 s
         time, miss = passes(offsets[every, nearest, 0], velocity[nearest] - base.simulation.velocity)
         miss = ahead(miss, yaw)
-        danger = shown & (np.hypot(miss[:, 0], miss[:, 1]) < BESIDE) & (np.abs(miss[:, 2]) < ABOVE)
         plane = ahead(offsets[every, nearest], yaw)
-        yield Moment(seen, hidden.clone(), state["action"], time, miss, np.stack(points, 1), plane, danger)
+        told = reported(sight, plane[:, 0], ahead(base.simulation.velocity, yaw))
+        shown |= np.isfinite(told[:, 0])
+        danger = shown & (np.hypot(miss[:, 0], miss[:, 1]) < BESIDE) & (np.abs(miss[:, 2]) < ABOVE)
+        yield Moment(seen, hidden.clone(), state["action"], time, miss, np.stack(points, 1), plane, danger, told)
         state = env.step(state)
         ended = state["next", "done"]
         state = step_mdp(state)

@@ -20,12 +20,13 @@ YAML = {
     "evaluate": "evaluate",
     "replay": "replay",
     "pretrain": "pretrain",
+    "report": "report",
     "export": "export",
     "scan": "scan",
     "fly": "fly",
     "sitl": "sitl",
 }
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/journal").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def commands(page: Path) -> Iterator[str]:
@@ -34,9 +35,7 @@ def commands(page: Path) -> Iterator[str]:
         if re.search(r"git checkout|\bat [0-9a-f]{7}\b", block):
             continue
         for line in block.replace("\\\n", " ").splitlines():
-            yield from re.findall(
-                r"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:train|evaluate|replay|pretrain|export|scan|fly|sitl) .*)", line
-            )
+            yield from re.findall(rf"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:{'|'.join(YAML)}) .*)", line)
 
 
 NOT_OURS = ("my_conf", "<TAB>", " -sc ")  # the reader's own parts, and the shell's completion

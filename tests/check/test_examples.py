@@ -69,7 +69,7 @@ def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> No
 def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path) -> None:
     suites = EXAMPLES.parent / "docs/data/suite"
     picture = tmp_path / "worlds.png"
-    said("scenarios.py", f"a rule={suites / 'vfh.json'}", suites / "best.json", "--output", picture)
+    said("scenarios.py", f"a rule={suites / 'vfh_turning.json'}", suites / "best.json", "--output", picture)
     assert picture.stat().st_size > 5_000
     evaluation = tmp_path / "evaluation.json"
     evaluation.write_text(json.dumps(json.loads((suites / "best.json").read_text())["static"]))

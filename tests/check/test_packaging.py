@@ -43,6 +43,7 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
         command.append("--no-build-isolation")
     subprocess.run(command, check=True, capture_output=True, timeout=600)
     (wheel,) = folder.glob("uavrl-*.whl")
+    assert wheel.stat().st_size <= 4_000_000
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / "unpacked")
     return folder / "unpacked"

@@ -234,11 +234,14 @@ def test_settings_that_make_no_world_are_refused(settings):
         Simulation([], **settings)
 
 
-def looked_at_everything(simulation: Simulation) -> np.ndarray:
-    """Without any bound: all bodies, all triangles within 5 m."""
+def looked_at_everything(simulation: Simulation, planes: np.ndarray) -> np.ndarray:
+    """Without any bound: all bodies, planes where they are, all triangles within 5 m."""
     found = np.full(simulation.count, 5.0)
+    for plane, (x, y, z, yaw) in zip(simulation._planes.bodies, planes, strict=True):
+        turn = (0, 0, np.sin(yaw / 2), np.cos(yaw / 2))
+        pybullet.resetBasePositionAndOrientation(plane, (x, y, z), turn, physicsClientId=simulation._client)
     for row, vehicle in enumerate(simulation._vehicles):
-        for body in simulation._statics + simulation._planes:
+        for body in simulation._statics + simulation._planes.bodies:
             points = pybullet.getClosestPoints(vehicle, body, 5.0, physicsClientId=simulation._client)
             found[row] = min([found[row], *(point[8] for point in points)])
     return found
@@ -255,7 +258,7 @@ def test_the_closest_distance_is_that_of_looking_at_everything(seed: int) -> Non
         simulation.reset(np.arange(UAVS), places[:UAVS, :3], places[:UAVS, 3])
         simulation.step(rng.uniform(-2, 2, (UAVS, 4)))  # tilts them
         found.append(simulation.closest_distance())
-        expected.append(looked_at_everything(simulation))
+        expected.append(looked_at_everything(simulation, places[UAVS:]))
     simulation.close()
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
     assert np.min(expected) < 0.0 < 1.5 < np.max(expected), "inside and far from things"
@@ -270,6 +273,39 @@ def test_a_plane_is_found_beyond_and_before_the_static_geometry() -> None:
         simulation.place_planes(np.array([[-away - nose, 0.0, 0.0, 0.0]]))
         assert simulation.closest_distance()[0] == pytest.approx(expected, abs=0.01)
         simulation.close()
+
+
+def test_a_plane_that_stands_far_away_is_met_where_it_stands() -> None:
+    plane = plane_mesh(1.2)
+    simulation = Simulation([], 1, plane_mesh=plane, plane_count=2)
+    simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.0]]), np.zeros(1))
+    simulation.place_planes(np.array([[-90.0, 0.0, 3.0, 0.0], [20.0, 0.0, 3.0, np.pi]]))
+    touched = [bool(simulation.step(np.array([[2.0, 0.0, 0.0, 0.0]]))[0]) for _ in range(120)]
+    simulation.close()
+    met = 20.0 - plane.vertices[:, 0].max() - simulation.airframe.collision_radius
+    assert touched.index(True) * 0.1 == pytest.approx(met / 2.0, abs=0.8)
+
+
+def test_a_plane_that_has_flown_away_leaves_nothing_behind() -> None:
+    simulation = Simulation([], 1, plane_mesh=plane_mesh(1.2), plane_count=1)
+    simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.0]]), np.zeros(1))
+    simulation.place_planes(np.array([[3.0, 0.0, 3.0, 0.0]]))
+    for step in range(40):  # it leaves to the left at 4 m/s
+        left = 4.0 * (step + np.arange(1, simulation.substeps + 1) / simulation.substeps) / 10
+        path = np.stack([0 * left + 3.0, left, 0 * left + 3.0, 0 * left + np.pi / 2], -1)[:, None]
+        assert not simulation.step(np.array([[2.0, 0.0, 0.0, 0.0]]), path)[0]
+    assert simulation.position[0, 0] > 5.0, "it flew through where the plane was"
+    simulation.close()
+
+
+def test_a_plane_that_enters_anew_within_a_step_is_met() -> None:
+    simulation = Simulation([], 1, plane_mesh=plane_mesh(1.2), plane_count=1)
+    simulation.reset(np.array([0]), np.array([[0.0, 0.0, 3.0]]), np.zeros(1))
+    path = np.zeros((simulation.substeps, 1, 4))
+    path[:, 0, 0] = 500.0
+    path[12:, 0] = 0.0, 0.0, 3.0, 0.0
+    assert simulation.step(np.zeros((1, 4)), path)[0]
+    simulation.close()
 
 
 def test_samples_lie_on_the_surface_and_leave_no_part_of_it_out() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
@@ -138,3 +140,17 @@ def test_an_environment_tells_the_ways_that_its_planes_will_fly():
     env.close()
     np.testing.assert_array_equal(told, again)
     np.testing.assert_allclose(told, flown, atol=1e-9)
+
+
+def test_all_planes_at_once_fly_where_each_leg_would(world):
+    traffic = Traffic(world, np.random.default_rng(0))
+    legs, entered = deepcopy(traffic.legs), 0
+    for steps in (24, 1, 3) * 40:
+        before = [leg.speed for leg in legs]
+        alone = np.stack([leg.fly(steps, DT) for leg in legs], axis=1)
+        entered += sum(leg.speed != speed for leg, speed in zip(legs, before, strict=True))
+        alone[..., :2] += np.array([world.valleys[valley].origin for valley in traffic.valleys])
+        together = traffic.advance(steps, DT)
+        np.testing.assert_allclose(together[..., :3], alone[..., :3], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(np.exp(1j * together[..., 3]), np.exp(1j * alone[..., 3]), rtol=0, atol=1e-9)
+    assert entered > 20

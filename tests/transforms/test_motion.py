@@ -248,15 +248,15 @@ def test_a_state_holds_the_objects_before_the_last_action_and_a_mirror_turns_the
     )
     check_env_specs(env)
     data = env.rollout(3)["next"]
-    frame = data["observation"].unflatten(-1, (3, 60))[..., -1, :]
+    frame = data["observation"].unflatten(-1, (3, 133))[..., -1, :]
     scale = torch.tensor([12.0] * 3 + [5.0] * 3 + [2.5]).repeat(3)
     torch.testing.assert_close(frame[..., 35:56] * scale, data["moving_objects"])
-    seen = torch.zeros(60)
+    seen = torch.zeros(35 + 21 + 73 + 4)
     seen[35:42] = torch.tensor([0.5, 0.2, 0.1, 0.3, -0.4, 0.05, 0.4])
-    seen[33], seen[56:] = -1.0, torch.tensor([0.5, 0.25, 0.0, 1.0])
+    seen[33], seen[129:] = -1.0, torch.tensor([0.5, 0.25, 0.0, 1.0])
     image = mirror_observation(seen, last_action=True, motion=True)
     torch.testing.assert_close(image[35:42], torch.tensor([0.5, -0.2, 0.1, 0.3, 0.4, 0.05, 0.4]))
-    assert image[33] == -1.0 and image[56:].tolist() == [0.5, -0.25, 0.0, -1.0]
+    assert image[33] == -1.0 and image[129:].tolist() == [0.5, -0.25, 0.0, -1.0]
     assert torch.equal(mirror_observation(image, last_action=True, motion=True), seen)
 
 
@@ -277,7 +277,7 @@ def test_a_sensor_that_reaches_as_far_without_it_will_do(motion: int) -> None:
     """With a LiDAR of 20 m no firing cycle need look farther, nor with sight that ends before the cells."""
     seen = validate_run(compose(f"perception.motion={motion}", "perception.lidar.max_range=20")).perception
     env = make_env(small_env(), seen, num_uavs=1)
-    assert env.rollout(2)["observation"].shape == (1, 2, 3 * (35 + 21))
+    assert env.rollout(2)["observation"].shape == (1, 2, 3 * (35 + 21 + 73))
     env.close()
 
 

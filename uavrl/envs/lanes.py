@@ -31,21 +31,25 @@ class Lane:
     corners: np.ndarray
 
     @cached_property
-    def _along(self) -> np.ndarray:
+    def along(self) -> np.ndarray:
         """How far each corner is from the first: ``[C]`` in m."""
         return np.append(0.0, np.linalg.norm(np.diff(self.corners, axis=0), axis=1).cumsum())
 
     @property
     def length(self) -> float:
         """In metres."""
-        return float(self._along[-1])
+        return float(self.along[-1])
 
     def poses(self, flown: np.ndarray, backwards: bool = False) -> np.ndarray:
         """Returns x, y, z and yaw ``[N, 4]`` in m and rad after ``flown [N]`` metres, from its end if ``backwards``."""
         at = self.length - np.asarray(flown) if backwards else np.asarray(flown)
-        places = [np.interp(at, self._along, axis) for axis in self.corners.T]
-        ahead = (self.corners[-1] - self.corners[0]) * (-1 if backwards else 1)
-        return np.stack([*places, np.full(len(at), np.arctan2(ahead[1], ahead[0]))], -1)
+        places = [np.interp(at, self.along, axis) for axis in self.corners.T]
+        return np.stack([*places, np.full(len(at), self.yaw(backwards))], -1)
+
+    def yaw(self, backwards: bool = False) -> float:
+        """Where a plane's nose points, in rad."""
+        x, y, _ = (self.corners[-1] - self.corners[0]) * (-1 if backwards else 1)
+        return float(np.arctan2(y, x))
 
 
 class Airspace:

@@ -210,7 +210,9 @@ class Lidar:
             if self._static_scene is not None:
                 passing = every if near is None else np.flatnonzero(near[vehicle].ravel()[first:last]) + first
                 _cast(self._static_scene, origins, directions, passing, ranges[vehicle], self._reach)
-            for pose in poses[vehicle]:
+            reached = self._farthest + self._moving_radius + speed * FIRING_TIMES[-1]
+            within = np.linalg.norm(poses[vehicle, :, :3] - position, axis=1) < reached
+            for pose in poses[vehicle, within]:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
         if rays is not None:
             ranges[:, :first] = ranges[:, last:] = np.nan
@@ -235,8 +237,6 @@ class Lidar:
         """Shortens the ranges of one vehicle's rays that hit one moving body, in the body's frame."""
         offset, radius = pose[:3] - position, self._moving_radius + speed * FIRING_TIMES[-1]
         gap = float(np.linalg.norm(offset))
-        if gap >= self._farthest + radius:
-            return
         rays = None
         if gap > radius:
             rays = np.flatnonzero(offset.astype(np.float32) @ directions > math.sqrt(gap**2 - radius**2))

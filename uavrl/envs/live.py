@@ -99,7 +99,7 @@ class LiveEpisode:
             The rays of the LiDAR's turn that were cast in it.
         """
         env, simulation = self._env, self._env.simulation
-        planes = len(env.traffic.positions)
+        planes = len(env.traffic.legs)
         path = env.traffic.advance(TRACKING_PERIOD, 1 / PHYSICS_RATE) if planes else None
         command = [*self._along(velocity), velocity[2], yaw_rate]
         collided = simulation.step(np.array([command]), path, TRACKING_PERIOD)

@@ -145,7 +145,7 @@ class NavigationEnv(EnvBase):
         seeds = np.random.SeedSequence(self._seed).spawn(3)
         traffic_rng, self._lidar_rng, gusts = map(np.random.default_rng, seeds)
         self._traffic, meshes, air = Traffic(self.world, traffic_rng), self.world.meshes, self.aerodynamics
-        planes = len(self._traffic.positions)
+        planes = len(self._traffic.legs)
         mesh = self._traffic.mesh if planes else None
         self._simulation = Simulation(
             meshes,
@@ -212,7 +212,7 @@ class NavigationEnv(EnvBase):
         self._require_open()
         action = checked_action(tensordict.get("action", None), self.num_uavs)
         distance_tm1 = goal_distance(self.simulation.position, self._goal)
-        path = self.traffic.advance(TICKS, 1 / PHYSICS_RATE) if len(self.traffic.positions) else None
+        path = self.traffic.advance(TICKS, 1 / PHYSICS_RATE) if self.traffic.legs else None
         collided = self.simulation.step(action, path)
         collided |= self.world.out_of_bounds(self.simulation.position, self._valley)
         arrived = self.world.arrived(self.simulation.position, self._goal) & ~collided

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from uavrl.envs.bullet import PLANE, STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
+from uavrl.envs.bullet import STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.past import Past
+from uavrl.envs.plane_bodies import PlaneBodies
 from uavrl.envs.plants import Plants
 from uavrl.envs.quadrotor import (
     GRAVITY,
@@ -114,10 +115,9 @@ class Simulation:
         exact = {"fixedTimeStep": self._dt, "deterministicOverlappingPairs": 1}
         pybullet.setPhysicsEngineParameter(**exact, physicsClientId=self._client)
         self._statics = [add_fixed(self._client, part, STATIC) for mesh in meshes for part in mesh.split()]
-        planes = [] if plane_mesh is None else [plane_mesh] * plane_count
-        self._planes = [add_fixed(self._client, mesh, PLANE) for mesh in planes]
+        self._planes = PlaneBodies(self._client, plane_mesh, plane_count)
         self._vehicles = [add_vehicle(self._client, self.airframe) for _ in range(self.count)]
-        self._clearance = Clearance(self._client, meshes, self._statics + self._planes, self.airframe)
+        self._clearance = Clearance(self._client, meshes, self._statics + self._planes.bodies, self.airframe)
         self._row = {body: row for row, body in enumerate(self._vehicles)}
 
     def reset(
@@ -140,6 +140,7 @@ class Simulation:
         self._controller.reset(index, self.plants.hover_force[index])
         self._past.reset(index, self._read())
         self._publish()
+        self._planes.bring(self.position)
 
     def _rebuild(self, index: np.ndarray, plants: "Sequence[Plant]") -> None:
         """Gives vehicles the masses of their plants, and keeps the rest."""
@@ -151,7 +152,7 @@ class Simulation:
 
     def place_planes(self, poses: np.ndarray) -> None:
         """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad."""
-        self._move_planes(self._checked_poses(poses, (len(self._planes), 4)).tolist())
+        self._planes.place(self._checked_poses(poses, (len(self._planes.bodies), 4)), self.position)
         self._past.place_planes(poses)
 
     def step(
@@ -167,14 +168,17 @@ class Simulation:
         """
         substeps = self._checked_substeps(substeps)
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
-        shape = (substeps, len(self._planes), 4)
-        path = [] if plane_path is None else self._checked_poses(plane_path, shape).tolist()
+        shape = (substeps, len(self._planes.bodies), 4)
+        if plane_path is None:
+            self._planes.bring(self.position)
+        else:
+            self._planes.begin(self._checked_poses(plane_path, shape), self.position)
         self._past.begin(substeps, plane_path)
         wind = self._draw_wind(substeps)
         touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
         for substep in range(substeps):
-            if path:
-                self._move_planes(path[substep])
+            if plane_path is not None:
+                self._planes.move(substep)
             if substep % self._tracking_period == 0:
                 lift = self.airframe.thrust_coefficient * np.add.reduce(self.rotor_speed * self.rotor_speed, axis=1)
                 velocity = self._twist_world[:, 0]
@@ -213,17 +217,10 @@ class Simulation:
 
     @staticmethod
     def _checked_poses(poses: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """Returns x, y, z and the sine and cosine of half the yaw, ``[..., 5]``."""
         poses = np.asarray(poses, dtype=np.float64)
         if poses.shape != shape:
             raise ValueError(f"Poses of planes must have the shape {shape}, got {poses.shape}.")
-        half = poses[..., 3:] / 2
-        return np.concatenate([poses[..., :3], np.sin(half), np.cos(half)], axis=-1)
-
-    def _move_planes(self, poses: list[list[float]]) -> None:
-        client = self._client
-        for body, (x, y, z, sin, cos) in zip(self._planes, poses, strict=True):
-            pybullet.resetBasePositionAndOrientation(body, (x, y, z), (0.0, 0.0, sin, cos), physicsClientId=client)
+        return poses
 
     def _read(self) -> np.ndarray:
         """Reads all states ``[N, 13]``; Bullet gives the centre of mass, and velocities in world axes."""

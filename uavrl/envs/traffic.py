@@ -75,6 +75,39 @@ class Leg:
         return np.array(path).reshape(steps, 4)
 
 
+class Ways:
+    """The legs of K planes as arrays, to place all planes at once where each leg would, to the last digit."""
+
+    def __init__(self, legs: Sequence[Leg]) -> None:
+        corners = max((len(leg.lane.corners) for leg in legs), default=2)
+        self.corners, self.along = np.zeros((len(legs), corners, 3)), np.zeros((len(legs), corners))
+        self.flown, self.speed, self.length, self.yaw = np.zeros((4, len(legs)))
+        self.backwards = np.zeros(len(legs), dtype=bool)
+        for plane, leg in enumerate(legs):
+            self.take(plane, leg)
+
+    def take(self, plane: int, leg: Leg) -> None:
+        """Takes over a plane's leg."""
+        lane, ends = leg.lane, len(leg.lane.corners)
+        self.corners[plane], self.along[plane] = lane.corners[-1], lane.length
+        self.corners[plane, :ends], self.along[plane, :ends] = lane.corners, lane.along
+        self.flown[plane], self.speed[plane], self.length[plane] = leg.flown, leg.speed, lane.length
+        self.backwards[plane], self.yaw[plane] = leg.backwards, lane.yaw(leg.backwards)
+
+    def poses(self, flown: np.ndarray) -> np.ndarray:
+        """X, y, z in m and yaw in rad ``[K, T, 4]`` after ``flown [K, T]`` metres, as :meth:`Lane.poses` has them."""
+        at = np.where(self.backwards[:, None], self.length[:, None] - flown, flown)
+        behind = (self.along[:, None] <= at[..., None]).sum(-1) - 1
+        last = self.along.shape[1] - 1
+        start, end = np.clip(behind, 0, last), np.clip(behind + 1, 0, last)
+        row = np.arange(len(at))[:, None]
+        length = self.along[row, end] - self.along[row, start]
+        first = self.corners[row, start]
+        slope = (self.corners[row, end] - first) / np.where(length > 0, length, 1.0)[..., None]
+        places = slope * (at - self.along[row, start])[..., None] + first
+        return np.concatenate([places, np.broadcast_to(self.yaw[:, None, None], (*at.shape, 1))], axis=-1)
+
+
 class Traffic:
     """All planes of the world: they fly on whatever the episodes do, and do not see the UAVs.
 
@@ -96,6 +129,7 @@ class Traffic:
             Leg(np.random.default_rng(seed), world.valleys[valley].lanes, config.plane_speed)
             for seed, valley in zip(seeds, self.valleys, strict=True)
         ]
+        self._ways = Ways(self.legs)
 
     @property
     def positions(self) -> np.ndarray:
@@ -104,13 +138,21 @@ class Traffic:
 
     def poses(self) -> np.ndarray:
         """X, y, z in metres and yaw in rad, in [-π, π], of all planes now: ``[K, 4]``."""
-        poses = [leg.poses(np.array([leg.flown]))[0] for leg in self.legs]
-        return self._in_world(np.array(poses).reshape(-1, 4))
+        return self._in_world(self._ways.poses(self._ways.flown[:, None])[:, 0])
 
     def advance(self, steps: int, dt: float) -> np.ndarray:
         """Flies on by ``steps`` times ``dt`` s: x, y, z in m and yaw in rad after each, ``[steps, K, 4]``."""
-        paths = [leg.fly(steps, dt) for leg in self.legs]
-        return self._in_world(np.stack(paths, axis=1) if paths else np.zeros((steps, 0, 4)))
+        ways = self._ways
+        flown = ways.flown[:, None] + ways.speed[:, None] * (np.arange(1, steps + 1) * dt)
+        path = ways.poses(flown)
+        for plane in np.flatnonzero((flown > ways.length[:, None]).any(1)).tolist():
+            leg = self.legs[plane]
+            leg.flown = float(ways.flown[plane])
+            path[plane] = leg.fly(steps, dt)
+            ways.take(plane, leg)
+            flown[plane] = leg.flown
+        ways.flown = flown[:, -1] if steps else ways.flown
+        return self._in_world(path.transpose(1, 0, 2))
 
     def _in_world(self, poses: np.ndarray) -> np.ndarray:
         """Moves x, y, z and yaw ``[..., K, 4]`` from the valleys' frames into the world's, the yaws to [-π, π]."""

@@ -16,6 +16,7 @@ from uavrl.transforms.rewards import (
     traditional_terms,
 )
 from uavrl.transforms.state import REDUCTIONS, NavigationState
+from uavrl.transforms.threats import Threats
 
 __all__ = [
     "REDUCTIONS",
@@ -29,6 +30,7 @@ __all__ = [
     "PointCloudReduction",
     "RangeImage",
     "SumOfTerms",
+    "Threats",
     "TraditionalReward",
     "TruncatedIcosahedron",
     "mirror_action",

@@ -10,10 +10,12 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
 from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, Reduction
+from uavrl.transforms.threats import DIRECTIONS
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
 OBJECT_SIGNS = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0)  # place, velocity and size of a moving object
+STANDING_SIGN = (1.0,)  # of the threat to who stands
 ACTION_SIGNS = (1.0, -1.0, 1.0, -1.0)  # forward, left, up, yaw rate
 
 
@@ -23,12 +25,23 @@ def _places_and_signs(
     reduction: Reduction, last_action: bool, motion: bool, device: torch.device
 ) -> tuple[Tensor, Tensor]:
     """Where each of an observation's numbers comes from in the mirrored one, and its sign."""
-    directions = REDUCTIONS[reduction].directions()
-    image = ((directions * directions.new_tensor([1.0, -1.0, 1.0])) @ directions.T).argmax(-1)
-    objects = OBJECT_SIGNS * MOVING_OBJECTS if motion else ()
-    rest = torch.tensor(BESIDE_SIGNS + objects + (ACTION_SIGNS if last_action else ()))
-    places = torch.cat([image, len(image) + torch.arange(len(rest))])
-    return places.to(device), torch.cat([torch.ones(len(image)), rest]).to(device)
+    kept: list[tuple[Tensor | None, tuple[float, ...]]]
+    kept = [(_image(REDUCTIONS[reduction].directions()), ()), (None, BESIDE_SIGNS)]
+    if motion:
+        kept += [(None, OBJECT_SIGNS * MOVING_OBJECTS), (_image(DIRECTIONS), ()), (None, STANDING_SIGN)]
+    if last_action:
+        kept += [(None, ACTION_SIGNS)]
+    places, signs = torch.zeros(0, dtype=torch.long), torch.zeros(0)
+    for image, part in kept:
+        from_there = torch.arange(len(part)) if image is None else image
+        places = torch.cat([places, len(places) + from_there])
+        signs = torch.cat([signs, torch.tensor(part) if part else torch.ones(len(from_there))])
+    return places.to(device), signs.to(device)
+
+
+def _image(directions: Tensor) -> Tensor:
+    """Which of ``directions [D, 3]`` is the mirror image of each."""
+    return ((directions * directions.new_tensor([1.0, -1.0, 1.0])) @ directions.T).argmax(-1)
 
 
 def mirror_observation(
@@ -44,10 +57,11 @@ def mirror_observation(
     §3.2, has the observation; for symmetric transitions in replay see Lin et al. (2020), arXiv:1911.02437).
 
     Args:
-        observation: ``[*B, F * 35]`` (4 more each with ``last_action``, 21 with ``motion``), F stacked ones of
+        observation: ``[*B, F * 35]`` (4 more each with ``last_action``, 94 with ``motion``), F stacked ones of
             :func:`uavrl.transforms.navigation_observation` with folded angles.
         last_action: whether each observation ends with an action, as :class:`uavrl.transforms.LastAction` makes it.
-        motion: whether it also holds moving objects, as :class:`uavrl.transforms.NavigationState` puts them there.
+        motion: whether it also holds moving objects and their threats, as :class:`uavrl.transforms.NavigationState`
+            puts them there.
         reduction: as in :class:`uavrl.transforms.NavigationState`.
 
     Raises:
@@ -65,8 +79,7 @@ def mirror_observation(
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
     image = frames.index_select(-1, places) * signs.to(frames.dtype)
-    behind = len(ACTION_SIGNS) * last_action + len(OBJECT_SIGNS) * MOVING_OBJECTS * motion
-    heading = image[..., HEADING - behind]
+    heading = image[..., len(REDUCTIONS[reduction].directions()) + len(BESIDE_SIGNS) + HEADING]
     heading.masked_fill_(heading == 1.0, -1.0)  # straight behind is -1 on either side: folded angles are in [-1, 1)
     return image.flatten(-2)
 

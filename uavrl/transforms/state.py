@@ -14,6 +14,7 @@ from uavrl.transforms.motion import MovingObjects
 from uavrl.transforms.observation import Angles, LastAction, NavigationObservation
 from uavrl.transforms.range_image import RangeImage
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
+from uavrl.transforms.threats import Threats
 
 Reduction = Literal["truncated_icosahedron", "range_image"]
 REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
@@ -40,7 +41,8 @@ def _with_motion(max_range: float) -> Iterator[Transform]:
         out_keys=["scaled_objects"],
         standard_normal=False,
     )
-    yield CatTensors(["observation", "scaled_objects"], "observation", del_keys=True, sort=False)
+    yield Threats(ACTION_LIMIT)
+    yield CatTensors(["observation", "scaled_objects", "threats"], "observation", del_keys=True, sort=False)
 
 
 class NavigationState(Compose):
@@ -57,7 +59,7 @@ class NavigationState(Compose):
         reduction: of the scan: ``"truncated_icosahedron"``, or the 72 cells of a ``"range_image"``.
         last_action: whether an observation also holds the action that led to it.
         motion: how far :class:`MovingObjects` are looked for, m, of which an observation then also holds the nearest
-            three; the scan must reach as far. None: not at all.
+            three and their :class:`Threats`; the scan must reach as far. None: not at all.
         frames: observations in a state.
 
     Examples:
