@@ -97,7 +97,7 @@ def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.nda
                 kept[better] = new[again.fits]
     turned = np.arccos(np.clip((np.einsum("nij,nij->n", found.rotations, rotations) - 1) / 2, -1, 1))
     small = (turned < MOST_TURN) & (np.linalg.norm(found.places - places, axis=1) < MOST_SHIFT)
-    return found._replace(fits=found.fits & small)
+    return Alignment(found.rotations, found.places, found.compared, found.fits & small)
 
 
 def _refine(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, expected: np.ndarray) -> Alignment:
