@@ -18,6 +18,7 @@ GATES = (1.0, 0.5, 0.25, 0.15)  # m, step by step, up to which a distance from p
 AGREEING = 0.15  # m, up to which a point lies on the surface that the other scan saw
 LEAST_COMPARED = 60  # points; with fewer, the scans say nothing about how the sensor turned
 LEAST_AGREEING = 0.92  # of the points that are compared, in scans that lie on each other
+LEAST_GAIN = 0.002  # of that share, for which what was expected is corrected
 MOST_TURN, MOST_SHIFT = np.radians(12.0), 0.4  # m, that the scans may correct what was expected
 STARTS = np.radians([5.0, -5.0])  # of yaw, from which it is tried again
 EXPECTED = np.array([2.0] * 3 + [200.0] * 3, np.float32)  # weight of what was expected, against one point per m²
@@ -35,13 +36,15 @@ class Samples(NamedTuple):
 class Alignment(NamedTuple):
     """Where N sensors were in the axes of their earlier scans: rotations ``[N, 3, 3]``, places ``[N, 3]`` in m.
 
-    ``compared [N]`` is how many points were, and ``fits [N]`` whether the scans then lie on each other.
+    ``compared [N]`` is how many points were, ``agreeing [N]`` the share of them that lies on what the earlier scan saw,
+    and ``fits [N]`` whether that is enough.
     """
 
     rotations: np.ndarray
     places: np.ndarray
     compared: np.ndarray
     fits: np.ndarray
+    agreeing: np.ndarray
 
 
 def point_images(seen: Returns, count: int, grid: Grid) -> np.ndarray:
@@ -95,9 +98,13 @@ def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.nda
             better = bad[again.fits]
             for kept, new in zip(found, again, strict=True):
                 kept[better] = new[again.fits]
+    told = _judge(samples, images, grid, rotations.astype(np.float32), places.astype(np.float32))
+    right = told.agreeing > found.agreeing - LEAST_GAIN  # what was expected lies as well: nothing is to be corrected
+    for kept, expected in zip(found, told, strict=True):
+        kept[right] = expected[right]
     turned = np.arccos(np.clip((np.einsum("nij,nij->n", found.rotations, rotations) - 1) / 2, -1, 1))
     small = (turned < MOST_TURN) & (np.linalg.norm(found.places - places, axis=1) < MOST_SHIFT)
-    return Alignment(found.rotations, found.places, found.compared, found.fits & small)
+    return Alignment(found.rotations, found.places, found.compared, found.fits & small, found.agreeing)
 
 
 def _refine(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, expected: np.ndarray) -> Alignment:
@@ -113,9 +120,14 @@ def _refine(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndar
         step = np.linalg.solve(matrix, weighted @ distances[..., None] + pull[..., None])[..., 0]
         turned = rotation_about(step[:, :3]).astype(np.float32)
         turn, place = turned @ turn, ((turned @ place[..., None])[..., 0] + step[:, 3:]).astype(np.float32)
+    return _judge(samples, images, grid, turn, place)
+
+
+def _judge(samples: Samples, images: np.ndarray, grid: Grid, turn: np.ndarray, place: np.ndarray) -> Alignment:
+    """How well scans lie on the earlier ones where they are said to be."""
     _, _, distances, known = _compare(samples, images, grid, turn, place)
     agreeing = (known & (np.abs(distances) < AGREEING)).sum(1) / np.maximum(known.sum(1), 1)
-    return Alignment(turn, place, np.minimum(known.sum(1), samples.found), agreeing >= LEAST_AGREEING)
+    return Alignment(turn, place, np.minimum(known.sum(1), samples.found), agreeing >= LEAST_AGREEING, agreeing)
 
 
 def _compare(
