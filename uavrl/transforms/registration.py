@@ -18,7 +18,6 @@ GATES = (1.0, 0.5, 0.25, 0.15)  # m, step by step, up to which a distance from p
 AGREEING = 0.15  # m, up to which a point lies on the surface that the other scan saw
 LEAST_COMPARED = 60  # points; with fewer, the scans say nothing about how the sensor turned
 LEAST_AGREEING = 0.92  # of the points that are compared, in scans that lie on each other
-LEAST_GAIN = 0.002  # of that share, for which what was expected is corrected
 MOST_TURN, MOST_SHIFT = np.radians(12.0), 0.4  # m, that the scans may correct what was expected
 STARTS = np.radians([5.0, -5.0])  # of yaw, from which it is tried again
 EXPECTED = np.array([2.0] * 3 + [200.0] * 3, np.float32)  # weight of what was expected, against one point per m²
@@ -99,7 +98,7 @@ def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.nda
             for kept, new in zip(found, again, strict=True):
                 kept[better] = new[again.fits]
     told = _judge(samples, images, grid, rotations.astype(np.float32), places.astype(np.float32))
-    right = told.agreeing > found.agreeing - LEAST_GAIN  # what was expected lies as well: nothing is to be corrected
+    right = told.agreeing >= found.agreeing  # what was expected lies as well: nothing is to be corrected
     for kept, expected in zip(found, told, strict=True):
         kept[right] = expected[right]
     turned = np.arccos(np.clip((np.einsum("nij,nij->n", found.rotations, rotations) - 1) / 2, -1, 1))
