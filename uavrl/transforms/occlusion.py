@@ -8,7 +8,7 @@ import numpy as np
 
 from uavrl.cells import NEAREST_RETURN
 
-MOST = 0.5  # of the columns
+MOST_COLUMNS = 0.5  # share that must have had returns, before one that never had any is taken for blind
 HOUSING = NEAREST_RETURN**2  # m², squared distance below which a return lies within the sensor
 
 
@@ -149,6 +149,6 @@ class EarlierScans:
         images = (ages - 1) * self.count + np.arange(self.count)  # each sensor's, among all
         least = self.least.reshape(-1).take((images[clouds] * self.grid.rows + rows) * self.grid.columns + column)
         known = (row >= 0) & (row <= self.grid.rows - 1) & (ranges < self.max_range) & (ranges > NEAREST_RETURN)
-        if not (seeing := self.ever | (self.ever.mean(1, keepdims=True) < MOST)).all():
+        if not (seeing := self.ever | (self.ever.mean(1, keepdims=True) < MOST_COLUMNS)).all():
             known &= seeing[clouds, column]
         return np.where(known, np.minimum(least, self.max_range) - ranges, np.float32(np.nan))

@@ -99,7 +99,8 @@ class Threats(Transform):
     """Writes how near moving objects would come on the way in each of 72 directions, and standing.
 
     For each direction at full speed, and for standing, :func:`threat` of the object that comes nearest within two
-    seconds, over the greatest: 0 where none comes near, above 0.45 where one is met. The objects fly straight on.
+    seconds, over the greatest: 0 where none comes near, above 0.45 where one is met. The objects fly straight on. They
+    are met within 1.45 m level and 0.6 m in height, which suits planes of 1.2 m.
 
     Args:
         speed: at which the directions are flown, m/s.
