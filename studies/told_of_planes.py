@@ -29,9 +29,9 @@ from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.rollout.environment import make_env
-from uavrl.rollout.evasion import TIMES, to_yaw
 from uavrl.rollout.rollout import fly
 from uavrl.runs.episodes import wilson
+from uavrl.transforms.threats import TIMES, to_yaw
 
 SIGHTS = {"nothing": 0.0, "in view within 8 m": 8.0, "in view within 10 m": 10.0, "in view within 14 m": 14.0}
 ALL = "all within 14 m, as they will fly"

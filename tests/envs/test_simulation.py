@@ -308,6 +308,31 @@ def test_a_plane_that_enters_anew_within_a_step_is_met() -> None:
     simulation.close()
 
 
+def test_planes_that_are_far_away_change_nothing_to_the_last_digit(monkeypatch: pytest.MonkeyPatch) -> None:
+    valley = World(WorldConfig(seeds=(0,), size=(26.0, 20.0), obstacles=10))
+
+    def flown() -> tuple[np.ndarray, np.ndarray]:
+        rng, found, touched = np.random.default_rng(0), [], []
+        simulation = Simulation(valley.meshes, UAVS, plane_mesh=plane_mesh(1.2), plane_count=PLANES)
+        starts = rng.uniform([-12, -9, 1.0, -3], [12, 9, 6, 3], (UAVS, 4))
+        simulation.reset(np.arange(UAVS), starts[:, :3], starts[:, 3])
+        planes, speeds = rng.uniform([-12, -9, 1, -3], [12, 9, 6, 3], (PLANES, 4)), rng.uniform(-4, 4, (PLANES, 2))
+        for step in range(20):
+            times = step / 10 + np.arange(1, simulation.substeps + 1) / simulation.substeps / 10
+            path = np.tile(planes, (simulation.substeps, 1, 1))
+            path[..., :2] += 3 * times[:, None, None] * speeds
+            touched.append(simulation.step(rng.uniform(-2, 2, (UAVS, 4)), path))
+            found.append(np.concatenate([simulation.position, simulation.velocity], 1))
+        simulation.close()
+        return np.array(found), np.array(touched)
+
+    near = flown()
+    monkeypatch.setattr("uavrl.envs.plane_bodies.ROOM", 1e6)
+    for one, other in zip(near, flown(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert near[1].any() and not near[1].all()
+
+
 def test_samples_lie_on_the_surface_and_leave_no_part_of_it_out() -> None:
     pole = Mesh([[0, 0, 0], [0.1, 0, 0], [0, 0, 9]], [[0, 1, 2]])
     samples = surface_samples(pole, SAMPLE_SPACING)

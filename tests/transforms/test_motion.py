@@ -23,7 +23,7 @@ from uavrl.errors import UavrlError
 from uavrl.rollout.environment import make_env
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
-from uavrl.transforms.motion import body_to_world
+from uavrl.transforms.motion import _rotations
 
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
@@ -55,20 +55,29 @@ class Vehicle:
         """Cloud, position and attitude, one vehicle."""
         for step, body in enumerate(bodies):
             place, attitude = self.at(step)
-            yield lidar.scan(place[None], body_to_world(attitude[None]), body), place, attitude
+            yield lidar.scan(place[None], _rotations(attitude[None]), body), place, attitude
 
     def seen(
-        self, lidar: Lidar, bodies: list[np.ndarray], sight: MotionSight | None = None, *, noisy: bool = False
+        self,
+        lidar: Lidar,
+        bodies: list[np.ndarray],
+        sight: MotionSight | None = None,
+        *,
+        noisy: bool = False,
+        wrong: tuple[float, float, float] = (0.0, 0.0, 0.0),  # degrees of roll, pitch and yaw, new at each scan
     ) -> np.ndarray:
         """What is reported after each scan, in world axes from where the vehicle began, ``[T, K, 7]``."""
         sight, found, rng = sight or MotionSight(1), [], np.random.default_rng(0)
         bias = np.radians([1.0, -1.0, 2.0]) * noisy  # of an autopilot's roll, pitch and yaw
         for cloud, place, attitude in self.scans(lidar, iter(bodies)):
             far = cloud.reshape(1, 1808, 16, 3)[:, ::5].reshape(1, -1, 3)
-            objects = sight.look(far, self.velocity[None] + rng.normal(0, 0.1, 3) * noisy, (attitude + bias)[None])[
-                0
-            ].astype(float)
-            turn = body_to_world(np.array([[0.0, 0.0, attitude[2]]]))[0]
+            velocity = self.velocity + rng.normal(0, 0.1, 3) * (noisy or any(wrong))
+            said = attitude + bias + (np.radians(wrong) * rng.normal(0, 1, 3) if any(wrong) else 0.0)
+            objects = sight.look(far, velocity[None], said[None])[0].astype(float)
+            level = _rotations(np.array([[0.0, 0.0, said[2]]]))[0]
+            turn = _rotations(attitude[None])[0] @ _rotations(said[None])[0].T @ level
+            if not any(wrong):
+                turn = _rotations(np.array([[0.0, 0.0, attitude[2]]]))[0]
             there = objects[:, 6:] > 0
             objects[:, :3] = there * (objects[:, :3] @ turn.T + place)
             objects[:, 3:6] = objects[:, 3:6] @ turn.T
@@ -102,6 +111,26 @@ def test_fixed_errors_of_attitude_and_noise_of_velocity_leave_a_body_found(lidar
 
 def test_what_stands_is_not_reported_by_a_vehicle_that_moves_turns_and_tilts(lidar: Lidar) -> None:
     assert not Vehicle().seen(lidar, [np.zeros((0, 4))] * 40).any()
+
+
+def test_what_stands_is_not_reported_where_attitudes_are_wrong(lidar: Lidar) -> None:
+    assert not Vehicle().seen(lidar, [np.zeros((0, 4))] * 40, wrong=(1.0, 1.0, 2.0)).any()
+
+
+def test_a_body_is_reported_where_attitudes_are_wrong(lidar: Lidar) -> None:
+    way = straight((8.0, 0.5, 0.3), 3.5, math.pi, 10)
+    seen = Vehicle().seen(lidar, way, wrong=(1.0, 1.0, 2.0))
+    errors = np.linalg.norm(seen[6:, 0, 3:6] - [-3.5, 0.0, 0.0], axis=-1)
+    assert (seen[6:, 0, 6] > 0.3).all() and (errors < 0.7).all(), errors
+
+
+def test_a_sector_that_never_sees_is_not_free(lidar: Lidar) -> None:
+    """What turns out of it has not come there."""
+    vehicle, sight = Vehicle(), MotionSight(1)
+    for cloud, _, attitude in vehicle.scans(lidar, iter([np.zeros((0, 4))] * 30)):
+        cycles = cloud.reshape(1, 1808, 16, 3)[:, ::5].copy()
+        cycles[:, 60:110] = np.nan
+        assert not sight.look(cycles.reshape(1, -1, 3), vehicle.velocity[None], attitude[None]).any()
 
 
 def test_a_body_that_stands_or_crawls_is_not_reported(lidar: Lidar) -> None:

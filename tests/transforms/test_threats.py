@@ -77,6 +77,18 @@ def test_a_way_is_threatened_exactly_where_a_fine_simulation_comes_too_near(seed
     assert 0 < (least < 1).sum() < 73
 
 
+@pytest.mark.parametrize("batch", [(), (0,), (2, 3)])
+def test_any_batch_has_threats(batch: tuple[int, ...]) -> None:
+    told = {"moving_objects": 21, "velocity": 3, "attitude": 3}
+    data = TensorDict({key: torch.zeros(*batch, width) for key, width in told.items()}, batch)
+    assert Threats()(data)["threats"].shape == (*batch, 73)
+
+
+def test_other_numbers_of_keys_are_refused() -> None:
+    with pytest.raises(ValueError, match="three in_keys"):
+        Threats(in_keys=["moving_objects"])
+
+
 def test_the_mirrored_object_threatens_the_mirrored_ways() -> None:
     image = threats((3.0, 4.5, 0.4, 0.0, -3.0, 0.0, 1.0), velocity=(1.0, -0.5, 0.2))
     mirrored = threats((3.0, -4.5, 0.4, 0.0, 3.0, 0.0, 1.0), velocity=(1.0, 0.5, 0.2))

@@ -32,8 +32,8 @@ class PlaneBodies:
 
     def place(self, poses: np.ndarray, vehicles: np.ndarray) -> None:
         """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad, with vehicles at ``[N, 3]``."""
-        self._poses = np.asarray(poses, dtype=np.float64)
-        self._choose(self._poses[None], vehicles)
+        self._poses = poses
+        self._choose(poses[None], vehicles)
         self.move(0)
 
     def bring(self, vehicles: np.ndarray) -> None:
@@ -43,8 +43,8 @@ class PlaneBodies:
 
     def begin(self, path: np.ndarray, vehicles: np.ndarray) -> None:
         """Takes in the way of a control period: ``[T, K, 4]``, of which :meth:`move` then flies each step."""
-        self._choose(np.asarray(path, dtype=np.float64), vehicles)
-        self._poses = np.asarray(path[-1], dtype=np.float64)
+        self._choose(path, vehicles)
+        self._poses = path[-1]
 
     def move(self, step: int) -> None:
         """Moves the planes that are near to where they are at a step of the way."""

@@ -217,6 +217,7 @@ class Simulation:
 
     @staticmethod
     def _checked_poses(poses: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """Poses as float64, of which there must be as many."""
         poses = np.asarray(poses, dtype=np.float64)
         if poses.shape != shape:
             raise ValueError(f"Poses of planes must have the shape {shape}, got {poses.shape}.")
@@ -321,6 +322,7 @@ class Simulation:
 
     def closest_distance(self) -> np.ndarray:
         """Returns ``[N]``: m from each hull to the nearest geometry or plane, at most 5; below 0 inside."""
+        self._planes.bring(self.position)
         return self._clearance.distances(self._vehicles, self.position)
 
     def close(self) -> None:

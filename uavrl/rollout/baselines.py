@@ -9,13 +9,13 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
-from uavrl.rollout.evasion import evade, straight_on, to_yaw
+from uavrl.rollout.evasion import evade
 from uavrl.rollout.mppi import MPPI
 from uavrl.rollout.potential_field import PotentialField
 from uavrl.rollout.vfh_star import VFHStar
-from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
+from uavrl.transforms.threats import DIRECTIONS, straight_on, to_yaw
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
 TURN_LIMIT = 1.0  # rad/s; at 2 rad/s a command that is 0.2 s late points 23 degrees elsewhere
@@ -134,10 +134,13 @@ class VectorFieldHistogram(TensorDictModuleBase):
         self.motion = motion
         self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
         self.costs = COSTS[reduction, statistic] if costs is None else costs
-        self.directions = grid_directions(24, (-0.5, 0.0, 0.5))
-        self._near = self.directions @ self.directions.T  # [D, D], cosines between them
-        cosines = self.directions @ REDUCTIONS[reduction].directions().T
-        self._seen_in = cosines.clamp_min(0) ** self.costs.width  # [D, cells]: how much of each counts in a direction
+        cosines = DIRECTIONS @ REDUCTIONS[reduction].directions().T
+        self.directions: Tensor
+        self._near: Tensor  # [D, D], cosines between directions
+        self._seen_in: Tensor  # [D, cells]: how much of each counts in a direction
+        self.register_buffer("directions", DIRECTIONS.clone(), persistent=False)
+        self.register_buffer("_near", DIRECTIONS @ DIRECTIONS.T, persistent=False)
+        self.register_buffer("_seen_in", cosines.clamp_min(0) ** self.costs.width, persistent=False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""

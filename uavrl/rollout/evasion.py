@@ -3,9 +3,7 @@
 import torch
 from torch import Tensor
 
-from uavrl.transforms.threats import TIMES, greatest_threats, straight_on, to_yaw
-
-__all__ = ["TIMES", "evade", "straight_on", "to_yaw"]
+from uavrl.transforms.threats import greatest_threats
 
 SHARES = torch.tensor([1.0, 0.5, 0.0])  # of the speed that a direction would be flown at
 SLOWNESS, THREAT = 0.3, 3.0  # what standing costs, and a collision; chosen by hand
@@ -24,7 +22,8 @@ def evade(
         ways: where K bodies will be, seen from the vehicles, ``[N, K, T, 3]`` in m.
         known: which of them there are, ``bool [N, K]``.
     """
-    commanded = speed[..., None, None] * SHARES[:, None] * directions[:, None]  # [N, D, S, 3]
+    shares = SHARES.to(speed)
+    commanded = speed[..., None, None] * shares[:, None] * directions[:, None]  # [N, D, S, 3]
     worst = greatest_threats(commanded, velocity, ways, known)
-    least, share = (cost[..., None] + SLOWNESS * (1 - SHARES) + THREAT * worst).min(-1)
-    return least, SHARES[share] * speed
+    least, share = (cost[..., None] + SLOWNESS * (1 - shares) + THREAT * worst).min(-1)
+    return least, shares[share] * speed

@@ -41,7 +41,7 @@ class RecordedFlight:
     points: np.ndarray  #: ``[P, 3]`` in m in the sensor's frame – the points of all scans, one scan after the other
     point_ends: np.ndarray  #: ``[T + 1]``, how many points there are up to and with each scan
     #: ``[T + 1, M, 7]``, what the vehicle sees to move: places in m, velocities in m/s (world axes), sizes in m, which
-    #: are 0 where there is none; ``[0, 0, 7]`` where it does not look for any
+    #: are 0 where there is none; M is 0 where it does not look for any
     objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 7)))
 
     def cloud(self, moment: int) -> np.ndarray:
@@ -155,7 +155,10 @@ def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> 
     if summary.outcome not in OUTCOMES or not numbers or len(lengths) != 8 or summary.episode_return is not None:
         raise ValueError(f"its summary is {summary}")
     plain |= {"summary": summary, "reward_names": tuple(map(str, plain["reward_names"]))}
-    return RecordedFlight(**plain, **_of(arrays, name))
+    flight = RecordedFlight(**plain, **_of(arrays, name))
+    if flight.objects.shape[1:] != (0, 7) and flight.objects.shape != (len(flight.times), flight.objects.shape[1], 7):
+        raise ValueError(f"what moves has the shape {flight.objects.shape}")
+    return flight
 
 
 def _scenery(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> Scenery:

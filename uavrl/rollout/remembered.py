@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.cells import LASERS, NEAREST_RETURN
-from uavrl.transforms.motion import body_to_world
+from uavrl.transforms.motion import _rotations as body_to_world
 from uavrl.transforms.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl.transforms.threats import to_yaw

@@ -14,7 +14,8 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.cells import LASERS
 from uavrl.errors import UavrlError
-from uavrl.transforms.occlusion import EarlierScans, Grid, find_returns
+from uavrl.transforms.occlusion import EarlierScans, Grid, Returns, find_returns
+from uavrl.transforms.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
 from uavrl.transforms.tracks import Scan, Track, follow
 
 __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
@@ -34,7 +35,9 @@ class MotionSight:
     hang together begin a track, which a Kalman filter follows straight on; it counts once it was seen in three scans
     and moves at 1.5 to 8 m/s. Bodies that stand, or are larger than 2.5 m, are never reported.
 
-    The sensors' own motion is integrated from their velocities between the scans. Where they are is not needed.
+    The sensors' own motion is taken from their velocities and attitudes, and corrected by laying each scan over the one
+    before (:mod:`uavrl.transforms.registration`). Where these do not fit, the earlier scans are forgotten and nothing
+    new is reported. Where the sensors are is not needed.
 
     Args:
         sensors: N.
@@ -61,12 +64,15 @@ class MotionSight:
         self._scans = EarlierScans(sensors, DEPTH, Grid() if grid is None else grid, max_range)
         self._ages = np.zeros(sensors, np.int64)  # of earlier scans, how many are known
         self._positions, self._velocities = np.zeros((2, sensors, 3))  # since the first scan
+        self._rotations, self._attitudes = np.tile(np.eye(3), (2, sensors, 1, 1))
+        self._images = np.zeros((3, sensors, self._scans.grid.rows, self._scans.grid.columns), np.float32)
         self._last = [np.zeros((0, 3), np.float32)] * sensors  # returns of the last scans in the world
         self._tracks: list[list[Track]] = [[] for _ in range(sensors)]
 
     def reset(self, which: np.ndarray) -> None:
         """Forgets all that some sensors have seen, ``bool [N]``; their next scan is their first."""
         self._ages[which] = 0
+        self._scans.reset(which)
         self._positions[which] = self._velocities[which] = 0.0
         for one in np.flatnonzero(which):
             self._tracks[one], self._last[one] = [], self._last[one][:0]
@@ -86,20 +92,17 @@ class MotionSight:
             which: ``bool [N]``, which have a new scan; what the others report is not to be used. None: all.
         """
         which = np.ones(len(self._ages), bool) if which is None else which
-        rotations = body_to_world(attitudes)
-        moved = self.period * (velocities + self._velocities) / 2
-        self._positions += np.where((which & (self._ages > 0))[:, None], moved, 0.0)
-        self._velocities = np.where(which[:, None], velocities, self._velocities)
         seen = find_returns(
             np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range
         )
+        self._move(seen, velocities, _rotations(attitudes), which)
         bounds = np.searchsorted(seen.clouds, np.arange(len(which) + 1))
         world = np.empty_like(seen.points)
         for one, (first, last) in enumerate(pairwise(bounds)):
-            turned = rotations[one].astype(np.float32) @ seen.points[:, first:last]
+            turned = self._rotations[one].astype(np.float32) @ seen.points[:, first:last]
             world[:, first:last] = turned + self._positions[one, :, None].astype(np.float32)
         moving, fresh = self._moving(world, seen.clouds)
-        self._scans.add(seen, rotations, self._positions, which)
+        self._scans.add(seen, self._rotations, self._positions, which)
         self._ages = np.where(which, np.minimum(self._ages + 1, DEPTH), self._ages)
         for one in np.flatnonzero(which).tolist():
             mine = slice(bounds[one], bounds[one + 1])
@@ -108,6 +111,43 @@ class MotionSight:
                 self._tracks[one] = follow(self._tracks[one], scan, partial(self._before, one), self.period)
             self._last[one] = scan.points
         return self._report(attitudes[:, 2])
+
+    def _move(self, seen: Returns, velocities: np.ndarray, attitudes: np.ndarray, which: np.ndarray) -> None:
+        """Moves the sensors ``which`` to where they now scan: as they say, corrected by what stands around them.
+
+        Where the scans cannot be laid over each other, the earlier ones are forgotten.
+        """
+        known = which & (self._ages > 0)
+        corrections = np.where(known[:, None, None], self._rotations @ self._attitudes.transpose(0, 2, 1), np.eye(3))
+        rotations = corrections @ attitudes
+        moved = self.period * (corrections @ (velocities + self._velocities)[:, :, None] / 2)[:, :, 0]
+        positions = self._positions + np.where(known[:, None], moved, 0.0)
+        images = point_images(seen, len(which), self._scans.grid)
+        back = self._rotations.transpose(0, 2, 1)
+        at = register(
+            sample(images),
+            self._images,
+            self._scans.grid,
+            back @ rotations,
+            (back @ (positions - self._positions)[:, :, None])[:, :, 0],
+        )
+        good = known & at.fits & (at.compared >= LEAST_COMPARED)
+        bad = known & ~at.fits & (at.compared >= LEAST_COMPARED)
+        turned, shifted = (
+            orthonormal(self._rotations @ at.rotations),
+            (self._rotations @ at.places[:, :, None])[:, :, 0],
+        )
+        rotations = np.where(good[:, None, None], turned, rotations)
+        positions = np.where(good[:, None], self._positions + shifted, positions)
+        self._ages[bad] = 0
+        for kept, new in (
+            (self._rotations, rotations),
+            (self._positions, positions),
+            (self._velocities, velocities),
+            (self._attitudes, attitudes),
+        ):
+            kept[which] = new[which]
+        self._images[:, which] = images[:, which]
 
     def _moving(self, world: np.ndarray, clouds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which returns ``[3, M]`` may be of moving bodies, and which of these are fresh: ``bool [M]`` each.
@@ -141,6 +181,7 @@ class MotionSight:
                 continue
             cos, sin = np.cos(yaw), np.sin(yaw)
             level = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            level = level @ self._attitudes[one] @ self._rotations[one].T
             objects = [
                 [*(level @ (track.position - self._positions[one])), *(level @ track.velocity), track.size]
                 for track in tracks
@@ -153,7 +194,7 @@ class MotionSight:
         return found
 
 
-def body_to_world(attitudes: np.ndarray) -> np.ndarray:
+def _rotations(attitudes: np.ndarray) -> np.ndarray:
     """Body-to-world rotations ``[N, 3, 3]`` of roll, pitch and yaw ``[N, 3]``: yaw about z, then pitch, then roll."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(attitudes).T, np.sin(attitudes).T
     rows = [

@@ -8,6 +8,7 @@ import numpy as np
 
 from uavrl.cells import NEAREST_RETURN
 
+MOST_COLUMNS = 0.5  # share that must have had returns, before one that never had any is taken for blind
 HOUSING = NEAREST_RETURN**2  # m², squared distance below which a return lies within the sensor
 
 
@@ -101,6 +102,11 @@ class EarlierScans:
         self.least = np.full((self.depth, self.count, self.grid.rows, self.grid.columns), np.inf, np.float32)
         self.rotations = np.zeros((self.depth, self.count, 3, 3), np.float32)
         self.positions = np.zeros((self.depth, self.count, 3), np.float32)
+        self.ever = np.zeros((self.count, self.grid.columns), bool)
+
+    def reset(self, which: np.ndarray) -> None:
+        """Forgets in which columns the sensors ``which``, ``bool [N]``, have had returns."""
+        self.ever[which] = False
 
     def add(self, seen: Returns, rotations: np.ndarray, positions: np.ndarray, which: np.ndarray) -> None:
         """Keeps scans as the newest of the sensors ``which``, ``bool [N]``.
@@ -111,7 +117,9 @@ class EarlierScans:
             positions: of the sensors in the world, ``[N, 3]`` in m.
             which: who has scanned.
         """
-        images = least_around(range_images(seen, self.count, self.grid))
+        images = range_images(seen, self.count, self.grid)
+        self.ever |= np.isfinite(images).any(1)
+        images = least_around(images)
         for kept, new in ((self.least, images), (self.rotations, rotations), (self.positions, positions)):
             if which.all():
                 kept[1:], kept[0] = kept[:-1], new
@@ -121,7 +129,8 @@ class EarlierScans:
     def beyond(self, world: np.ndarray, clouds: np.ndarray, ages: np.ndarray) -> np.ndarray:
         """How much farther than each point earlier scans saw in its direction and around it: ``[M]`` in m.
 
-        NaN where they did not look, or not as far. Without a return in any of nine cells they saw as far as they can.
+        NaN where they did not look, or not as far. Without a return in any of nine cells they saw as far as they can,
+        but a column that never had one is blind if most others did.
 
         Args:
             world: ``[3, M]``, points in the world in m.
@@ -140,4 +149,6 @@ class EarlierScans:
         images = (ages - 1) * self.count + np.arange(self.count)  # each sensor's, among all
         least = self.least.reshape(-1).take((images[clouds] * self.grid.rows + rows) * self.grid.columns + column)
         known = (row >= 0) & (row <= self.grid.rows - 1) & (ranges < self.max_range) & (ranges > NEAREST_RETURN)
+        if not (seeing := self.ever | (self.ever.mean(1, keepdims=True) < MOST_COLUMNS)).all():
+            known &= seeing[clouds, column]
         return np.where(known, np.minimum(least, self.max_range) - ranges, np.float32(np.nan))

@@ -99,13 +99,17 @@ class Threats(Transform):
     """Writes how near moving objects would come on the way in each of 72 directions, and standing.
 
     For each direction at full speed, and for standing, :func:`threat` of the object that comes nearest within two
-    seconds, over the greatest: 0 where none comes near, above 0.45 where one is met. The objects fly straight on.
+    seconds, over the greatest: 0 where none comes near, above 0.45 where one is met. The objects fly straight on. They
+    are met within 1.45 m level and 0.6 m in height, which suits planes of 1.2 m.
 
     Args:
         speed: at which the directions are flown, m/s.
         in_keys: moving objects ``[*B, K * 7]`` as :class:`uavrl.transforms.MovingObjects` writes them, velocities
             ``[*B, 3]`` (m/s, world axes) and attitudes ``[*B, 3]`` (roll, pitch and yaw in rad).
         out_keys: where the threats go, ``[*B, 73]``: of the directions in the order of ``DIRECTIONS``, and of standing.
+
+    Raises:
+        ValueError: for another number of keys than three and one.
 
     Examples:
         Something comes head-on, 5 m ahead:
@@ -128,6 +132,11 @@ class Threats(Transform):
         in_keys: Sequence[NestedKey] = ("moving_objects", "velocity", "attitude"),
         out_keys: Sequence[NestedKey] = ("threats",),
     ) -> None:
+        if len(in_keys) != 3 or len(out_keys) != 1:
+            raise ValueError(
+                f"Threats takes three in_keys (objects, velocity, attitude) and one out_key, got {list(in_keys)} and "
+                f"{list(out_keys)}."
+            )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.register_buffer("commanded", torch.cat([speed * DIRECTIONS, torch.zeros(1, 3)]))
 
@@ -136,15 +145,16 @@ class Threats(Transform):
         return self._call(tensordict)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        objects, velocity, attitude = (next_tensordict.get(key).flatten(0, -2) for key in self.in_keys)
-        batch = next_tensordict.get(self.in_keys[0]).shape[:-1]
+        told = [next_tensordict.get(key) for key in self.in_keys]
+        batch = told[0].shape[:-1]
+        objects, velocity, attitude = (value.reshape(batch.numel(), value.shape[-1]) for value in told)
         found = objects.new_zeros(len(objects), len(self.commanded))
         some = (objects != 0).any(-1).nonzero()[:, 0]
         if len(some):
             commanded = self.commanded.to(objects).expand(len(some), -1, -1)
             own = to_yaw(velocity[some], attitude[some, 2]).to(objects)
             found[some] = greatest_threats(commanded, own, *straight_on(objects[some])) / GREATEST
-        return next_tensordict.set(self.out_keys[0], found.reshape(*batch, -1))
+        return next_tensordict.set(self.out_keys[0], found.reshape(*batch, len(self.commanded)))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self._call(tensordict_reset)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import InitVar, dataclass, field
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ LEAST_RETURNS = 3  # that a body begins with
 CONFIRMED = 3  # scans that have seen it
 FRESH = 2  # of these, scans that saw it where an earlier one saw through
 COASTING = 8  # scans for which a body is believed to fly on unseen, if it was seen as often; one if not confirmed
+MOST_TRACKS = 12  # of one sensor, so that a bad scan costs little
 LARGEST_SURPRISE = 9.0  # mean squared distance from where it was expected, over its variance; 3 is usual
 
 
@@ -154,7 +156,8 @@ def follow(tracks: list[Track], scan: Scan, before: Callable[[], Scan], dt: floa
             continue
         free[body] = False
         track.update(*middle_and_size(scan.points[body]), len(body), fresh=int(scan.fresh[body].sum()) >= LEAST_RETURNS)
-    return [track for track in tracks if not track.is_lost] + list(_new(scan, before, free, dt))
+    kept = [track for track in tracks if not track.is_lost]
+    return kept + list(islice(_new(scan, before, free, dt), max(MOST_TRACKS - len(kept), 0)))
 
 
 def _new(scan: Scan, before: Callable[[], Scan], free: np.ndarray, dt: float) -> Iterator[Track]:

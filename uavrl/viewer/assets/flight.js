@@ -13,7 +13,8 @@ const OUTCOMES = Object.fromEntries([["arrived", data.states ? "arrived" : "succ
 const sceneries = Object.fromEntries(Object.entries(data.sceneries).map(([seed, item]) =>
   [seed, { ...unpackAll(item), grid: item.heights?.shape }]));
 const flights = data.flights.map((item) => ({ ...unpackAll(item), moments: item.times.shape[0],
-  planeCount: item.planes?.shape[1] ?? 0, objectCount: item.objects?.shape[1] ?? 0, rewardCount: item.rewards?.shape[1] ?? 0 }));
+  planeCount: item.planes?.shape[1] ?? 0, objectCount: item.objects?.shape[1] ?? 0,
+  rewardCount: item.rewards?.shape[1] ?? 0 }));
 
 function ground({ heights, grid: [rows, across], size }) {
   const x = [], y = [], i = [], j = [], k = [];
@@ -57,7 +58,8 @@ function goalShape([x, y, z], [radius, height]) {
 // Index of each trace; those from FLOWN on move.
 const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, OBJECTS, VEHICLE, MARK,
   POINTS, EDGES, FACES] = Array(17).keys();
-const LAYERS = [["planes", [PLANES], PLANE], ["seen to move", [OBJECTS], SEEN], ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], CELLS],
+const LAYERS = [["planes", [PLANES], PLANE], ["seen to move", [OBJECTS], SEEN],
+  ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], CELLS],
   [data.states ? "all scans" : "obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
 
