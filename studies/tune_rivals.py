@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from tune_vfh import SEED, VALLEYS, VEHICLES
+from tune_vfh import SEED, VALLEYS
 
 from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
@@ -30,7 +30,7 @@ from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
 
-OBSTACLES = 90
+OBSTACLES, VEHICLES = 90, 8
 
 
 class Tuned(NamedTuple):
@@ -71,6 +71,8 @@ RIVALS = {
             "effort": (0.01, 1.0),
             "near": (0.05, 0.25),
             "far": (0.4, 1.2),
+            "speed": (1.4, 2.8),
+            "climb": (0.2, 1.0),
             "spread": (0.4, 1.5),
             "temperature": (0.03, 1.0),
         },

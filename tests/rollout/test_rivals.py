@@ -14,9 +14,9 @@ from uavrl.cells import LASERS
 from uavrl.config import compose, validate
 from uavrl.rollout.baselines import BASELINES
 from uavrl.rollout.environment import make_env
-from uavrl.rollout.mppi import MPPI, STEPS, response
+from uavrl.rollout.mppi import MPPI, STEPS, places_of
 from uavrl.rollout.policies import named_policy
-from uavrl.rollout.remembered import LIDAR_ABOVE, THINNED, Planner, ScanMemory, polar_histogram
+from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory, polar_histogram
 from uavrl.rollout.rollout import fly
 from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
 
@@ -151,11 +151,55 @@ def test_mppi_samples_by_its_own_seed_alone() -> None:
 
 
 def test_mppi_knows_where_commands_lead() -> None:
-    """Of 2 m/s to the left from 1 m/s ahead: what the lag leaves after 2 s, as in one piece."""
-    commands, now = response()
-    ahead = (commands @ torch.tensor([[0.0, 2.0]]).expand(STEPS, 2) + now @ torch.tensor([[1.0, 0.0]]))[-1]
-    lost = 0.4 * (1 - np.exp(-2.0 / 0.4))
-    assert ahead.tolist() == pytest.approx([lost, 2.0 * (2.0 - lost)], abs=1e-4)
+    """To the left, from 1 m/s ahead and while it is tilted to the right: late, and no faster than the tilt allows."""
+    commands = torch.tensor([0.0, 2.0, 0.0]).expand(2, STEPS, 3)
+    velocity = torch.tensor([[1.0, 0.0, 0.0]] * 2)
+    tilted = torch.tensor([[0.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    level, right = places_of(commands, velocity, tilted)
+    speeds = level.diff(dim=0) / PERIOD
+    assert speeds[-1].tolist() == pytest.approx([0.0, 2.0, 0.0], abs=0.05)
+    assert level[:, 1].diff(n=2).max() < 5.4 * PERIOD**2
+    assert level[2, 1] < 0.5 * 2.0 * 0.3  # in 0.3 s
+    assert (level[-1] - right[-1])[1] == pytest.approx(0.1 * (1 / 0.41 - 1) / 2.4, rel=0.1)
+
+
+def test_mppi_climbs_no_steeper_than_it_sees() -> None:
+    post = scan(grid(1.2, (-3.0, 3.0), (-0.5, 0.3)))
+    rival = MPPI()
+    for step in range(5):
+        action = rival(seen(post, fresh=step == 0))["action"][0]
+        assert action[:2].norm() <= 2.0 + 1e-5
+        assert action[2].abs() <= max(0.5 * action[:2].norm(), 0.3) + 1e-5
+
+
+def test_the_vehicles_own_speed_and_tilt_carry_it_on() -> None:
+    """Whatever flies ahead and leans back comes to rest sooner; and all as its yaw points."""
+    told: list[Any] = []
+
+    class Watcher(Planner):
+        def steer(self, seen: Any) -> tuple[torch.Tensor, torch.Tensor]:
+            told.append(seen)
+            return seen.velocity, seen.turn
+
+    attitude = torch.tensor([[0.0, 0.0, np.pi / 2], [0.0, -0.2, np.pi / 2]])
+    nothing = scan(torch.zeros(0, 3))
+    Watcher(3.5, 4.0, 1.0)(
+        seen(nothing, nothing, fresh=True, velocity=torch.tensor([[0.0, 2.0, 0.0]] * 2), attitude=attitude)
+    )
+    ahead, leaning = told[0].carried
+    assert ahead.tolist() == pytest.approx([2 / 2.4, 0.0, 0.0], abs=1e-4)
+    assert leaning.tolist() == pytest.approx(
+        [(2 - 0.1 * (1 / 0.41 - 1) * 9.81 * np.tan(0.2)) / 2.4, 0.0, 0.0], abs=1e-3
+    )
+
+
+def test_a_potential_field_brakes_for_what_its_speed_carries_it_to() -> None:
+    wall = scan(grid(1.7, (-1.0, 1.0)))
+    still, fast = (
+        BASELINES["potential_field"]()(seen(wall, fresh=True, velocity=torch.tensor([[speed, 0.0, 0.0]])))["action"][0]
+        for speed in (0.0, 2.0)
+    )
+    assert still[0] > 1.0 and fast[0] < 0.0
 
 
 def test_they_fly_episode_after_episode_in_the_valley() -> None:

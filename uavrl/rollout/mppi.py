@@ -9,13 +9,13 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.ranges import Positive, Seed
-from uavrl.rollout.remembered import HULL, PERIOD, Planner, Surroundings, off_altitudes, stretch
-from uavrl.transforms.state import ACTION_LIMIT
-from uavrl.transforms.threats import LAG
+from uavrl.rollout.remembered import GAIN, HULL, LEAN, PERIOD, Planner, Surroundings, off_altitudes, stretch
 
 STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in
 KNOTS = 5  # times between which the noise of a sample is interpolated: commands change gradually
 BANK = 8  # sets of samples that take turns
+HARDEST = 5.4  # m/s², level: that of the largest tilt
+LEAST_CLIMB = 0.3  # m/s that it may always climb or sink
 
 
 @dataclass(frozen=True)
@@ -31,27 +31,51 @@ class MPPIWeights:
     effort: float = 0.1  #: gamma / lambda, cost of samples away from 0 along the plan
     near: float = 0.15  #: m that are kept between hull and obstacle
     far: float = 0.7  #: m between hull and obstacle from which on it costs nothing
+    speed: float = 2.0  #: m/s on the level, at most
+    climb: float = 0.5  #: m/s up or down for each m/s on the level, at most
     spread: float = 0.8  #: sigma, m/s
     temperature: float = 0.2  #: lambda
 
 
-def response() -> tuple[Tensor, Tensor]:
-    """Matrices ``[T, T]`` and ``[T, 1]`` from commanded velocities, and that of now, to places: x = A u + b v.
+def places_of(commands: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
+    """Where commanded velocities ``[*B, T, 3]`` lead to from here, ``[*B, T, 3]`` m.
 
-    The velocity follows its command with a first-order lag; a command is held for a step.
+    A velocity that differs from its command asks for an acceleration, which comes with the vehicle's tilt: late, and
+    within what the tilt allows. A command is held for a step.
+
+    Args:
+        commands: in m/s.
+        velocity: of now, ``[*B, 3]``.
+        acceleration: likewise, in m/s².
 
     Examples:
-        >>> commands, now = response()
-        >>> round((commands @ torch.full((STEPS, 1), 2.0) + 2.0 * now)[-1].item(), 3)  # m after 2 s at 2 m/s
-        4.0
+        >>> steady = torch.tensor([2.0, 0.0, 0.0])
+        >>> places_of(steady.expand(STEPS, 3), steady, torch.zeros(3))[-1].round(decimals=3)  # m after 2 s at 2 m/s
+        tensor([4., 0., 0.])
     """
-    kept, coming = math.exp(-PERIOD / LAG), LAG * (1 - math.exp(-PERIOD / LAG))
-    place, velocity, rows = torch.zeros(STEPS), torch.zeros(STEPS), []
-    for command in torch.eye(STEPS):
-        place = place + PERIOD * command + coming * (velocity - command)
-        velocity = kept * velocity + (1 - kept) * command
-        rows.append(place)
-    return torch.stack(rows), LAG * (1 - kept ** torch.arange(1.0, STEPS + 1)[:, None])
+    place, places = torch.zeros_like(commands[..., 0, :]), []
+    for command in commands.unbind(-2):
+        asked = GAIN * (command - velocity)
+        asked = asked / (asked[..., :2].norm(dim=-1, keepdim=True) / HARDEST).clamp_min(1)
+        acceleration = acceleration + LEAN * (asked - acceleration)
+        place = place + PERIOD * velocity + PERIOD**2 / 2 * acceleration
+        velocity = velocity + PERIOD * acceleration
+        places.append(place)
+    return torch.stack(places, -2)
+
+
+def limited(commands: Tensor, speed: float, climb: float) -> Tensor:
+    """Commands ``[*B, 3]`` at most at ``speed`` m/s on the level, and as steep as is seen: a LiDAR sees 15 degrees up.
+
+    Examples:
+        >>> limited(torch.tensor([[3.0, 0.0, 2.0], [0.0, 0.0, -2.0]]), 2.0, 0.5)
+        tensor([[ 2.0000,  0.0000,  1.0000],
+                [ 0.0000,  0.0000, -0.3000]])
+    """
+    level = commands[..., :2]
+    level = level / (level.norm(dim=-1, keepdim=True) / speed).clamp_min(1)
+    steepest = (climb * level.norm(dim=-1, keepdim=True)).clamp_min(LEAST_CLIMB)
+    return torch.cat([level, commands[..., 2:].clamp(-steepest, steepest)], -1)
 
 
 def interpolated(noise: Tensor) -> Tensor:
@@ -82,7 +106,7 @@ class MPPI(Planner):
     """Samples plans of two seconds around the last one, and flies the first step of their weighted mean.
 
     A sample weighs the more, the less its path costs: what is gained towards the goal, how near it comes to the
-    obstacles of the last seconds, its height. The vehicle is a velocity that follows its command with a lag.
+    obstacles of the last seconds, its height.
 
     Source: Williams, Wagener, Goldfain, Drews, Rehg, Boots and Theodorou (2017), Information theoretic MPC for
     model-based reinforcement learning, Algorithm 2; samples that change gradually take the place of its smoothing. It
@@ -123,7 +147,6 @@ class MPPI(Planner):
         noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator)
         noise[:, 0] = 0.0  # the plan itself
         self._noise = interpolated(noise) * self.costs.spread
-        self._response, self._coasting = response()
         self._plans, self._ages = torch.zeros(0, STEPS, 3), torch.zeros(0, dtype=torch.long)
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
@@ -133,35 +156,35 @@ class MPPI(Planner):
             self._plans, self._ages = torch.zeros(count, STEPS, 3), torch.zeros(count, dtype=torch.long)
         self._plans[seen.fresh[:, 0]] = 0.0
         self._ages = torch.where(seen.fresh[:, 0], 0, self._ages + 1)
-        plans = torch.stack([self._improved(seen, one) for one in range(count)])
+        plans = self._improved(seen)
         self._plans = torch.cat([plans[:, 1:], plans[:, -1:]], 1)
         return plans[:, 0], torch.zeros(count, 1)
 
-    def _improved(self, seen: Surroundings, one: int) -> Tensor:
-        """The next plan ``[T, 3]`` of one vehicle, m/s."""
-        plan, costs = self._plans[one], self.costs
-        tried = (plan + self._noise[self._ages[one] % BANK]).clamp(-ACTION_LIMIT, ACTION_LIMIT)  # [K, T, 3]
-        noise = tried - plan
-        places = self._response @ tried + self._coasting * seen.velocity[one]
-        paid = self._cost(places, seen, one) + costs.effort * costs.temperature / costs.spread**2 * (plan * noise).mean(
-            1
-        ).sum(-1)
-        weight = torch.softmax(-paid / costs.temperature, 0)
-        return plan + torch.einsum("k,ktd->td", weight, noise)
+    def _improved(self, seen: Surroundings) -> Tensor:
+        """The next plans, ``[N, T, 3]`` m/s."""
+        costs, plans = self.costs, self._plans[:, None]
+        tried = plans + self._noise[self._ages % BANK]  # [N, K, T, 3]
+        tried[:, 1] = 0.0  # to stop
+        noise = limited(tried, costs.speed, costs.climb) - plans
+        places = places_of(plans + noise, seen.velocity[:, None], seen.acceleration[:, None])
+        effort = costs.effort * costs.temperature / costs.spread**2 * (plans * noise).mean(2).sum(-1)
+        weight = torch.softmax(-(self._cost(places, seen) + effort) / costs.temperature, -1)
+        return self._plans + torch.einsum("nk,nktd->ntd", weight, noise)
 
-    def _cost(self, places: Tensor, seen: Surroundings, one: int) -> Tensor:
-        """What paths ``[K, T, 3]`` of one vehicle cost, ``[K]``."""
-        costs = self.costs
-        off = seen.altitude[one] + places[..., 2] - self.flight_level
-        beside = hull_distances(seen.points[one], places[:, EVERY - 1 :: EVERY], costs.near)  # [K, T / 2]
+    def _cost(self, places: Tensor, seen: Surroundings) -> Tensor:
+        """What paths ``[N, K, T, 3]`` cost, ``[N, K]``."""
+        costs, goal = self.costs, seen.goal[:, None]
+        off = seen.altitude[..., None] + places[..., 2] - self.flight_level
+        looked = zip(seen.points, places[:, :, EVERY - 1 :: EVERY], strict=True)
+        beside = torch.stack([hull_distances(points, path, costs.near) for points, path in looked])  # [N, K, T / 2]
         nearness = ((costs.far - beside) / (costs.far - costs.near)).clamp(0, 1).amax(-1)
-        gained = places[:, -1] @ seen.goal[one]  # m
+        gained = (places[:, :, -1] * goal).sum(-1)  # m
         collided = (beside < costs.near).cummax(-1).values.to(places)  # once it has, it has
         return (
             costs.collision * collided.mean(-1)
             + costs.obstacle * nearness
             - costs.goal * gained
-            + costs.across * (places[:, -1, :2] - gained[:, None] * seen.goal[one, :2]).norm(dim=-1)
+            + costs.across * (places[:, :, -1] - gained[..., None] * goal)[..., :2].norm(dim=-1)
             + costs.level * off.abs().mean(-1)
             + costs.outside * off_altitudes(off).amax(-1)
         )

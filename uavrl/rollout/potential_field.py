@@ -12,6 +12,9 @@ from uavrl.rollout.remembered import HULL, Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 
 
+SECTORS = 12  # around the vehicle; in each the nearest point pushes
+
+
 @dataclass(frozen=True)
 class FieldWeights:
     """How strongly a :class:`PotentialField` pulls and pushes. The numbers are first guesses."""
@@ -23,31 +26,34 @@ class FieldWeights:
 
 
 def repulsion(points: Tensor, reach: float) -> Tensor:
-    """The push ``[3]`` of the obstacles of one vehicle, averaged over those that push, for eta = 1.
+    """The push ``[3]`` of the obstacles around one vehicle for eta = 1.
 
     Source: Khatib (1986), Real-time obstacle avoidance for manipulators and mobile robots, FIRAS: each pushes by
-    (1/rho - 1/rho_0) / rho² straight away, where it is nearer than rho_0. Here rho is the distance from the hull, at
-    least 0.05 m.
+    (1/rho - 1/rho_0) / rho² straight away from its nearest point, where that is nearer than rho_0. Here rho is the
+    distance from the hull, at least 0.05 m, and what lies in one of 12 sectors around the vehicle is one obstacle.
 
     Args:
         points: obstacles, ``[P, 3]``, m from the vehicle.
         reach: rho_0 in m.
 
     Examples:
-        >>> repulsion(torch.tensor([[1.35, 0.0, 0.0], [9.0, 0.0, 0.0]]), 2.0)[0].round(decimals=3)
+        >>> repulsion(torch.tensor([[1.35, 0.0, 0.0], [1.5, 0.0, 0.0], [9.0, 0.0, 0.0]]), 2.0)[0].round(decimals=3)
         tensor(-0.5000)
     """
-    distances = points.norm(dim=-1, keepdim=True)
+    distances = points.norm(dim=-1)
+    sector = ((torch.atan2(points[:, 1], points[:, 0]) / (2 * torch.pi) + 0.5) * SECTORS).long().clamp_max(SECTORS - 1)
+    least = torch.full((SECTORS,), torch.inf).scatter_reduce(0, sector, distances, "amin")
+    points, distances = points[distances == least[sector]], distances[distances == least[sector]]
     rho = (distances - HULL[0]).clamp_min(0.05)
     push = (1 / rho - 1 / reach).clamp_min(0) / (rho * rho)
-    return -(push * points / distances.clamp_min(1e-6)).sum(0) / (push > 0).sum().clamp_min(1)
+    return -(push / distances.clamp_min(1e-6)) @ points
 
 
 class PotentialField(Planner):
     """Is drawn to the goal and pushed away from what it has just seen: Khatib's law, with velocities for forces.
 
-    Source: Khatib (1986). The pull has one strength, as the distance to the goal is not known. Where pull and push
-    cancel each other it stands, and nothing leads it away.
+    Source: Khatib (1986). The pull has one strength, as the distance to the goal is not known. The push is that of the
+    place to which its own speed carries it. Where pull and push cancel each other it stands, and nothing leads it away.
 
     Args:
         flight_level: altitude to hold, m.
@@ -78,7 +84,8 @@ class PotentialField(Planner):
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
         """The sums of pull and push, and yaw rates to the goal."""
         costs = self.costs
-        push = torch.stack([repulsion(points, costs.reach) for points in seen.points])
+        around = zip(seen.points, seen.carried, strict=True)
+        push = torch.stack([repulsion(points - place, costs.reach) for points, place in around])
         velocity = costs.attraction * seen.goal + costs.repulsion * push
         velocity[:, 2:] += costs.level * (self.flight_level - seen.altitude)
         fastest = velocity.norm(dim=-1, keepdim=True).clamp_min(ACTION_LIMIT) / ACTION_LIMIT

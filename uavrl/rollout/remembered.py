@@ -9,6 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.cells import LASERS, NEAREST_RETURN
+from uavrl.envs.quadrotor import GRAVITY
 from uavrl.transforms.motion import _rotations as body_to_world
 from uavrl.transforms.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl.transforms.state import ACTION_LIMIT
@@ -22,6 +23,8 @@ MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to f
 TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt
 AZIMUTHS, ELEVATIONS = 45, 23  # of the polar histogram (Baumann 2018, section 3.1), 8 degrees each
 NEVER = -(2**30)  # a scan's number before all others
+GAIN = torch.tensor([2.4, 2.4, 3.0])  # 1/s, acceleration over what a velocity lacks; fitted to flights, as the next
+LEAN = torch.tensor([0.41, 0.41, 0.63])  # share of what the acceleration lacks that comes in a step
 LOWEST, HIGHEST = -2.3, 0.7  # m from the flight level, between which one may fly
 TURN_GAIN, TURN_LIMIT = 0.6, 1.0  # 1/s and rad/s; a fast turn makes a late command point elsewhere
 
@@ -146,6 +149,8 @@ class Surroundings(NamedTuple):
 
     points: list[Tensor]  #: of each vehicle the nearest obstacles by direction, ``[P, 3]``, m from the hull's middle
     velocity: Tensor  #: ``[N, 3]`` m/s
+    acceleration: Tensor  #: ``[N, 3]`` m/s², that of the tilt
+    carried: Tensor  #: ``[N, 3]`` m, to where it would come to rest from now on
     goal: Tensor  #: unit vectors ``[N, 3]`` to the goal's axis, level
     altitude: Tensor  #: ``[N, 1]`` m
     fresh: Tensor  #: ``bool [N, 1]``, whether the episode begins
@@ -160,6 +165,18 @@ def stretch(near: float) -> Tensor:
         tensor(0.5000)
     """
     return torch.tensor([1.0, 1.0, (HULL[0] + near) / (HULL[1] + near)])
+
+
+def tilt_acceleration(attitude: Tensor) -> Tensor:
+    """Level accelerations ``[N, 3]`` in m/s² that hold at roll, pitch and yaw ``[N, 3]``, in the axes of the yaw.
+
+    Examples:
+        >>> tilt_acceleration(torch.tensor([[0.0, 0.1, 0.5], [0.1, 0.0, 0.5]])).round(decimals=2)
+        tensor([[ 0.9800, -0.0000,  0.0000],
+                [ 0.0000, -0.9800,  0.0000]])
+    """
+    roll, pitch, _ = attitude.unbind(-1)
+    return GRAVITY * torch.stack([pitch.tan(), -roll.tan() / pitch.cos(), torch.zeros_like(roll)], -1)
 
 
 def off_altitudes(off: Tensor) -> Tensor:
@@ -206,9 +223,12 @@ class Planner(TensorDictModuleBase):
         points, owners = self.memory.recall()
         level = to_yaw(torch.from_numpy(points).float(), yaw[torch.from_numpy(owners)]).numpy()
         heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
+        flown, tilted = to_yaw(velocity, yaw), tilt_acceleration(attitude)
         return Surroundings(
             [torch.from_numpy(each) for each in polar_histogram(level, owners, len(yaw))],
-            to_yaw(velocity, yaw),
+            flown,
+            tilted,
+            (flown + PERIOD * (1 / LEAN - 1) * tilted) / GAIN,
             torch.cat([heading.cos(), heading.sin(), torch.zeros_like(heading)], -1),
             tensordict["altitude"],
             fresh,
