@@ -11,7 +11,6 @@ from uavrl.ranges import Positive
 from uavrl.rollout.remembered import HULL, Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 
-
 SECTORS = 12  # around the vehicle; in each the nearest point pushes
 
 
