@@ -110,7 +110,8 @@ class MPPI(Planner):
 
     Source: Williams, Wagener, Goldfain, Drews, Rehg, Boots and Theodorou (2017), Information theoretic MPC for
     model-based reinforcement learning, Algorithm 2; samples that change gradually take the place of its smoothing. It
-    knows no distance to the goal, only its direction, as the policies do. It does not turn: it flies to any side.
+    knows no distance to the goal, only its direction, as the policies do. It does not turn: it flies to any side. What
+    moves is taken for standing.
 
     Vehicles of one age share their samples, so that an episode does not depend on what flies beside it.
 
