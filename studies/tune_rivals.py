@@ -30,7 +30,8 @@ from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
 
-OBSTACLES, VEHICLES = 90, 8
+OBSTACLES = 90
+VEHICLES = 4  # at a time; how many changes no task, and fewer idle while the last ones fly
 
 
 class Tuned(NamedTuple):
@@ -109,8 +110,8 @@ def main() -> None:
     """Prints each round, best first."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("rival", choices=RIVALS)
-    parser.add_argument("--settings", type=int, default=200)
-    parser.add_argument("--tasks", type=int, default=64, help="of each setting in the first round")
+    parser.add_argument("--settings", type=int, default=8)
+    parser.add_argument("--tasks", type=int, default=12, help="of each setting in the first round")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     torch.set_num_threads(1)
