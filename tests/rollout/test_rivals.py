@@ -16,6 +16,7 @@ from uavrl.rollout.baselines import BASELINES
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.mppi import MPPI, STEPS, places_of
 from uavrl.rollout.policies import named_policy
+from uavrl.rollout.potential_field import FieldWeights, PotentialField
 from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory, polar_histogram
 from uavrl.rollout.rollout import fly
 from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
@@ -105,7 +106,7 @@ def test_it_flies_back_to_the_flight_level(name: str, altitude: float, way: int)
 @pytest.mark.parametrize("name", RIVALS)
 def test_what_is_out_of_sight_still_repels_until_the_episode_ends(name: str) -> None:
     """A sill lies ahead, below the field of view: what a vehicle has seen of it keeps it away, each its own."""
-    sill = scan(grid(0.8, (-0.8, 0.8), (-0.3, -0.2)))
+    sill = scan(grid(0.6, (-0.8, 0.8), (-0.25, -0.15)))
     nothing = torch.full_like(sill, torch.nan)
     rival, other = (BASELINES[name](seconds=2.0) for _ in range(2))
     rival(seen(sill, nothing, fresh=True))
@@ -195,8 +196,9 @@ def test_the_vehicles_own_speed_and_tilt_carry_it_on() -> None:
 
 def test_a_potential_field_brakes_for_what_its_speed_carries_it_to() -> None:
     wall = scan(grid(1.7, (-1.0, 1.0)))
+    strong = FieldWeights(attraction=2.0, repulsion=0.3, reach=1.5)
     still, fast = (
-        BASELINES["potential_field"]()(seen(wall, fresh=True, velocity=torch.tensor([[speed, 0.0, 0.0]])))["action"][0]
+        PotentialField(costs=strong)(seen(wall, fresh=True, velocity=torch.tensor([[speed, 0.0, 0.0]])))["action"][0]
         for speed in (0.0, 2.0)
     )
     assert still[0] > 1.0 and fast[0] < 0.0

@@ -18,10 +18,10 @@ SECTORS = 12  # around the vehicle; in each the nearest point pushes
 class FieldWeights:
     """How strongly a :class:`PotentialField` pulls and pushes. The numbers are first guesses."""
 
-    attraction: float = 2.0  #: m/s towards the goal
-    repulsion: float = 0.3  #: eta, m³/s
-    reach: float = 1.5  #: rho_0, m between hull and obstacle from which on nothing pushes
-    level: float = 1.0  #: 1/s, vertical speed for each metre off the flight level
+    attraction: float = 2.3  #: m/s towards the goal
+    repulsion: float = 0.024  #: eta, m³/s
+    reach: float = 2.1  #: rho_0, m between hull and obstacle from which on nothing pushes
+    level: float = 0.42  #: 1/s, vertical speed for each metre off the flight level
 
 
 def repulsion(points: Tensor, reach: float) -> Tensor:
