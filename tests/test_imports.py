@@ -16,7 +16,7 @@ FLOORS = [
     {"buffers", "envs", "losses"},
     {"models", "transforms"},
     {"config", "runs"},
-    {"upstream"},
+    {"upstream", "motion"},
     {"errors", "ranges", "command_line", "machine", "cells"},
 ]
 

@@ -20,10 +20,10 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.errors import UavrlError
+from uavrl.motion.sight import _rotations
 from uavrl.rollout.environment import make_env
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
-from uavrl.transforms.motion import _rotations
 
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
