@@ -5,6 +5,8 @@ import numpy as np
 from uavrl.cells import AZIMUTH_STEP, FAR_EVERY
 
 FIRST = -0.1875  # of a step: where a cycle begins, whose 16 lasers fire within 0.625 of a step, in the middle of it
+TERMS = (float(np.degrees(AZIMUTH_STEP)), FIRST, FAR_EVERY)
+"""By which a point counts: the step in degrees, where the first one begins, and one of how many."""
 
 
 def far_rays(points: np.ndarray) -> np.ndarray:
@@ -26,8 +28,9 @@ def far_rays(points: np.ndarray) -> np.ndarray:
         >>> np.degrees(np.arctan2(far_rays(points)[:, 1], far_rays(points)[:, 0])).round(1).tolist()
         [-0.0, -1.0]
     """
-    points = points[np.isfinite(points).all(-1)]
-    azimuth = np.arctan2(-points[:, 1].astype(np.float64), points[:, 0]) % (2.0 * np.pi)
-    cycle = np.floor(azimuth / AZIMUTH_STEP - FIRST)
-    kept = np.flatnonzero(cycle % FAR_EVERY == 0)
-    return points[kept[np.argsort(azimuth[kept], kind="stable")]]
+    x, y, z = points.T
+    with np.errstate(over="ignore", invalid="ignore"):
+        known = np.flatnonzero(x * x + y * y + z * z < np.inf)
+    azimuth = np.arctan2(-y[known], x[known]) % (2.0 * np.pi)
+    kept = np.flatnonzero(np.floor(azimuth / AZIMUTH_STEP - FIRST) % FAR_EVERY == 0)
+    return points[known[kept[np.argsort(azimuth[kept], kind="stable")]]]

@@ -11,8 +11,14 @@ from uavrl.motion.tracks import Scan, Track, follow
 
 OBJECT = ("forward", "left", "up", "forward velocity", "left velocity", "up velocity", "size")
 """What is reported of one moving object, in m and m/s."""
+LARGEST_VELOCITY, LARGEST_SIZE = 5.0, 2.5  # m/s and m, of an object, which a network reads as 1
 DEPTH = 4  # earlier scans; in 0.4 s a body at 3 m/s flies 1.2 m, its own width
 MARGIN = 0.3  # m, by which an earlier scan saw farther where something has come; within it, something has stayed
+
+
+def scales(max_range: float) -> tuple[float, ...]:
+    """What a network reads as 1 in each number of ``OBJECT``, where it is looked ``max_range`` m far."""
+    return (*[max_range] * 3, *[LARGEST_VELOCITY] * 3, LARGEST_SIZE)
 
 
 class MotionSight:

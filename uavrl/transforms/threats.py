@@ -60,6 +60,7 @@ class Threats(Transform):
                 f"{list(out_keys)}."
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+        self.speed = speed
         self.register_buffer("commanded", torch.cat([speed * DIRECTIONS, torch.zeros(1, 3)]))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
