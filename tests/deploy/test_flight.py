@@ -18,7 +18,7 @@ from uavrl.deploy.dry_run import DryRun
 from uavrl.deploy.feeds import UdpScans
 from uavrl.deploy.flight import Flight, fly, rehearse
 from uavrl.deploy.flight_summary import FlightSummary
-from uavrl.deploy.frames import Pose
+from uavrl.deploy.frames import Pose, Vector
 from uavrl.deploy.packets import encode_scan
 from uavrl.deploy.safety import Reason, SafetyLayer, State
 from uavrl.deploy.scans import Scan
@@ -44,8 +44,11 @@ class Policy:
         self.resets += 1
         self.last_action = np.zeros(4, np.float32)
 
-    def __call__(self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float) -> np.ndarray:
+    def __call__(
+        self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float, *own: Vector
+    ) -> np.ndarray:
         self.seen.append((cloud, altitude, heading_deg, elevation_deg))
+        self.own = own
         self.before.append(self.last_action.tolist())
         self.cells = np.full(72, float(len(cloud)))
         return self.action.copy()
@@ -60,7 +63,7 @@ class Link(DryRun):
         self.place: tuple[float, float, float] | None = (0.0, 0.0, 3.5)
 
     def pose(self) -> Pose | None:  # type: ignore[override]
-        return None if self.place is None else Pose(self._now, self.place, (0.0, 0.0, 0.0), 0.0)
+        return None if self.place is None else Pose(self._now, self.place, (1.5, -0.5, 0.25), 0.0, 0.25, -0.125)
 
     def status(self, now: float) -> VehicleStatus:
         return VehicleStatus(self.control, "as the test says")
@@ -103,6 +106,7 @@ def test_a_scan_becomes_a_setpoint() -> None:
     cloud, altitude, heading, elevation = rig.policy.seen[-1]
     assert cloud.tolist() == [[2.0, 0.0, 0.0]]
     assert (altitude, heading) == (3.5, 0.0)
+    assert rig.policy.own == ((1.5, -0.5, 0.25), (0.25, -0.125, 0.0)), "velocity, and roll, pitch and yaw"
     assert elevation == pytest.approx(360.0 - math.degrees(math.atan2(1.0, 20.0)), abs=1e-4)
     assert cycle.cells is not None and cycle.cells.tolist() == [1.0] * 72
     assert (cycle.distance, cycle.arrived, cycle.control.control) == (20.0, False, Control.IN_CONTROL)

@@ -120,8 +120,9 @@ class Flight:
         if pose is None or not np.isfinite([*pose.position, pose.yaw]).all():
             return None
         read = to_goal(pose, self.goal)
+        told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude)
         try:
-            action = self._policy(scan.points, read["altitude"], read["heading_deg"], read["elevation_deg"])
+            action = self._policy(scan.points, *told)
         except UavrlError as error:
             if str(error) != self._told:
                 _logger.warning("The policy gives no action: %s", error)
