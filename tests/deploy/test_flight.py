@@ -26,6 +26,7 @@ from uavrl.deploy.stages import FlightCycle
 from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
+from uavrl.shield import Shield
 
 GOAL = (20.0, 0.0, 2.5)
 
@@ -97,6 +98,28 @@ class Rig:
             if (cycle := self.scan()).status.state is State.FLYING:
                 return cycle
         raise AssertionError("it never flew")
+
+
+def test_a_shield_slows_the_policy_before_what_the_scan_shows_near() -> None:
+    """The policy asks for 1 m/s ahead; the vehicle flies 1.5 m/s to the east and 0.5 to the south, and is tilted."""
+    shield, tilt, velocity = Shield(), (0.25, -0.125), np.array([1.5, -0.5, 0.25])
+    rig = Rig(shield=shield)
+    rig.airborne()
+    near = np.array([[0.9, 0.0, -0.2]])
+    flown, asked = rig.scan(near).action, np.array([1.0, 0.5, 0.0])
+    assert flown is not None
+    assert flown[:3] == pytest.approx(shield(asked, near, tilt, velocity), abs=1e-6)
+    assert flown[0] < 0.6 and flown[3] == 0.25
+    free = rig.scan(np.full((1, 3), np.nan)).action
+    assert free is not None and free.tolist() == [1.0, 0.5, 0.0, 0.25]
+
+
+def test_a_shield_without_the_vehicles_velocity_lets_nothing_pass(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(shield=Shield())
+    rig.airborne()
+    rig.link.pose = lambda: Pose(rig.now, (0.0, 0.0, 3.5), (np.nan, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
+    assert rig.scan().action is None
+    assert "the shield needs velocity, roll and pitch" in caplog.text
 
 
 def test_a_scan_becomes_a_setpoint() -> None:
