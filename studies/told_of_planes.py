@@ -27,11 +27,11 @@ from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
+from uavrl.motion.threats import TIMES, to_yaw
 from uavrl.rollout.baselines import VectorFieldHistogram
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.rollout import fly
 from uavrl.runs.episodes import wilson
-from uavrl.transforms.threats import TIMES, to_yaw
 
 SIGHTS = {"nothing": 0.0, "in view within 8 m": 8.0, "in view within 10 m": 10.0, "in view within 14 m": 14.0}
 ALL = "all within 14 m, as they will fly"
@@ -61,7 +61,7 @@ class ToldOfPlanes(VectorFieldHistogram):
         steps = len(TIMES) if self.known == ALL else 1
         later = torch.from_numpy(self.env.plane_paths(steps))[..., :3].float().transpose(0, 1)
         if self.known != ALL:
-            later = now[:, None] + (later[:, 0] - now)[:, None] * CONTROL_RATE * TIMES[:, None]
+            later = now[:, None] + (later[:, 0] - now)[:, None] * CONTROL_RATE * torch.from_numpy(TIMES)[:, None]
         known = self.known_of(place, now)
         return to_yaw(later - place[:, None, None], tensordict["attitude"][:, 2]), known
 

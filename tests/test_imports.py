@@ -16,7 +16,7 @@ FLOORS = [
     {"buffers", "envs", "losses"},
     {"models", "transforms"},
     {"config", "runs"},
-    {"upstream"},
+    {"motion", "shield", "upstream"},
     {"errors", "ranges", "command_line", "machine", "cells"},
 ]
 

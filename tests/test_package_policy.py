@@ -8,11 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from safetensors.torch import load_file
+from tensordict import TensorDict
 
+from tests.helpers import recorded
 from tests.helpers.commands import content
+from tests.helpers.exported import policy_folder
 from tools import package_policy as tool
 from uavrl.errors import UavrlError
 from uavrl.rollout.actor import load_actor
+from uavrl.rollout.policies import load_policy
 from uavrl.rollout.summary import scenarios
 
 
@@ -77,3 +83,24 @@ def test_changes_are_committed_first(
     monkeypatch.setattr(tool, "commit", lambda: "0" * 40 + "-dirty")
     with pytest.raises(UavrlError, match="commit them first"):
         packaged(suite)
+
+
+def test_one_that_sees_motion_is_packaged_with_its_actions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = policy_folder(tmp_path / "run", "algo.hidden=[8]", "perception=range_image", "perception.motion=12")
+    row = {"episodes": 500, "outcomes": "S" * 500, "checkpoint": None, "training_steps": None, "seed": 0}
+    suite = {name: {**row, "overrides": overrides} for name, overrides in scenarios("all").items()}
+    (tmp_path / "suite.json").write_text(json.dumps(suite))
+    for module, values in (
+        (tool, {"commit": lambda: "0" * 40}),
+        (recorded, {"VEHICLES": 2, "STEPS": 4, "LARGEST": 9000}),
+    ):
+        for name, value in {**values, "PACKAGED": tmp_path / "policies"}.items():
+            monkeypatch.setattr(module, name, value)
+    folder = tool.package("new", run, tmp_path / "suite.json")
+    terms = json.loads((folder / "contract.json").read_text())
+    assert terms["motion"]["max_range"] == 12.0
+    kept = load_file(folder / "recorded.safetensors")
+    assert kept["observation"].shape[1:] == (terms["state"]["size"],) == (3 * (75 + 21 + 73),)
+    with torch.no_grad():
+        acted = load_policy(folder)(TensorDict({"observation": kept["observation"]}, [len(kept["action"])]))["action"]
+    torch.testing.assert_close(acted, kept["action"])

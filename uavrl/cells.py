@@ -1,6 +1,7 @@
 """Where the cells of the two LiDAR reductions lie, and which points count: numpy alone."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -18,6 +19,7 @@ LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 TOUCHING = 1e-6  # of the radius: what a cell reads that a point touches, as 0 means "no point"
 LASERS = 16
 """Of a VLP-16, fired in turn: a scan is 1808 such firing cycles."""
+AZIMUTH_STEP = 2.0 * math.pi * 10.0 * 55.296e-6  # rad from one firing cycle to the next at 10 Hz: 0.1991°
 FAR_EVERY = 5  # of the firing cycles, which look farther than the cells: one to a degree
 NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes from; drivers write misses as zeros
 # The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
@@ -88,7 +90,17 @@ def range_image_middles() -> np.ndarray:
 
     Azimuths 0, 15, … 345 degrees (0 is forward, 90 left), and of each the elevations -10, 0 and 10 degrees.
     """
-    around, rows = np.arange(AZIMUTHS) * (math.tau / AZIMUTHS), np.arange(ELEVATIONS) - (ELEVATIONS - 1) / 2
-    azimuth, elevation = (part.ravel() for part in np.meshgrid(around, rows * ROWS, indexing="ij"))
+    return grid_directions(AZIMUTHS, [(row - (ELEVATIONS - 1) / 2) * ROWS for row in range(ELEVATIONS)])
+
+
+def grid_directions(azimuths: int, elevations: Sequence[float]) -> np.ndarray:
+    """Unit vectors ``[azimuths * len(elevations), 3]`` all around, x forward, y left, z up; ``elevations`` in rad.
+
+    Examples:
+        >>> grid_directions(4, (0.0, math.pi / 2)).shape
+        (8, 3)
+    """
+    around = np.arange(azimuths) * (math.tau / azimuths)
+    azimuth, elevation = (part.ravel() for part in np.meshgrid(around, np.asarray(elevations), indexing="ij"))
     across = np.cos(elevation)
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], -1)

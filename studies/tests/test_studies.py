@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 import re
 import runpy
 import subprocess
@@ -25,6 +26,7 @@ from tests.helpers.configs import with_run_dir
 from tests.helpers.folders import episodes, evaluation, write_episodes
 from uavrl.buffers import backward_reward
 from uavrl.cli.train import main as train
+from uavrl.envs.tasks import FlightMap, FreeSpace
 from uavrl.errors import UavrlError
 from uavrl.runs.provenance import commit
 from uavrl.training.run import create_run
@@ -438,3 +440,28 @@ def test_the_walkers_time_is_shared_out(tmp_path: Path) -> None:
     numbers = json.loads(output.read_text())
     assert sum(numbers["shares"].values()) == pytest.approx(1)
     assert {"updates", "environment"} < set(numbers["shares"])
+
+
+def test_who_knows_the_map_arrives_and_is_not_sooner_than_straight_on(said: Said, tmp_path: Path) -> None:
+    told = said("known_map", "--rows", "static", "--tasks", 2, "--json", tmp_path / "found.json")
+    found = json.loads((tmp_path / "found.json").read_text())["static"]
+    assert found["outcomes"] == "SS" and found["straight"] <= found["steps"] <= found["longest"] < 300
+    assert "| static | 100.0%" in told
+
+
+def test_the_way_to_the_goal_leads_around_and_is_flown_as_fast_as_it_is_wide(said: Said) -> None:
+    known_map = importlib.import_module("known_map")
+    x, y, z = np.arange(0.0, 4.0, 0.25), np.arange(0.0, 3.0, 0.25), np.array([3.0, 3.5, 4.0])
+    wall = (x[:, None, None] == 2.0) & (y[None, :, None] < 2.0) & (z > 0)
+    space = FreeSpace(x, y, z, np.where(wall, 0.0, 0.6))
+    ways = known_map.Ways(FlightMap(space, ~wall, np.zeros((0, 2))))
+    following = ways.to(np.array([3.5, 0.5, 3.5]), 0.5)
+    way, _ = ways.towards(np.array([1.5, 0.5, 3.5]), following)
+    assert way[1] > 0.5 and np.abs(way[0]) < 1.0  # first along the wall
+    beside, wide = ways.towards(np.array([3.0, 1.5, 3.5]), following)
+    assert beside[1] < -0.5 and wide == pytest.approx(0.6)
+    far = np.array([3.0, 0.0, 0.0])
+    fast = known_map.command(far, 0.6, np.array([2 * 2**0.5, 0, 0]), math.pi / 4)
+    assert fast == pytest.approx([2.0, -2.0, 0.0, 0.0])
+    slow = known_map.command(far, 0.35, np.zeros(3), math.pi / 4)
+    assert np.hypot(*slow[:2]) == pytest.approx(2 * known_map.SLOWEST) and slow[3] == pytest.approx(0.0)

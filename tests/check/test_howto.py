@@ -36,7 +36,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_each_page_with_python_is_run_here() -> None:
-    assert {page for page in PAGES if blocks(page, "python")} == {"gpu", "lidar", "moving_obstacles", "onnx", "vehicle"}
+    assert {page for page in PAGES if blocks(page, "python")} == {
+        *("gpu", "lidar", "moving_obstacles", "onnx", "shield", "vehicle")
+    }
 
 
 def test_a_point_cloud(run: Any) -> None:
@@ -68,6 +70,10 @@ def test_moving_obstacles(run: Any) -> None:
     names = run("moving_obstacles")
     assert names["env"].plane_poses().shape == (5, 4) and names["env"].plane_paths(10).shape == (10, 5, 4)
     names["env"].close()
+
+
+def test_a_shield(run: Any) -> None:
+    assert run("shield")["careful"].in_keys == ["observation", "point_cloud", "attitude", "velocity"]
 
 
 def test_a_device_that_fits_each_machine(run: Any) -> None:

@@ -18,7 +18,7 @@ from uavrl.deploy.dry_run import DryRun
 from uavrl.deploy.feeds import UdpScans
 from uavrl.deploy.flight import Flight, fly, rehearse
 from uavrl.deploy.flight_summary import FlightSummary
-from uavrl.deploy.frames import Pose
+from uavrl.deploy.frames import Pose, Vector
 from uavrl.deploy.packets import encode_scan
 from uavrl.deploy.safety import Reason, SafetyLayer, State
 from uavrl.deploy.scans import Scan
@@ -26,6 +26,7 @@ from uavrl.deploy.stages import FlightCycle
 from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
+from uavrl.shield import Shield
 
 GOAL = (20.0, 0.0, 2.5)
 
@@ -44,8 +45,11 @@ class Policy:
         self.resets += 1
         self.last_action = np.zeros(4, np.float32)
 
-    def __call__(self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float) -> np.ndarray:
+    def __call__(
+        self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float, *own: Vector
+    ) -> np.ndarray:
         self.seen.append((cloud, altitude, heading_deg, elevation_deg))
+        self.own = own
         self.before.append(self.last_action.tolist())
         self.cells = np.full(72, float(len(cloud)))
         return self.action.copy()
@@ -60,7 +64,7 @@ class Link(DryRun):
         self.place: tuple[float, float, float] | None = (0.0, 0.0, 3.5)
 
     def pose(self) -> Pose | None:  # type: ignore[override]
-        return None if self.place is None else Pose(self._now, self.place, (0.0, 0.0, 0.0), 0.0)
+        return None if self.place is None else Pose(self._now, self.place, (1.5, -0.5, 0.25), 0.0, 0.25, -0.125)
 
     def status(self, now: float) -> VehicleStatus:
         return VehicleStatus(self.control, "as the test says")
@@ -96,6 +100,28 @@ class Rig:
         raise AssertionError("it never flew")
 
 
+def test_a_shield_slows_the_policy_before_what_the_scan_shows_near() -> None:
+    """The policy asks for 1 m/s ahead; the vehicle flies 1.5 m/s to the east and 0.5 to the south, and is tilted."""
+    shield, tilt, velocity = Shield(), (0.25, -0.125), np.array([1.5, -0.5, 0.25])
+    rig = Rig(shield=shield)
+    rig.airborne()
+    near = np.array([[0.9, 0.0, -0.2]])
+    flown, asked = rig.scan(near).action, np.array([1.0, 0.5, 0.0])
+    assert flown is not None
+    assert flown[:3] == pytest.approx(shield(asked, near, tilt, velocity), abs=1e-6)
+    assert flown[0] < 0.6 and flown[3] == 0.25
+    free = rig.scan(np.full((1, 3), np.nan)).action
+    assert free is not None and free.tolist() == [1.0, 0.5, 0.0, 0.25]
+
+
+def test_a_shield_without_the_vehicles_velocity_lets_nothing_pass(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(shield=Shield())
+    rig.airborne()
+    rig.link.pose = lambda: Pose(rig.now, (0.0, 0.0, 3.5), (np.nan, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
+    assert rig.scan().action is None
+    assert "the shield needs velocity, roll and pitch" in caplog.text
+
+
 def test_a_scan_becomes_a_setpoint() -> None:
     rig = Rig()
     cycle = rig.airborne()
@@ -103,6 +129,7 @@ def test_a_scan_becomes_a_setpoint() -> None:
     cloud, altitude, heading, elevation = rig.policy.seen[-1]
     assert cloud.tolist() == [[2.0, 0.0, 0.0]]
     assert (altitude, heading) == (3.5, 0.0)
+    assert rig.policy.own == ((1.5, -0.5, 0.25), (0.25, -0.125, 0.0)), "velocity, and roll, pitch and yaw"
     assert elevation == pytest.approx(360.0 - math.degrees(math.atan2(1.0, 20.0)), abs=1e-4)
     assert cycle.cells is not None and cycle.cells.tolist() == [1.0] * 72
     assert (cycle.distance, cycle.arrived, cycle.control.control) == (20.0, False, Control.IN_CONTROL)

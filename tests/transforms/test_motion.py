@@ -15,15 +15,14 @@ from tests.helpers.flights import small_env
 from tests.helpers.scenes import box, terrain
 from tests.helpers.small_env import SmallEnv
 from uavrl.config import compose, validate_run
-from uavrl.deploy.export import contract
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.errors import UavrlError
+from uavrl.motion.sight import _rotations
 from uavrl.rollout.environment import make_env
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
-from uavrl.transforms.motion import _rotations
 
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
@@ -286,8 +285,3 @@ def test_looking_farther_than_the_sensor_reaches_is_refused() -> None:
     seen = validate_run(compose("perception.motion=12", "perception.lidar.far_range=8")).perception
     with pytest.raises(UavrlError, match=r"perception\.motion=12 looks farther than the LiDAR, which reaches 8 m"):
         make_env(small_env(), seen)
-
-
-def test_a_policy_that_sees_motion_has_no_contract_and_that_is_said(caplog: pytest.LogCaptureFixture) -> None:
-    assert contract(validate_run(compose("perception.motion=12")), "") is None
-    assert "sees moving objects (perception.motion=12)" in caplog.text

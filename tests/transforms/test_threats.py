@@ -10,8 +10,9 @@ from torchrl.envs import EnvBase, TransformedEnv
 
 from tests.helpers.contracts import TransformContract
 from tests.transforms.test_motion import ScanEnv
+from uavrl.motion.threats import GREATEST, HIGH, LAG, WIDE
 from uavrl.transforms import MovingObjects, mirror_observation
-from uavrl.transforms.threats import DIRECTIONS, GREATEST, HIGH, LAG, WIDE, Threats
+from uavrl.transforms.threats import DIRECTIONS, Threats
 
 AHEAD, LEFT, BEHIND, STANDING = 1, 19, 37, 72
 MET = 1 / GREATEST  # what a way has at least on which an object is met

@@ -30,6 +30,7 @@ def main(config: DictConfig) -> None:
     print(table(result))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
     who |= {"packages": settings.packages} if settings.packages else {}
+    who |= {"shield": True} if settings.shield else {}
     watch, report = command_line("uavrl-replay", **who), command_line("uavrl-report", runs=settings.run)
     then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
     print(f"{reached(result)} Written to {output}. {then}")

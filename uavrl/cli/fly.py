@@ -38,6 +38,7 @@ from uavrl.deploy.vehicle import Control
 from uavrl.errors import Stopped, UavrlError
 from uavrl.ranges import Folder, NonNegative, Positive, Text
 from uavrl.runs.files import replacing, writable
+from uavrl.shield import Shield
 
 if TYPE_CHECKING:
     from uavrl.deploy.ros2 import Ros2Scans
@@ -67,6 +68,7 @@ class FlyConfig(LidarKeys):
     system: Annotated[int, Field(ge=1, le=255)] | None = None
     standing: tuple[float, float, float, float] = (0.0, 0.0, 3.5, 0.0)
     radius: Positive = 1.0
+    shield: tuple[Positive, Positive] | None = None
     hold: NonNegative | None = None
     seconds: Positive | None = None
     log: Folder | None = "flight.mcap"
@@ -113,9 +115,8 @@ def main(config: DictConfig) -> None:
             opened.enter_context(beside())
         link = opened.enter_context(closing(_link(settings)))
         assert settings.goal is not None
-        flight = Flight(
-            policy, settings.goal, link, SafetyLayer(settings.safety), radius=settings.radius, box=settings.box
-        )
+        layer, shield = SafetyLayer(settings.safety), _shield(settings, policy)
+        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=settings.box, shield=shield)
         log = _log(settings, policy)
         if log is not None:
             opened.callback(_told, log.close)
@@ -168,6 +169,14 @@ def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
         write(*arguments)
     except UavrlError as error:
         print(f"uavrl: {error}", file=sys.stderr)
+
+
+def _shield(settings: FlyConfig, policy: Policy) -> Shield | None:
+    """A shield for the hull that the command line tells of."""
+    if settings.shield is None:
+        return None
+    radius, height = settings.shield
+    return Shield(radius=radius, height=height, sensor=policy.contract.cloud.sensor_position[2])
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:

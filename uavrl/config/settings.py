@@ -89,6 +89,7 @@ class FlyingConfig:
     checkpoint: Folder | None = None
     seed: Seed = 20_000
     valleys: Valleys | None = None
+    shield: bool = False
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1

@@ -15,6 +15,8 @@ from uavrl.cells import LARGEST_RADIUS, NEAREST_RETURN, TOUCHING, Statistic, ret
 from uavrl.deploy.observation import Angles
 from uavrl.deploy.reduction import Reduction, directions
 from uavrl.errors import UavrlError
+from uavrl.motion import OBJECT, rays, threats
+from uavrl.motion.sight import scales
 from uavrl.runs.names import CONTRACT
 
 FORMAT, VERSION = "uavrl.contract", 1
@@ -23,9 +25,11 @@ REMEDY = "export the policy again with uavrl-export"
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
-Scale = tuple[float, float | None, float, float]  # shift, modulo, divisor, offset
+Divisor = float | list[float]
+Scale = tuple[float, float | None, Divisor, float]  # shift, modulo, divisor, offset
 Size = Annotated[int, Field(ge=1, le=10_000)]
-Quantity = Literal["cells", "altitude", "heading", "elevation", "last_action"]
+Above0 = Annotated[float, Field(gt=0)]
+Quantity = Literal["cells", "altitude", "heading", "elevation", "moving_objects", "threats", "last_action"]
 # shift, modulo, divisor, offset of an angle in degrees
 ANGLES: dict[str, Scale] = {
     "folded": (180.0, 360.0, 180.0, -1.0),
@@ -64,14 +68,19 @@ class Entry(_Part):
     name: Quantity
     size: Size
     shift: float
-    modulo: Annotated[float, Field(gt=0)] | None
-    divisor: Annotated[float, Field(gt=0)]
+    modulo: Above0 | None
+    divisor: Above0 | Annotated[list[Above0], Field(max_length=10_000)]  #: a list has one for each number
     offset: float
 
     @property
     def scale(self) -> Scale:
         """All but what it is."""
         return self.shift, self.modulo, self.divisor, self.offset
+
+    @property
+    def number(self) -> float:
+        """The divisor where it is one number; 1 otherwise."""
+        return 1.0 if isinstance(self.divisor, list) else self.divisor
 
 
 class State(_Part):
@@ -89,6 +98,50 @@ class Action(_Part):
     order: tuple[str, str, str, str]
     low: Four
     high: Four
+
+
+class Rays(_Part):
+    """Which points of a scan count where it is looked for what moves, as :mod:`uavrl.motion.rays` has it."""
+
+    step: float  #: degrees from one firing cycle to the next
+    first: float
+    every: int
+
+
+class ThreatTerms(_Part):
+    """What threats are made with, as :mod:`uavrl.motion.threats` has it."""
+
+    directions: Annotated[list[Three], Field(max_length=10_000)]
+    speed: Annotated[float, Field(gt=0, le=1000)]
+    steps: int
+    period: float
+    lag: float
+    wide: float
+    high: float
+
+
+class MotionTerms(_Part):
+    """How a policy sees what moves."""
+
+    max_range: Annotated[float, Field(gt=NEAREST_RETURN, le=1000)]
+    objects: Annotated[int, Field(ge=1, le=100)]
+    period: Annotated[float, Field(gt=0, le=1000)]
+    rays: Rays
+    threats: ThreatTerms
+
+    def contradiction(self, rate_hz: float) -> str | None:
+        """What is not as this version of uavrl does it; None for a sound part."""
+        found, ways = self.threats, np.shape(threats.DIRECTIONS)
+        same = np.shape(found.directions) == ways and np.allclose(found.directions, threats.DIRECTIONS, atol=1e-6)
+        numbers = [found.steps, found.period, found.lag, found.wide, found.high]
+        known = [threats.STEPS, threats.PERIOD, threats.LAG, threats.WIDE, threats.HIGH]
+        turns = [self.rays.step, self.rays.first, self.rays.every]
+        wrong: dict[str, bool] = {
+            "motion.period is not that of rate_hz": not np.isclose(self.period * rate_hz, 1.0),
+            "motion.rays are others": not np.allclose(turns, rays.TERMS, rtol=1e-6, atol=0),
+            "motion.threats are made otherwise": not same or not np.allclose(numbers, known, rtol=1e-6, atol=0),
+        }
+        return next((words for words, holds in wrong.items() if holds), None)
 
 
 class Network(_Part):
@@ -109,15 +162,16 @@ class Contract(_Part):
     rate_hz: Annotated[float, Field(gt=0, le=1000)]
     cloud: Cloud
     cells: Cells
-    observation: Annotated[list[Entry], Field(min_length=4, max_length=5)]
+    observation: Annotated[list[Entry], Field(min_length=4, max_length=7)]
     state: State
     action: Action
+    motion: MotionTerms | None = None  #: None for a policy that is not told what moves
     network: Network | None = None  #: None where no policy.onnx was exported
 
     @property
     def flight_level(self) -> float:
         """The altitude that is 0 in an observation, m."""
-        return self.observation[1].divisor
+        return self.observation[1].number
 
     @property
     def angles(self) -> Angles:
@@ -128,7 +182,7 @@ class Contract(_Part):
     @property
     def action_limit(self) -> float | None:
         """What the last action is divided by in an observation; None where it is not in it."""
-        return self.observation[4].divisor if len(self.observation) > 4 else None
+        return next((entry.number for entry in self.observation if entry.name == "last_action"), None)
 
     def contradiction(self) -> str | None:
         """What does not hold together, or is not as this version of uavrl does it; None for a sound contract."""
@@ -148,22 +202,27 @@ class Contract(_Part):
             f"action.order is not {', '.join(ACTION)}": action.order != tuple(ACTION),
             "action.low is not below action.high": not np.less(action.low, action.high).all(),
         }
-        return next((words for words, holds in wrong.items() if holds), None)
+        moving = None if self.motion is None else self.motion.contradiction(self.rate_hz)
+        return next((words for words, holds in wrong.items() if holds), moving)
 
     def _entries(self) -> list[Entry]:
         """The observation that :mod:`uavrl.deploy.observation` makes with what this one says."""
         angle = ANGLES[self.angles]
-        scales: dict[Quantity, tuple[int, Scale]] = {
+        scales_of: dict[Quantity, tuple[int, Scale]] = {
             "cells": (self.cells.count, (0.0, None, self.cells.radius, 0.0)),
             "altitude": (1, (0.0, None, self.flight_level, -1.0)),
             "heading": (1, angle),
             "elevation": (1, angle),
         }
+        if self.motion is not None:
+            each = scales(self.motion.max_range) * self.motion.objects
+            scales_of["moving_objects"] = (len(OBJECT) * self.motion.objects, (0.0, None, [*each], 0.0))
+            scales_of["threats"] = (len(threats.DIRECTIONS) + 1, (0.0, None, threats.GREATEST, 0.0))
         if self.action_limit is not None:
-            scales["last_action"] = (len(ACTION), (0.0, None, self.action_limit, 0.0))
+            scales_of["last_action"] = (len(ACTION), (0.0, None, self.action_limit, 0.0))
         return [
             Entry(name=name, size=size, shift=shift, modulo=modulo, divisor=divisor, offset=offset)
-            for name, (size, (shift, modulo, divisor, offset)) in scales.items()
+            for name, (size, (shift, modulo, divisor, offset)) in scales_of.items()
         ]
 
 
@@ -197,5 +256,6 @@ def read_file(path: Path, largest: int) -> bytes:
 
 def _told(path: Path, first: Any) -> str:
     """What pydantic found first, in a sentence."""
-    where = ".".join(map(str, first["loc"])) or "its text"
+    # Of a value that may be of two types, pydantic also tells which one it tried.
+    where = ".".join(str(part) for part in first["loc"] if isinstance(part, int) or part.isidentifier()) or "its text"
     return f"{path} is damaged ({where}: {first['msg']}): {REMEDY}."

@@ -20,18 +20,29 @@ from torchrl.envs import CatFrames, EnvBase, Transform
 from uavrl.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, return_bounds
 from uavrl.config import TrainConfig, validate_run
 from uavrl.config.build import TARGET, build, find_class
-from uavrl.deploy.contract import ACTION, ANGLES, FORMAT, VERSION
+from uavrl.deploy.contract import ACTION, ANGLES, FORMAT, VERSION, Divisor
+from uavrl.deploy.motion_terms import POSE as MOTION_POSE
+from uavrl.deploy.motion_terms import motion_terms
 from uavrl.deploy.onnx_export import INPUT, OPSET, OUTPUT, policy_onnx
 from uavrl.envs import Airframe, NavigationEnv
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
+from uavrl.motion.sight import scales
+from uavrl.motion.threats import DIRECTIONS, GREATEST
 from uavrl.rollout.actor import POLICY_INFO, load_actor
 from uavrl.rollout.environment import inner_transforms
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.names import CONFIG, CONTRACT, NETWORK
 from uavrl.runs.provenance import versions
 from uavrl.runs.weights import POLICY
-from uavrl.transforms import LastAction, MovingObjects, NavigationObservation, NavigationState, PointCloudReduction
+from uavrl.transforms import (
+    LastAction,
+    MovingObjects,
+    NavigationObservation,
+    NavigationState,
+    PointCloudReduction,
+    Threats,
+)
 from uavrl.transforms.icosahedron import truncated_icosahedron_faces
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
 
@@ -48,6 +59,7 @@ LENGTH_OF = {
     "range": "the distance from the sensor to the point",
     "proximity": "the distance from the sensor to the point",
 }
+SCALING = "((value + shift) mod modulo) / divisor + offset; no modulo where it is null"
 POSE = {
     "axes": "world: z up; x, y, z are those of the middle of the airframe, yaw is its head's, counter-clockwise from x",
     "altitude": "m: z, above the mean level of the ground",
@@ -100,7 +112,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     """The contract of a policy that was trained with these settings; None where the valley's definitions do not hold.
 
     They hold for a :class:`~uavrl.transforms.NavigationState` in a :class:`~uavrl.envs.NavigationEnv`; what somebody
-    else's perception or environment means, nobody here can say; and moving objects are found in the simulator alone.
+    else's perception or environment means, nobody here can say.
 
     Args:
         settings: the validated configuration of the run.
@@ -111,19 +123,14 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
         return None
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
-    if MovingObjects in parts:
-        log.warning(
-            "The policy sees moving objects (perception.motion=%g), which nothing but the simulator computes yet: "
-            "there is no contract.json and no policy.onnx, so that it cannot fly a vehicle.",
-            parts[MovingObjects].max_range,
-        )
-        return None
+    seen = parts.get(MovingObjects)
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))
     scaled, frames = parts[NavigationObservation], parts[CatFrames]
     observation = [
         _entry("cells", len(reduction.directions()), divisor=scaled.radius),
         _entry("altitude", 1, divisor=scaled.flight_level, offset=-1.0),
         *(_entry(angle, 1, *ANGLES[scaled.angles]) for angle in ("heading", "elevation")),
+        *(_motion_entries(seen) if seen is not None else []),
         *([_entry("last_action", len(ACTION), divisor=ACTION_LIMIT)] if LastAction in parts else []),
     ]
     return {
@@ -134,9 +141,9 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
         "moment": "cloud and pose are of one moment, and the action answers them at once",
         "cloud": _cloud(reduction.radius, settings),
         "cells": _cells(reduction),
-        "pose": POSE,
+        "pose": POSE if seen is None else POSE | MOTION_POSE,
         "observation": observation,
-        "scaling": "((value + shift) mod modulo) / divisor + offset; no modulo where it is null",
+        "scaling": SCALING if seen is None else f"{SCALING}; a list has a divisor for each number",
         "state": {
             "frames": frames.N,
             "order": "oldest observation first",
@@ -145,15 +152,23 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
             "dtype": "float32",
         },
         "action": _action(ACTION_LIMIT),
+        **({"motion": motion_terms(seen, parts[Threats])} if seen is not None else {}),
         "versions": versions(),
     }
 
 
 def _entry(
-    name: str, size: int, shift: float = 0.0, modulo: float | None = None, divisor: float = 1.0, offset: float = 0.0
+    name: str, size: int, shift: float = 0.0, modulo: float | None = None, divisor: Divisor = 1.0, offset: float = 0.0
 ) -> dict[str, Any]:
     """One of the quantities in an observation, and how it is scaled."""
     return {"name": name, "size": size, "shift": shift, "modulo": modulo, "divisor": divisor, "offset": offset}
+
+
+def _motion_entries(seen: MovingObjects) -> list[dict[str, Any]]:
+    """Those of what moves."""
+    each = list(scales(seen.max_range) * seen.objects)
+    ways = len(DIRECTIONS) + 1
+    return [_entry("moving_objects", len(each), divisor=each), _entry("threats", ways, divisor=GREATEST)]
 
 
 def _action(limit: float) -> dict[str, Any]:

@@ -19,6 +19,8 @@ from uavrl.deploy.sources import without_vehicle
 from uavrl.deploy.stages import FlightCycle, ScanFeed, VehicleLink
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import UavrlError
+from uavrl.motion.threats import to_yaw
+from uavrl.shield import Shield
 
 if TYPE_CHECKING:
     from uavrl.deploy.policy import Policy
@@ -46,6 +48,7 @@ class Flight:
         layer: the safety layer.
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
         box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
+        shield: what bends the policy's velocities away from what the scan shows near; None: nothing.
 
     Attributes:
         arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
@@ -60,6 +63,7 @@ class Flight:
         *,
         radius: float = 1.0,
         box: tuple[np.ndarray, np.ndarray] | None = None,
+        shield: Shield | None = None,
     ) -> None:
         if len(goal) != 3 or not np.isfinite(goal).all():
             raise UavrlError(f"goal must be three finite numbers x, y, z in metres, got {goal!r}.")
@@ -67,7 +71,7 @@ class Flight:
         self.arrived: float | None = None
         self.period = 1.0 / policy.contract.rate_hz
         self._policy, self._link, self._layer = policy, link, layer
-        self._radius, self._box = radius, box
+        self._radius, self._box, self._shield = radius, box, shield
         self._scan_stamp: float | None = None
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
         self._acted = -math.inf  # when the policy last gave one
@@ -120,8 +124,11 @@ class Flight:
         if pose is None or not np.isfinite([*pose.position, pose.yaw]).all():
             return None
         read = to_goal(pose, self.goal)
+        told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude)
         try:
-            action = self._policy(scan.points, read["altitude"], read["heading_deg"], read["elevation_deg"])
+            action = self._policy(scan.points, *told)
+            if self._shield is not None:
+                action[:3] = self._shielded(self._shield, action[:3], scan, pose)
         except UavrlError as error:
             if str(error) != self._told:
                 _logger.warning("The policy gives no action: %s", error)
@@ -129,6 +136,14 @@ class Flight:
             return None
         self._acted = now
         return action
+
+    @staticmethod
+    def _shielded(shield: Shield, asked: np.ndarray, scan: Scan, pose: Pose) -> np.ndarray:
+        """What is left of the velocity ``asked [3]``."""
+        tilt, level = (pose.roll, pose.pitch), to_yaw(np.array([pose.velocity]), np.array([pose.yaw]))[0]
+        if not np.isfinite([*tilt, *level]).all():
+            raise UavrlError(f"the shield needs velocity, roll and pitch, got {pose.velocity} m/s and {tilt} rad.")
+        return shield(asked, scan.points, tilt, level)
 
     def _distance(self, pose: Pose | None) -> float | None:
         """How far the goal is, horizontally, in m."""

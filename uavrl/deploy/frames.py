@@ -30,8 +30,13 @@ class Pose:
     position: Vector  #: m
     velocity: Vector  #: m/s
     yaw: float  #: from east to the left (counter-clockwise seen from above), rad in [-π, π]
-    roll: float = 0.0  #: about forward, positive with the left side up, rad; only logged and drawn
-    pitch: float = 0.0  #: about left, positive with the nose down, rad; only logged and drawn
+    roll: float = 0.0  #: about forward, positive with the left side up, rad
+    pitch: float = 0.0  #: about left, positive with the nose down, rad
+
+    @property
+    def attitude(self) -> Vector:
+        """Roll, pitch and yaw, rad."""
+        return self.roll, self.pitch, self.yaw
 
     @property
     def rotation(self) -> Rotation:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uavrl.deploy.contract import REMEDY, Contract, read_contract, read_file
+from uavrl.deploy.motion import Motion
 from uavrl.deploy.observation import NavigationState, navigation_observation
 from uavrl.deploy.reduction import REDUCTIONS
 from uavrl.errors import UavrlError
@@ -57,6 +59,7 @@ class Policy:
     def _begin(self) -> None:
         limit, frames = self.contract.action_limit, self.contract.state.frames
         self._state = NavigationState(frames, limit is not None, limit or 1.0)
+        self._motion = None if self.contract.motion is None else Motion(self.contract.motion)
         self.cells = None
         self.last_action = np.zeros(len(self.contract.action.order), np.float32)
 
@@ -68,11 +71,21 @@ class Policy:
         return other
 
     def reset(self) -> None:
-        """Forgets observations and action, as at the beginning of an episode."""
+        """Forgets observations, action and what has moved, as at the beginning of an episode."""
         self._state.reset()
+        if self._motion is not None:
+            self._motion.reset()
         self.last_action = np.zeros_like(self.last_action)
 
-    def __call__(self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float) -> np.ndarray:
+    def __call__(
+        self,
+        cloud: np.ndarray,
+        altitude: float,
+        heading_deg: float,
+        elevation_deg: float,
+        velocity: Sequence[float] | np.ndarray | None = None,
+        attitude: Sequence[float] | np.ndarray | None = None,
+    ) -> np.ndarray:
         """The action that answers one scan and the pose of its moment: call it ``contract.rate_hz`` times a second.
 
         Args:
@@ -81,28 +94,44 @@ class Policy:
             altitude: z above the mean level of the ground, m.
             heading_deg: from the vehicle's head to the goal, left positive, degrees.
             elevation_deg: from the horizontal up to the goal, degrees.
+            velocity: ``[3]`` of the vehicle in the world's axes, m/s; it is read where ``contract.motion`` is not None,
+                as is the next one. The world's axes are any whose z points up, the same at all times.
+            attitude: ``[3]``, its roll, pitch and yaw in these axes, rad, by which a vector of the vehicle is turned
+                about its own forward, left and up: first by the roll, then by the pitch, then by the yaw.
 
         Returns:
             ``float32 [4]``: forward, left and up in m/s in the yaw-aligned body frame, yaw rate in rad/s, within the
             contract's limits.
 
         Raises:
-            UavrlError: for a cloud of another shape, for a pose that is not finite, and where the network's answer is
-                not: then the last action stays what it was.
+            UavrlError: for a cloud of another shape, for a pose that is not finite, for a velocity or an attitude that
+                is needed and missing or not finite, and where the network's answer is not finite: then the last action
+                stays what it was.
         """
-        state = self.state(cloud, altitude, heading_deg, elevation_deg)
+        state = self.state(cloud, altitude, heading_deg, elevation_deg, velocity, attitude)
         self.last_action = self._network(state[None])[0]
         return self.last_action.copy()
 
-    def state(self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float) -> np.ndarray:
+    def state(
+        self,
+        cloud: np.ndarray,
+        altitude: float,
+        heading_deg: float,
+        elevation_deg: float,
+        velocity: Sequence[float] | np.ndarray | None = None,
+        attitude: Sequence[float] | np.ndarray | None = None,
+    ) -> np.ndarray:
         """Takes a scan and a pose in, and returns what the network reads of them and those before, ``float32 [S]``."""
         terms, pose = self.contract, (altitude, heading_deg, elevation_deg)
         if not np.isfinite(pose).all():
             raise UavrlError(f"altitude, heading_deg and elevation_deg must be finite numbers, got {pose}.")
+        own = None if self._motion is None else self._motion.checked(velocity, attitude)
         cells, seen = terms.cells, np.full((1, 3), np.nan) if terms.cloud.blind else cloud
         self.cells = reduced = REDUCTIONS[cells.reduction](seen, cells.radius, cells.statistic)
         scales = {"radius": cells.radius, "flight_level": terms.flight_level}
         observed = navigation_observation(reduced, *pose, **scales, angles=terms.angles)
+        if self._motion is not None and own is not None:
+            observed = np.concatenate([observed, self._motion(seen, *own)])
         return self._state(observed, self.last_action)
 
 

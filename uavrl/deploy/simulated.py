@@ -24,25 +24,26 @@ class ExportedPolicy:
         UavrlError: as :class:`~uavrl.deploy.policy.Policy`, and for a contract of another rate than the simulator's.
     """
 
-    in_keys = ("point_cloud", "altitude", "heading_deg", "elevation_deg", "is_init")
-
     def __init__(self, folder: str | Path) -> None:
         self._policy = Policy(folder)
         self._vehicles: list[Policy] = []
+        motion = () if self._policy.contract.motion is None else ("velocity", "attitude")
+        self.in_keys = ("is_init", "point_cloud", "altitude", "heading_deg", "elevation_deg", *motion)
         if self._policy.contract.rate_hz != CONTROL_RATE:
             other = f"{folder} acts {self._policy.contract.rate_hz:g} times a second"
             raise UavrlError(f"{other}, and the simulator asks {CONTROL_RATE} times: choose another policy.")
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action``; a vehicle with ``is_init`` begins an episode."""
-        cloud, *pose, begins = (tensordict[key].numpy() for key in self.in_keys)
+        begins, cloud, *told = (tensordict[key].numpy() for key in self.in_keys)
         while len(self._vehicles) < len(cloud):
             self._vehicles.append(self._policy.copy())
         actions = np.zeros((len(cloud), len(self._policy.contract.action.order)), np.float32)
         for number, vehicle in enumerate(self._vehicles[: len(cloud)]):
             if begins[number].all():
                 vehicle.reset()
-            actions[number] = vehicle(cloud[number], *(float(part[number, 0]) for part in pose))
+            goal, motion = (float(part[number, 0]) for part in told[:3]), (part[number] for part in told[3:])
+            actions[number] = vehicle(cloud[number], *goal, *motion)
         return tensordict.set("action", torch.from_numpy(actions))
 
     @property
@@ -52,5 +53,6 @@ class ExportedPolicy:
         perception = {key: getattr(terms.cells, key) for key in ("radius", "reduction", "statistic")}
         perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
         perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
+        perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
         sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
         return {f"perception.{key}": value for key, value in perception.items()} | sensor

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from uavrl.cells import AZIMUTH_STEP
+
 __all__ = [
     "AZIMUTH_STEP",
     "AZIMUTH_STEPS",
@@ -25,7 +27,6 @@ NUM_RAYS = AZIMUTH_STEPS * len(LASER_ELEVATIONS)
 CYCLE = 55.296e-6  # s, all 16 lasers and the recharge time
 LASER_INTERVAL = 2.304e-6  # s, from one laser to the next
 _SPIN_RATE = 2.0 * math.pi * 10.0  # rad/s
-AZIMUTH_STEP = _SPIN_RATE * CYCLE  # rad from cycle to cycle: 0.1991°
 
 FIRING_TIMES: np.ndarray = (
     np.arange(AZIMUTH_STEPS)[:, None] * CYCLE + np.arange(len(LASER_ELEVATIONS)) * LASER_INTERVAL

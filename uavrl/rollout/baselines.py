@@ -9,13 +9,14 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
+from uavrl.motion.threats import straight_on, to_yaw
 from uavrl.rollout.evasion import evade
 from uavrl.rollout.mppi import MPPI
 from uavrl.rollout.potential_field import PotentialField
 from uavrl.rollout.vfh_star import VFHStar
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
-from uavrl.transforms.threats import DIRECTIONS, straight_on, to_yaw
+from uavrl.transforms.threats import DIRECTIONS
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
 TURN_LIMIT = 1.0  # rad/s; at 2 rad/s a command that is 0.2 s late points 23 degrees elsewhere

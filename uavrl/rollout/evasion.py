@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from uavrl.transforms.threats import greatest_threats
+from uavrl.motion.threats import greatest_threats
 
 SHARES = torch.tensor([1.0, 0.5, 0.0])  # of the speed that a direction would be flown at
 SLOWNESS, THREAT = 0.3, 3.0  # what standing costs, and a collision; chosen by hand

@@ -79,7 +79,19 @@ def choose(
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
-    return chosen
+    return _shielded(chosen) if settings.shield else chosen
+
+
+def _shielded(chosen: PolicySetup) -> PolicySetup:
+    """The same behind a shield for the hull of the environment's vehicle."""
+    from uavrl.envs.quadrotor import Airframe
+    from uavrl.rollout.shielded import Shielded
+    from uavrl.shield import Shield
+
+    require_valley(chosen.env, chosen.choices, "shield")
+    hull = chosen.env.get("airframe") or Airframe()
+    sizes = {"radius": hull.collision_radius, "height": hull.collision_height, "sensor": hull.lidar_position[2]}
+    return replace(chosen, policy=Shielded(chosen.policy, Shield(**sizes)))
 
 
 def _as_contracted(policy: Any, settings: FlyingConfig, config: DictConfig, overrides: list[str]) -> FlyingConfig:

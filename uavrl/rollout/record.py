@@ -16,11 +16,11 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
+from uavrl.motion import OBJECT
 from uavrl.rollout.position_stats import PositionStats
 from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.rollout.rollout import FlightMeter, Policy, rollout
 from uavrl.transforms import PointCloudReduction
-from uavrl.transforms.motion import OBJECT
 from uavrl.transforms.rewards import terms_of
 
 Risk = Callable[[Tensor, Tensor], Tensor]

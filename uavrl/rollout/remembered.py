@@ -10,10 +10,10 @@ from torch import Tensor
 
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY
-from uavrl.transforms.motion import _rotations as body_to_world
-from uavrl.transforms.occlusion import Grid, Returns, find_returns, least_around, range_images
+from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
+from uavrl.motion.sight import _rotations as body_to_world
+from uavrl.motion.threats import to_yaw
 from uavrl.transforms.state import ACTION_LIMIT
-from uavrl.transforms.threats import to_yaw
 
 PERIOD = 0.1  # s between two scans
 HULL = (0.35, 0.14)  # m: its radius, and half its height

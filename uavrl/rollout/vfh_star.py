@@ -8,11 +8,11 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.cells import grid_directions
+from uavrl.motion.threats import LAG
 from uavrl.ranges import Positive
 from uavrl.rollout.remembered import HULL, Planner, Surroundings, off_altitudes, stretch
-from uavrl.transforms.range_image import grid_directions
 from uavrl.transforms.state import ACTION_LIMIT
-from uavrl.transforms.threats import LAG
 
 ELEVATIONS = (-0.5, 0.0, 0.5)  # rad, of the directions
 AZIMUTHS, AZIMUTHS_BEYOND = 24, 12  # of the first directions, and of those from a node
@@ -123,8 +123,8 @@ class VFHStar(Planner):
         super().__init__(flight_level, radius, seconds)
         self.depth = depth
         self.costs = VFHStarWeights() if costs is None else costs
-        self.directions = grid_directions(AZIMUTHS, ELEVATIONS)
-        self._beyond = grid_directions(AZIMUTHS_BEYOND, ELEVATIONS)
+        self.directions = torch.from_numpy(grid_directions(AZIMUTHS, ELEVATIONS)).float()
+        self._beyond = torch.from_numpy(grid_directions(AZIMUTHS_BEYOND, ELEVATIONS)).float()
         self._close = self.directions @ self.directions.T > BLENDED
         self._flown = torch.zeros(0, 3)  # unit vectors, which way was flown last; 0 for none
 

@@ -1,7 +1,6 @@
 """A coarse range image: the scan in cells of azimuth and elevation, as fine as what a VLP-16 sees."""
 
 import math
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -16,22 +15,7 @@ from uavrl.transforms.reduction import (
     returns_of,
 )
 
-__all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "grid_directions", "range_image", "range_image_directions"]
-
-
-def grid_directions(azimuths: int, elevations: Sequence[float], *, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Unit vectors ``[azimuths * len(elevations), 3]`` all around, x forward, y left, z up; ``elevations`` in rad.
-
-    Examples:
-        >>> grid_directions(4, (0.0, math.pi / 2)).shape
-        torch.Size([8, 3])
-        >>> torch.allclose(grid_directions(4, (0.0,))[1], torch.tensor([0.0, 1.0, 0.0]), atol=1e-6)
-        True
-    """
-    around = torch.arange(azimuths, dtype=dtype) * (math.tau / azimuths)
-    azimuth, elevation = torch.meshgrid(around, around.new_tensor(elevations), indexing="ij")
-    across = elevation.cos()
-    return torch.stack([across * azimuth.cos(), across * azimuth.sin(), elevation.sin()], -1).flatten(0, 1)
+__all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "range_image", "range_image_directions"]
 
 
 def range_image_directions(*, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Tensor:

@@ -8,6 +8,7 @@ from pydantic import Field
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
 from uavrl.cells import FAR_EVERY
+from uavrl.motion.sight import scales
 from uavrl.ranges import Positive
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.motion import MovingObjects
@@ -22,7 +23,6 @@ REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
     "range_image": RangeImage,
 }
 MOVING_OBJECTS = 3  # in an observation
-LARGEST_VELOCITY, LARGEST_SIZE = 5.0, 2.5  # m/s and m, of an object, which a network reads as 1
 ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1); a network reads it as 1
 
 
@@ -33,7 +33,7 @@ def _with_last_action() -> Iterator[Transform]:
 
 
 def _with_motion(max_range: float) -> Iterator[Transform]:
-    scale = torch.tensor([max_range] * 3 + [LARGEST_VELOCITY] * 3 + [LARGEST_SIZE]).reciprocal()
+    scale = torch.tensor(scales(max_range)).reciprocal()
     yield ObservationNorm(
         0.0,
         scale.repeat(MOVING_OBJECTS),

@@ -6,9 +6,8 @@ import pytest
 from tests.helpers.scenes import box, terrain
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.world import World, WorldConfig
-from uavrl.transforms.motion import _rotations
-from uavrl.transforms.occlusion import Grid, find_returns
-from uavrl.transforms.registration import (
+from uavrl.motion.occlusion import Grid, find_returns
+from uavrl.motion.registration import (
     LEAST_COMPARED,
     Alignment,
     orthonormal,
@@ -17,6 +16,7 @@ from uavrl.transforms.registration import (
     rotation_about,
     sample,
 )
+from uavrl.motion.sight import _rotations
 
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavrl.transforms.occlusion import Grid, Returns
+from uavrl.motion.occlusion import Grid, Returns
 
 THINNED = 5  # of the columns, one is looked at
 SAMPLES = 256  # points of a scan that are compared

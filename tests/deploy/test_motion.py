@@ -1,0 +1,216 @@
+"""An exported policy that sees motion: its inputs by the contract alone, its actions among planes, what it refuses."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from tests.helpers.commands import VALLEY
+from tests.helpers.exported import edit_contract, exported
+from uavrl.config import validate_run
+from uavrl.deploy.policy import Policy
+from uavrl.deploy.simulated import ExportedPolicy
+from uavrl.errors import UavrlError
+from uavrl.rollout.actor import read_policy
+from uavrl.rollout.environment import make_env
+
+SEES = ("perception=range_image", "perception.last_action=true", "perception.motion=12", "algo.hidden=[16,8]")
+WORLD = (*VALLEY, "env.world.seeds=[0]", "env.world.planes=4", "env.world.plane_keep_out=2")
+STEPS, CELLS = 9, 72
+OBJECTS, THREATS = slice(75, 96), slice(96, 169)
+LEVEL = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # velocity and attitude
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(tmp_path_factory.mktemp("exported"), *SEES, *WORLD)
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """A copy that a test may damage."""
+    return Path(shutil.copytree(made, tmp_path / "exported"))
+
+
+@pytest.fixture(scope="module")
+def terms(made: Path) -> dict[str, Any]:
+    return json.loads((made / "contract.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def flown(made: Path) -> list[TensorDictBase]:
+    """What the simulator emits to three vehicles that the policy flies among planes, and its actions."""
+    policy = read_policy(made)
+    settings = validate_run(policy.config)
+    options: dict[str, Any] = {"num_uavs": 3, "keep_cloud": True, "mark_resets": True}
+    env = make_env({**settings.env, "max_steps": 2 * STEPS}, settings.perception, seed=3, **options)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        steps = list(_steps(env, policy))
+    env.close()
+    assert (steps[-1]["moving_objects"].reshape(3, 3, 7)[..., 6] > 0).any(), "something moves"
+    return steps
+
+
+def _steps(env: TransformedEnv, policy: Callable[[TensorDictBase], TensorDictBase]) -> Iterator[TensorDictBase]:
+    state = env.reset()
+    for _ in range(STEPS):
+        yield (acted := policy(state).clone())
+        state = env.step(acted)["next"]
+
+
+def test_it_acts_in_the_simulator_as_the_run_does(made: Path, flown: list[TensorDictBase]) -> None:
+    policy = ExportedPolicy(made)
+    for _ in range(2):  # an episode leaves nothing behind
+        for step in flown:
+            acted = policy(step.select(*policy.in_keys))["action"]
+            np.testing.assert_allclose(acted.numpy(), step["action"].numpy(), rtol=0, atol=1e-5)
+    assert policy.overrides["perception.motion"] == 12.0
+
+
+def read(policy: Policy, step: TensorDictBase, vehicle: int, cloud: np.ndarray | None = None) -> np.ndarray:
+    """What a policy reads of a step, its newest observation."""
+    cloud = step["point_cloud"][vehicle].numpy() if cloud is None else cloud
+    goal = (float(step[key][vehicle, 0]) for key in ("altitude", "heading_deg", "elevation_deg"))
+    own = (step[key][vehicle].numpy() for key in ("velocity", "attitude"))
+    return policy.state(cloud, *goal, *own).reshape(3, -1)[-1]
+
+
+def test_it_reads_of_points_in_any_order_what_the_simulator_told(made: Path, flown: list[TensorDictBase]) -> None:
+    rng, policy = np.random.default_rng(0), Policy(made)
+    for vehicle in range(3):
+        policy.reset()
+        for step in flown:
+            cloud = step["point_cloud"][vehicle].numpy()
+            seen = read(policy, step, vehicle, rng.permutation(cloud[np.isfinite(cloud).all(1)]))
+            told = step["observation"][vehicle].reshape(3, -1)[-1].numpy()
+            np.testing.assert_allclose(seen[:-4], told[:-4], rtol=0, atol=2e-6)
+
+
+def test_threats_follow_from_the_contract_and_numpy(terms: dict[str, Any], flown: list[TensorDictBase]) -> None:
+    part, entries = terms["motion"]["threats"], {entry["name"]: entry for entry in terms["observation"]}
+    times = part["period"] * np.arange(1, part["steps"] + 1)
+    lost, share = part["lag"] * (1 - np.exp(-times / part["lag"])), times / times[-1]
+    greatest = 0.0
+    ways = part["speed"] * np.array([*part["directions"], [0.0] * 3])
+    for step in flown:
+        for vehicle in range(3):
+            (vx, vy, vz), yaw = step["velocity"][vehicle].tolist(), float(step["attitude"][vehicle, 2])
+            own = np.array([np.cos(yaw) * vx + np.sin(yaw) * vy, np.cos(yaw) * vy - np.sin(yaw) * vx, vz])
+            worst = np.zeros(len(ways))
+            objects = step["moving_objects"][vehicle].double().numpy().reshape(terms["motion"]["objects"], -1)
+            for body in objects[objects[:, 6] > 0]:
+                path = ways[:, None] * (times - lost)[:, None] + own * lost[:, None]
+                x, y, z = np.moveaxis(path - body[:3] - body[3:6] * times[:, None], -1, 0)
+                apart = np.maximum(np.hypot(x, y) / part["wide"], np.abs(z) / part["high"])
+                soon = np.maximum(1.2 - 0.2 * share - apart, 0) * (1 - 0.5 * share)
+                worst = np.maximum(worst, soon.max(1) + (apart < 1).any(1))
+            greatest = max(greatest, worst.max())
+            told = step["observation"][vehicle].reshape(3, -1)[-1].numpy()
+            np.testing.assert_allclose(told[THREATS], worst / entries["threats"]["divisor"], rtol=0, atol=1e-5)
+            scaled = objects.ravel() / entries["moving_objects"]["divisor"]
+            np.testing.assert_allclose(told[OBJECTS], scaled, rtol=0, atol=1e-6)
+    assert greatest > 0.5
+
+
+def test_the_contract_says_where_it_stands_and_what_it_is(terms: dict[str, Any]) -> None:
+    names = [entry["name"] for entry in terms["observation"]]
+    assert names == [*("cells", "altitude", "heading", "elevation", "moving_objects", "threats", "last_action")]
+    motion = terms["motion"]
+    assert (motion["max_range"], motion["objects"], motion["period"]) == (12.0, 3, 0.1)
+    assert len(motion["object"]) == 7 and motion["rays"]["every"] == 5
+    assert {"velocity", "attitude", "moving_objects", "threats"} <= terms["pose"].keys()
+
+
+def test_a_reset_and_a_copy_have_seen_nothing(made: Path, flown: list[TensorDictBase]) -> None:
+    vehicle = int((flown[-1]["moving_objects"].reshape(3, 3, 7)[:, 0, 6] > 0).nonzero()[0, 0])
+    policy = Policy(made)
+    for step in flown:
+        seen = read(policy, step, vehicle)
+    other = policy.copy()
+    assert seen[OBJECTS].any() and not read(other, flown[-1], vehicle)[OBJECTS].any()
+    assert read(policy, flown[-1], vehicle)[OBJECTS].any(), "the copy's memory is its own"
+    policy.reset()
+    for step in flown[-2:]:
+        assert not read(policy, step, vehicle)[OBJECTS].any()
+
+
+def test_the_blind_see_nothing_move(folder: Path, flown: list[TensorDictBase]) -> None:
+    edit_contract(folder, lambda terms: terms["cloud"].update(blind=True))
+    policy = Policy(folder)
+    seen = np.array([read(policy, step, 0) for step in flown])
+    assert not seen[:, :CELLS].any() and not seen[:, OBJECTS].any() and not seen[:, THREATS].any()
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        (),
+        ((0.0, 0.0, 0.0),),
+        ((np.nan, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.0), (np.inf, 0.0, 0.0)),
+        ((0.0, 0.0), (0.0, 0.0, 0.0)),
+    ],
+)
+def test_without_velocity_and_attitude_it_refuses_and_nothing_changes(made: Path, told: tuple[Any, ...]) -> None:
+    policy, other, cloud = Policy(made), Policy(made), np.full((1, 3), np.nan)
+    with pytest.raises(UavrlError, match=r"needs velocity .* and attitude .*: fly it by what tells both") as caught:
+        policy(cloud, 3.0, 0.0, 0.0, *told)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(UavrlError, match="points must be"):
+        policy(np.zeros((4, 2)), 3.0, 0.0, 0.0, *LEVEL)
+    np.testing.assert_array_equal(policy(cloud, 3.0, 0.0, 0.0, *LEVEL), other(cloud, 3.0, 0.0, 0.0, *LEVEL))
+
+
+def _set(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
+    def change(terms: Any) -> None:
+        for key in path[:-1]:
+            terms = terms[key]
+        terms[path[-1]] = to
+
+    return change
+
+
+def _exchange(terms: dict[str, Any]) -> None:
+    entries = terms["observation"]
+    entries[4], entries[5] = entries[5], entries[4]
+
+
+DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "no part": (lambda terms: terms.pop("motion"), "observation has other quantities or scales"),
+    "no threats": (lambda terms: terms["motion"].pop("threats"), "(motion.threats: Field required)"),
+    "another range": (_set("motion", "max_range", to=8.0), "observation has other quantities or scales"),
+    "no range": (_set("motion", "max_range", to=-1.0), "motion.max_range: Input should be greater than"),
+    "many objects": (_set("motion", "objects", to=10**9), "motion.objects: Input should be less than or equal to 100"),
+    "another number": (_set("motion", "objects", to=2), "observation has other quantities or scales"),
+    "another period": (_set("motion", "period", to=0.2), "motion.period is not that of rate_hz"),
+    "other rays": (_set("motion", "rays", "every", to=4), "motion.rays are others"),
+    "other threats": (_set("motion", "threats", "wide", to=2.0), "motion.threats are made otherwise"),
+    "turned ways": (_set("motion", "threats", "directions", 0, to=[0.0, 1.0, 0.0]), "motion.threats are made"),
+    "fewer ways": (_set("motion", "threats", "directions", to=[[1.0, 0.0, 0.0]]), "motion.threats are made"),
+    "no list": (_set("observation", 4, "divisor", to=12.0), "observation has other quantities or scales"),
+    "a list": (_set("observation", 1, "divisor", to=[3.5]), "observation has other quantities or scales"),
+    "divided by 0": (_set("observation", 4, "divisor", 3, to=0.0), "(observation.4.divisor: Input should be "),
+    "exchanged": (_exchange, "observation has other quantities or scales"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_contract_that_does_not_hold_together_is_refused(name: str, folder: Path, terms: dict[str, Any]) -> None:
+    change, told = DAMAGES[name]
+    changed = copy.deepcopy(terms)
+    change(changed)
+    (folder / "contract.json").write_text(json.dumps(changed))
+    with pytest.raises(UavrlError) as caught:
+        Policy(folder)
+    assert told in str(caught.value) and "\n" not in str(caught.value), str(caught.value)

@@ -1,0 +1,55 @@
+"""What a policy reads of moving objects: where they are, and how near they would come on each way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uavrl.errors import UavrlError
+from uavrl.motion import MotionSight
+from uavrl.motion.rays import far_rays
+from uavrl.motion.sight import scales
+from uavrl.motion.threats import DIRECTIONS, GREATEST, greatest_threats, straight_on, to_yaw
+
+if TYPE_CHECKING:
+    from uavrl.deploy.contract import MotionTerms
+
+
+class Motion:
+    """Follows what moves around one vehicle, as :class:`uavrl.transforms.NavigationState` does in training.
+
+    Args:
+        terms: what the contract says of it.
+    """
+
+    def __init__(self, terms: MotionTerms) -> None:
+        self._sight = MotionSight(1, terms.max_range, terms.objects, terms.period)
+        self._scales = np.array(scales(terms.max_range), np.float32)
+        standing = np.zeros((1, 3), np.float32)
+        self._commanded = np.concatenate([np.float32(terms.threats.speed) * DIRECTIONS, standing])
+
+    def reset(self) -> None:
+        """Forgets what was seen."""
+        self._sight.reset(np.ones(1, bool))
+
+    @staticmethod
+    def checked(
+        velocity: Sequence[float] | np.ndarray | None, attitude: Sequence[float] | np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity and attitude, if these are three finite numbers each."""
+        told = [np.full(1, np.nan) if each is None else np.asarray(each, np.float64) for each in (velocity, attitude)]
+        if not all(each.shape == (3,) and np.isfinite(each).all() for each in told):
+            raise UavrlError(
+                "This policy sees what moves, for which it needs velocity (3 finite numbers, m/s in the world's axes) "
+                f"and attitude (roll, pitch and yaw in rad), got {velocity} and {attitude}: fly it by what tells both."
+            )
+        return told[0], told[1]
+
+    def __call__(self, cloud: np.ndarray, velocity: np.ndarray, attitude: np.ndarray) -> np.ndarray:
+        """Takes in another scan ``[P, 3]``; returns objects and threats, scaled, ``float32``."""
+        objects = self._sight.look(far_rays(cloud)[None], velocity[None], attitude[None])
+        own = to_yaw(velocity[None].astype(np.float32), attitude[None, 2].astype(np.float32))
+        threats = greatest_threats(self._commanded[None], own, *straight_on(objects.reshape(1, -1)))
+        return np.concatenate([(objects / self._scales).ravel(), threats[0] / GREATEST]).astype(np.float32)

@@ -1,0 +1,36 @@
+"""Which rays of a scan count where it is looked for what moves: one firing cycle in five, a degree apart."""
+
+import numpy as np
+
+from uavrl.cells import AZIMUTH_STEP, FAR_EVERY
+
+FIRST = -0.1875  # of a step: where a cycle begins, whose 16 lasers fire within 0.625 of a step, in the middle of it
+TERMS = (float(np.degrees(AZIMUTH_STEP)), FIRST, FAR_EVERY)
+"""By which a point counts: the step in degrees, where the first one begins, and one of how many."""
+
+
+def far_rays(points: np.ndarray) -> np.ndarray:
+    """Of one scan's points in any order, those in every fifth firing cycle of a VLP-16, in the order of firing.
+
+    A point is in cycle ``floor(a / AZIMUTH_STEP - FIRST)``, where ``a`` is its azimuth to the right in [0, 360°) from
+    straight ahead. In the simulator these are the rays that look farther than the cells. Of a real sensor, which turns
+    ten times a second and begins anywhere, they are as many.
+
+    Args:
+        points: ``[P, 3]`` in m in the sensor frame.
+
+    Returns:
+        ``[Q, 3]``; what is not finite is left out.
+
+    Examples:
+        >>> to_the_right = -np.radians([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2])[::-1]
+        >>> points = np.stack([np.cos(to_the_right), np.sin(to_the_right), 0 * to_the_right], -1)
+        >>> np.degrees(np.arctan2(far_rays(points)[:, 1], far_rays(points)[:, 0])).round(1).tolist()
+        [-0.0, -1.0]
+    """
+    x, y, z = points.T
+    with np.errstate(over="ignore", invalid="ignore"):
+        known = np.flatnonzero(x * x + y * y + z * z < np.inf)
+    azimuth = np.arctan2(-y[known], x[known]) % (2.0 * np.pi)
+    kept = np.flatnonzero(np.floor(azimuth / AZIMUTH_STEP - FIRST) % FAR_EVERY == 0)
+    return points[known[kept[np.argsort(azimuth[kept], kind="stable")]]]
