@@ -17,7 +17,7 @@ FLOORS = [
     {"models", "transforms"},
     {"config", "runs"},
     {"motion", "shield", "upstream"},
-    {"errors", "ranges", "command_line", "machine", "cells"},
+    {"attitude", "errors", "ranges", "command_line", "machine", "cells"},
 ]
 
 

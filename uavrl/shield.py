@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uavrl.attitude import body_to_world
 from uavrl.cells import NEAREST_RETURN
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
@@ -84,14 +85,7 @@ class Shield:
         with np.errstate(over="ignore", invalid="ignore"):
             squared = x * x + y * y + z * z
             near = np.flatnonzero((squared > NEAREST_RETURN**2) & (squared < self.sight**2))
-        (cos_roll, cos_pitch), (sin_roll, sin_pitch) = np.cos(tilt), np.sin(tilt)
-        level = np.array(
-            [
-                [cos_pitch, sin_pitch * sin_roll, sin_pitch * cos_roll],
-                [0.0, cos_roll, -sin_roll],
-                [-sin_pitch, cos_pitch * sin_roll, cos_pitch * cos_roll],
-            ]
-        )
+        level = body_to_world(np.array([[*tilt, 0.0]]))[0]
         return np.asarray((cloud[near].astype(float) + np.array([0.0, 0.0, self.sensor])) @ level.T)
 
 

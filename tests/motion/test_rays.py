@@ -10,7 +10,7 @@ from uavrl.deploy.packets import decode_vlp16, encode_scan
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.motion import MotionSight
 from uavrl.motion.rays import far_rays
-from uavrl.motion.sight import _rotations
+from uavrl.attitude import body_to_world
 
 WAY = straight((8.0, 0.5, 0.3), 3.5, 2.3, 8)
 
@@ -26,7 +26,7 @@ def scans(lidar: Lidar, turned: float = 0.0) -> list[tuple[np.ndarray, np.ndarra
     vehicle, found = Vehicle(), []
     for step, body in enumerate(WAY):
         place, attitude = vehicle.at(step)
-        rotation, to_sensor = (_rotations(np.array([each])) for each in (attitude, (0.0, 0.0, turned)))
+        rotation, to_sensor = (body_to_world(np.array([each])) for each in (attitude, (0.0, 0.0, turned)))
         cloud = lidar.scan(place[None], rotation @ to_sensor, body)[0]
         found.append(((cloud @ to_sensor[0].T).astype(np.float32), attitude))
     return found

@@ -16,7 +16,7 @@ from uavrl.motion.registration import (
     rotation_about,
     sample,
 )
-from uavrl.motion.sight import _rotations
+from uavrl.attitude import body_to_world
 
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
@@ -37,14 +37,14 @@ def images(cloud: np.ndarray) -> np.ndarray:
 
 def laid_over(lidar: Lidar, place: np.ndarray, bodies: list[np.ndarray | None]) -> Alignment:
     """Two scans ``TURN`` and ``MOVE`` apart, of which the attitude says that the sensor did not turn."""
-    at, turns = np.stack([place, place + MOVE]), _rotations(np.stack([np.zeros(3), TURN]))
+    at, turns = np.stack([place, place + MOVE]), body_to_world(np.stack([np.zeros(3), TURN]))
     first, second = (images(lidar.scan(at[step, None], turns[step, None], body)) for step, body in enumerate(bodies))
     return register(sample(second), first, Grid(), np.eye(3)[None], MOVE[None])
 
 
 def error(found: Alignment) -> float:
     """Of the rotation, in degrees."""
-    return float(np.degrees(np.arccos(min((np.trace(found.rotations[0].T @ _rotations(TURN[None])[0]) - 1) / 2, 1))))
+    return float(np.degrees(np.arccos(min((np.trace(found.rotations[0].T @ body_to_world(TURN[None])[0]) - 1) / 2, 1))))
 
 
 def test_a_small_rotation_is_recovered(lidar: Lidar) -> None:
@@ -76,6 +76,6 @@ def test_too_few_returns_say_so() -> None:
 
 def test_rotations_about_vectors_and_without_rounding() -> None:
     yaw = rotation_about(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]]))
-    assert np.allclose(yaw, _rotations(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]])))
+    assert np.allclose(yaw, body_to_world(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]])))
     mended = orthonormal(yaw * (1 + 1e-4))
     assert np.allclose(mended @ mended.transpose(0, 2, 1), np.eye(3), atol=1e-7)

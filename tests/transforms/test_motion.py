@@ -19,7 +19,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.errors import UavrlError
-from uavrl.motion.sight import _rotations
+from uavrl.attitude import body_to_world
 from uavrl.rollout.environment import make_env
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
@@ -54,7 +54,7 @@ class Vehicle:
         """Cloud, position and attitude, one vehicle."""
         for step, body in enumerate(bodies):
             place, attitude = self.at(step)
-            yield lidar.scan(place[None], _rotations(attitude[None]), body), place, attitude
+            yield lidar.scan(place[None], body_to_world(attitude[None]), body), place, attitude
 
     def seen(
         self,
@@ -73,10 +73,10 @@ class Vehicle:
             velocity = self.velocity + rng.normal(0, 0.1, 3) * (noisy or any(wrong))
             said = attitude + bias + (np.radians(wrong) * rng.normal(0, 1, 3) if any(wrong) else 0.0)
             objects = sight.look(far, velocity[None], said[None])[0].astype(float)
-            level = _rotations(np.array([[0.0, 0.0, said[2]]]))[0]
-            turn = _rotations(attitude[None])[0] @ _rotations(said[None])[0].T @ level
+            level = body_to_world(np.array([[0.0, 0.0, said[2]]]))[0]
+            turn = body_to_world(attitude[None])[0] @ body_to_world(said[None])[0].T @ level
             if not any(wrong):
-                turn = _rotations(np.array([[0.0, 0.0, attitude[2]]]))[0]
+                turn = body_to_world(np.array([[0.0, 0.0, attitude[2]]]))[0]
             there = objects[:, 6:] > 0
             objects[:, :3] = there * (objects[:, :3] @ turn.T + place)
             objects[:, 3:6] = objects[:, 3:6] @ turn.T

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from uavrl.attitude import body_to_world
 from uavrl.motion.occlusion import EarlierScans, Grid, Returns, find_returns
 from uavrl.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
 from uavrl.motion.tracks import Scan, Track, follow
@@ -90,7 +91,7 @@ class MotionSight:
         seen = find_returns(
             np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range
         )
-        self._move(seen, velocities, _rotations(attitudes), which)
+        self._move(seen, velocities, body_to_world(attitudes), which)
         bounds = np.searchsorted(seen.clouds, np.arange(len(which) + 1))
         world = np.empty_like(seen.points)
         for one, (first, last) in enumerate(pairwise(bounds)):
@@ -187,14 +188,3 @@ class MotionSight:
             for slot, row in enumerate(nearest[: self.objects]):
                 found[one, slot] = objects[row]
         return found
-
-
-def _rotations(attitudes: np.ndarray) -> np.ndarray:
-    """Body-to-world rotations ``[N, 3, 3]`` of roll, pitch and yaw ``[N, 3]``: yaw about z, then pitch, then roll."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(attitudes).T, np.sin(attitudes).T
-    rows = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)

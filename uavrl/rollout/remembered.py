@@ -8,10 +8,10 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from uavrl.attitude import body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY
 from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
-from uavrl.motion.sight import _rotations as body_to_world
 from uavrl.motion.threats import to_yaw
 from uavrl.transforms.state import ACTION_LIMIT
 
