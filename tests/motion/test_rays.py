@@ -77,6 +77,18 @@ def test_a_sensor_that_begins_elsewhere_shows_nearly_the_same(real: Lidar, expec
     assert not seen[5:, 1:].any()
 
 
+@pytest.mark.parametrize(("kept", "of"), [(1, 2), (5, 6)])
+def test_a_sensor_that_turns_faster_shows_nearly_the_same(
+    real: Lidar, expected: np.ndarray, kept: int, of: int
+) -> None:
+    """Twenty times a second, and twelve."""
+    some = np.arange(1808) % of < kept
+    seen = objects([(far_rays(cloud.reshape(1808, 16, 3)[some].reshape(-1, 3)), each) for cloud, each in scans(real)])
+    np.testing.assert_allclose(seen[5:, 0, :3], expected[5:, 0, :3], atol=0.25)
+    np.testing.assert_allclose(seen[5:, 0, 3:6], expected[5:, 0, 3:6], atol=0.5)
+    assert not seen[5:, 1:].any()
+
+
 def test_misses_count_nowhere_and_ahead_is_the_first() -> None:
     points = np.array([[np.nan] * 3, [np.inf, 0, 0], [0, 0, 0], [3.0, -0.001, 0], [3.0, 0, 0], [3e38, 0, 3e38]])
     assert far_rays(points.astype(np.float32)).tolist() == [[0, 0, 0], [3, 0, 0], [3.0, pytest.approx(-0.001), 0]]

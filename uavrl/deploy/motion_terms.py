@@ -23,7 +23,8 @@ FOUND = (
 FRAME = "from the sensor, in level axes that are turned with the yaw alone: forward, left, up"
 RAYS = (
     "of the cloud's points within max_range those count for which "
-    "floor((-atan2(y, x) mod 360) / step - first) mod every is 0, in degrees"
+    "floor((-atan2(y, x) mod 360) / step - first) mod every is 0, in degrees; "
+    "of a sensor whose rays are farther apart, those next to them"
 )
 THREAT = (
     "for a way v = speed * direction, or 0 for standing, a body at p with velocity w, the vehicle's velocity u, all "
