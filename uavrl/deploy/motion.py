@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uavrl.deploy.contract import MotionTerms
 
 
-class Motion:
+class MotionReader:
     """Follows what moves around one vehicle, as :class:`uavrl.transforms.NavigationState` does in training.
 
     Args:

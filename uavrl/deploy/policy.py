@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.deploy.contract import REMEDY, Contract, read_contract, read_file
-from uavrl.deploy.motion import Motion
+from uavrl.deploy.motion import MotionReader
 from uavrl.deploy.observation import NavigationState, navigation_observation
 from uavrl.deploy.reduction import REDUCTIONS
 from uavrl.errors import UavrlError
@@ -59,7 +59,7 @@ class Policy:
     def _begin(self) -> None:
         limit, frames = self.contract.action_limit, self.contract.state.frames
         self._state = NavigationState(frames, limit is not None, limit or 1.0)
-        self._motion = None if self.contract.motion is None else Motion(self.contract.motion)
+        self._motion = None if self.contract.motion is None else MotionReader(self.contract.motion)
         self.cells = None
         self.last_action = np.zeros(len(self.contract.action.order), np.float32)
 
