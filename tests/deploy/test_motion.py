@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import runpy
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -136,6 +137,17 @@ def test_the_contract_says_where_it_stands_and_what_it_is(terms: dict[str, Any])
     assert (motion["max_range"], motion["objects"], motion["period"]) == (12.0, 3, 0.1)
     assert len(motion["object"]) == 7 and motion["rays"]["every"] == 5
     assert {"velocity", "attitude", "moving_objects", "threats"} <= terms["pose"].keys()
+
+
+def test_its_inputs_are_printed_as_a_table(made: Path) -> None:
+    example = runpy.run_path(str(Path(__file__).parents[2] / "examples/inputs_table.py"))
+    table = example["table"](made / "contract.json")
+    objects, threats = (
+        next(row for row in table.splitlines() if name in row) for name in ("moving objects", "threats;")
+    )
+    assert objects.startswith("| 75–95 | the nearest 3 moving objects, each forward (m), left (m)")
+    assert objects.endswith("| each object's values / 12, 12, 12, 5, 5, 5, 2.5 |")
+    assert threats.startswith("| 96–168 |") and threats.endswith("| value / 2.2 |")
 
 
 def test_a_reset_and_a_copy_have_seen_nothing(made: Path, flown: list[TensorDictBase]) -> None:

@@ -42,7 +42,7 @@ def motion_terms(seen: MovingObjects, met: Threats) -> dict[str, Any]:
     return {
         "max_range": seen.max_range,
         "objects": seen.objects,
-        "object": [f"{name}, {UNITS.get(name.split()[-1], 'm')}" for name in OBJECT],
+        "object": [f"{name} ({UNITS.get(name.split()[-1], 'm')})" for name in OBJECT],
         "frame": FRAME,
         "found": FOUND,
         "period": seen.period,
