@@ -36,13 +36,16 @@ def _rows(terms: dict[str, Any]) -> Iterator[str]:
     for entry in terms["observation"]:
         last = begin + entry["size"] - 1
         numbers = f"{begin}" if last == begin else f"{begin}–{last}"
-        yield f"| {numbers} | {_meaning(entry['name'], terms)} | {_scaled(entry)} |"
+        yield f"| {numbers} | {_meaning(entry['name'], terms)} | {_scaled(entry, terms)} |"
         begin = last + 1
 
 
 def _meaning(name: str, terms: dict[str, Any]) -> str:
     if name == "cells":
         return f"cells, {_cells(terms['cells'])}"
+    if name == "moving_objects":
+        motion = terms["motion"]
+        return f"the nearest {motion['objects']} moving objects, each {', '.join(motion['object'])}; {motion['frame']}"
     action = terms["action"]
     units = ", ".join(f"{key} ({unit})" for key, unit in zip(action["order"], action["unit"], strict=True))
     return f"{name.replace('_', ' ')}{f', {units}' if name == 'last_action' else ''}; {terms['pose'][name]}"
@@ -61,7 +64,10 @@ def _cells(cells: dict[str, Any]) -> str:
     return f"{where}; {told}, for the nearest point in the cell, and 0 where it has none"
 
 
-def _scaled(entry: dict[str, Any]) -> str:
+def _scaled(entry: dict[str, Any], terms: dict[str, Any]) -> str:
+    if isinstance(entry["divisor"], list):
+        each = entry["divisor"][: len(terms["motion"]["object"])]
+        return f"each object's values / {', '.join(f'{divisor:g}' for divisor in each)}"
     shift, offset = (f" {'-' if entry[key] < 0 else '+'} {abs(entry[key]):g}" for key in ("shift", "offset"))
     value = f"(value{shift}) mod {entry['modulo']:g}" if entry["modulo"] else "value"
     value = f"({value})" if entry["modulo"] else value

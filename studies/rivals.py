@@ -87,8 +87,9 @@ def row_of(result: dict[str, Any], best: dict[str, Any] | None) -> list[str]:
     arrived, tasks = result["outcomes"].count("S"), result["episodes"]
     success = "{rate:.1%} ({low:.1%}–{high:.1%})".format(**wilson(arrived, tasks))
     steps = f"{result['steps_per_arrival']:.0f}" if arrived else "–"
-    if best is None or best["episodes"] != tasks:
+    if best is None:
         return [success, "–", steps]
+    best = {**best, "episodes": tasks, "outcomes": best["outcomes"][:tasks]}  # a task is the same among any number
     difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*paired_difference(result["outcomes"], best["outcomes"]))
     return [success, f"{difference}, p = {compared(result, best)['p']:.2g}", steps]
 

@@ -90,12 +90,10 @@ def test_one_that_sees_motion_is_packaged_with_its_actions(tmp_path: Path, monke
     row = {"episodes": 500, "outcomes": "S" * 500, "checkpoint": None, "training_steps": None, "seed": 0}
     suite = {name: {**row, "overrides": overrides} for name, overrides in scenarios("all").items()}
     (tmp_path / "suite.json").write_text(json.dumps(suite))
-    for module, values in (
-        (tool, {"commit": lambda: "0" * 40}),
-        (recorded, {"VEHICLES": 2, "STEPS": 4, "LARGEST": 9000}),
-    ):
-        for name, value in {**values, "PACKAGED": tmp_path / "policies"}.items():
-            monkeypatch.setattr(module, name, value)
+    monkeypatch.setattr(tool, "commit", lambda: "0" * 40)
+    for name, value in {"VEHICLES": 2, "STEPS": 4, "LARGEST": 9000, "PACKAGED": tmp_path / "policies"}.items():
+        monkeypatch.setattr(recorded, name, value)
+    monkeypatch.setattr(tool, "PACKAGED", recorded.PACKAGED)
     folder = tool.package("new", run, tmp_path / "suite.json")
     terms = json.loads((folder / "contract.json").read_text())
     assert terms["motion"]["max_range"] == 12.0

@@ -27,9 +27,10 @@ CHECKED = [
     "policy",
     "export",
     "onnx_export",
+    "motion_terms",
     "simulated",
     "logged_flight",
-]  # pydantic checks a contract; export, onnx_export and simulated have torch
+]  # pydantic checks a contract; export, with onnx_export and motion_terms, and simulated have torch
 
 
 def without(blocked: list[str], run: str, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -39,6 +39,7 @@ class Policy:
         self.cells: np.ndarray | None = None
         self.last_action = np.zeros(4, np.float32)
         self.action, self.seen, self.before = np.array(action, np.float32), list[tuple[Any, ...]](), list[list[float]]()
+        self.own = list[tuple[Any, ...]]()
         self.resets = 0
 
     def reset(self) -> None:
@@ -46,10 +47,10 @@ class Policy:
         self.last_action = np.zeros(4, np.float32)
 
     def __call__(
-        self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float, *own: Vector
+        self, cloud: np.ndarray, altitude: float, heading_deg: float, elevation_deg: float, *own: Vector | float | None
     ) -> np.ndarray:
         self.seen.append((cloud, altitude, heading_deg, elevation_deg))
-        self.own = own
+        self.own.append(own)
         self.before.append(self.last_action.tolist())
         self.cells = np.full(72, float(len(cloud)))
         return self.action.copy()
@@ -129,7 +130,7 @@ def test_a_scan_becomes_a_setpoint() -> None:
     cloud, altitude, heading, elevation = rig.policy.seen[-1]
     assert cloud.tolist() == [[2.0, 0.0, 0.0]]
     assert (altitude, heading) == (3.5, 0.0)
-    assert rig.policy.own == ((1.5, -0.5, 0.25), (0.25, -0.125, 0.0)), "velocity, and roll, pitch and yaw"
+    assert rig.policy.own[-1] == ((1.5, -0.5, 0.25), (0.25, -0.125, 0.0), None), "velocity, and roll, pitch and yaw"
     assert elevation == pytest.approx(360.0 - math.degrees(math.atan2(1.0, 20.0)), abs=1e-4)
     assert cycle.cells is not None and cycle.cells.tolist() == [1.0] * 72
     assert (cycle.distance, cycle.arrived, cycle.control.control) == (20.0, False, Control.IN_CONTROL)
@@ -148,6 +149,20 @@ def test_until_it_flies_each_scan_is_the_first_of_an_episode_and_then_its_last_a
     assert rig.scan().status.setpoint == pytest.approx((2.0, 0.0, 0.0, 0.0)), "clipped"
     rig.scan()
     assert rig.policy.resets == 16 and rig.policy.before[-1] == [2.0, 0.0, 0.0, 0.0]
+
+
+def test_a_policy_is_told_how_long_after_the_last_scan_that_it_read_another_one_comes() -> None:
+    rig = Rig()
+    rig.airborne()
+    rig.scan()
+    rig.nothing()
+    rig.scan()
+    rig.link.place = None
+    rig.scan()
+    rig.link.place = (0.0, 0.0, 3.5)
+    rig.scan()
+    told = [own[-1] for own in rig.policy.own[-4:]]
+    assert told == [None, pytest.approx(0.1), pytest.approx(0.22), None], "without a pose it has begun anew"
 
 
 def test_points_on_the_vehicle_are_not_seen() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import json
+import runpy
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,12 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tests.helpers.commands import VALLEY
 from tests.helpers.exported import edit_contract, exported
 from uavrl.config import validate_run
+from uavrl.deploy.dry_run import DryRun
+from uavrl.deploy.flight import Flight
+from uavrl.deploy.frames import Pose
 from uavrl.deploy.policy import Policy
+from uavrl.deploy.safety import SafetyLayer, State
+from uavrl.deploy.scans import Scan
 from uavrl.deploy.simulated import ExportedPolicy
 from uavrl.errors import UavrlError
 from uavrl.rollout.actor import read_policy
@@ -132,6 +139,17 @@ def test_the_contract_says_where_it_stands_and_what_it_is(terms: dict[str, Any])
     assert {"velocity", "attitude", "moving_objects", "threats"} <= terms["pose"].keys()
 
 
+def test_its_inputs_are_printed_as_a_table(made: Path) -> None:
+    example = runpy.run_path(str(Path(__file__).parents[2] / "examples/inputs_table.py"))
+    table = example["table"](made / "contract.json")
+    objects, threats = (
+        next(row for row in table.splitlines() if name in row) for name in ("moving objects", "threats;")
+    )
+    assert objects.startswith("| 75–95 | the nearest 3 moving objects, each forward (m), left (m)")
+    assert objects.endswith("| each object's values / 12, 12, 12, 5, 5, 5, 2.5 |")
+    assert threats.startswith("| 96–168 |") and threats.endswith("| value / 2.2 |")
+
+
 def test_a_reset_and_a_copy_have_seen_nothing(made: Path, flown: list[TensorDictBase]) -> None:
     vehicle = int((flown[-1]["moving_objects"].reshape(3, 3, 7)[:, 0, 6] > 0).nonzero()[0, 0])
     policy = Policy(made)
@@ -170,6 +188,45 @@ def test_without_velocity_and_attitude_it_refuses_and_nothing_changes(made: Path
     with pytest.raises(UavrlError, match="points must be"):
         policy(np.zeros((4, 2)), 3.0, 0.0, 0.0, *LEVEL)
     np.testing.assert_array_equal(policy(cloud, 3.0, 0.0, 0.0, *LEVEL), other(cloud, 3.0, 0.0, 0.0, *LEVEL))
+
+
+class Link(DryRun):
+    """A vehicle that does not tell its velocity until it is asked to."""
+
+    velocity = (np.nan, np.nan, np.nan)
+
+    def pose(self) -> Pose:
+        return replace(super().pose(), velocity=self.velocity)
+
+
+def test_it_does_not_take_off_by_what_tells_no_velocity(made: Path, caplog: pytest.LogCaptureFixture) -> None:
+    link = Link((0.0, 0.0, 3.5))
+    flight = Flight(Policy(made), (20.0, 0.0, 2.5), link, SafetyLayer())
+    states = []
+    for step in range(40):
+        link.velocity = (np.nan,) * 3 if step < 25 else (0.0, 0.0, 0.0)
+        now = 100.0 + 0.1 * step
+        link.receive(now)
+        states.append(flight.step(now, Scan(now, np.ones((1, 3), np.float32), 1, 0)).status)
+    assert State.FLYING not in [status.state for status in states[:25]] and states[-1].state is State.FLYING
+    told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(told) == 1 and told[0].startswith("The policy gives no action: This policy sees what moves"), told
+
+
+def test_a_lost_scan_makes_nothing_fly_faster(made: Path) -> None:
+    """A ball at 3 m/s, 6 m ahead."""
+    ring = np.linspace(-0.3, 0.3, 31)
+    ball = np.stack(np.broadcast_arrays(6.0, ring[:, None], ring), -1).reshape(-1, 3)
+    policy, last = Policy(made), 0
+    for step in (0, 1, 2, 3, 4, 5, 7, 8):
+        seen = policy.state(ball + np.array([0.0, 0.3 * step, 0.0]), 3.5, 0.0, 0.0, *LEVEL, 0.1 * (step - last) or None)
+        last = step
+        if step > 5:
+            velocity = seen.reshape(3, -1)[-1][OBJECTS][3:6] * 5.0
+            np.testing.assert_allclose(velocity, [0.0, 3.0, 0.0], atol=0.3)
+    for wrong in (0.0, -0.1, np.nan, np.inf):
+        with pytest.raises(UavrlError, match="elapsed must be a finite time above 0 s"):
+            policy(ball, 3.5, 0.0, 0.0, *LEVEL, wrong)
 
 
 def _set(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.transforms.test_motion import BODY, Vehicle, straight, valley
+from uavrl.attitude import body_to_world
 from uavrl.deploy.packets import decode_vlp16, encode_scan
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.motion import MotionSight
 from uavrl.motion.rays import far_rays
-from uavrl.attitude import body_to_world
 
 WAY = straight((8.0, 0.5, 0.3), 3.5, 2.3, 8)
 
@@ -72,6 +72,18 @@ def test_of_packets_they_show_nearly_the_same(real: Lidar, expected: np.ndarray)
 @pytest.mark.parametrize("turned", [0.1, 0.37, 0.6])  # degrees
 def test_a_sensor_that_begins_elsewhere_shows_nearly_the_same(real: Lidar, expected: np.ndarray, turned: float) -> None:
     seen = objects([(far_rays(cloud), attitude) for cloud, attitude in scans(real, np.radians(turned))])
+    np.testing.assert_allclose(seen[5:, 0, :3], expected[5:, 0, :3], atol=0.25)
+    np.testing.assert_allclose(seen[5:, 0, 3:6], expected[5:, 0, 3:6], atol=0.5)
+    assert not seen[5:, 1:].any()
+
+
+@pytest.mark.parametrize(("kept", "of"), [(1, 2), (5, 6)])
+def test_a_sensor_that_turns_faster_shows_nearly_the_same(
+    real: Lidar, expected: np.ndarray, kept: int, of: int
+) -> None:
+    """Twenty times a second, and twelve."""
+    some = np.arange(1808) % of < kept
+    seen = objects([(far_rays(cloud.reshape(1808, 16, 3)[some].reshape(-1, 3)), each) for cloud, each in scans(real)])
     np.testing.assert_allclose(seen[5:, 0, :3], expected[5:, 0, :3], atol=0.25)
     np.testing.assert_allclose(seen[5:, 0, 3:6], expected[5:, 0, 3:6], atol=0.5)
     assert not seen[5:, 1:].any()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.scenes import box, terrain
+from uavrl.attitude import body_to_world
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.world import World, WorldConfig
 from uavrl.motion.occlusion import Grid, find_returns
@@ -16,7 +17,6 @@ from uavrl.motion.registration import (
     rotation_about,
     sample,
 )
-from uavrl.attitude import body_to_world
 
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))

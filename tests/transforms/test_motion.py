@@ -14,12 +14,12 @@ from tests.helpers.contracts import TransformContract
 from tests.helpers.flights import small_env
 from tests.helpers.scenes import box, terrain
 from tests.helpers.small_env import SmallEnv
+from uavrl.attitude import body_to_world
 from uavrl.config import compose, validate_run
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.mesh import Mesh
 from uavrl.errors import UavrlError
-from uavrl.attitude import body_to_world
 from uavrl.rollout.environment import make_env
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation

@@ -73,6 +73,7 @@ class Flight:
         self._policy, self._link, self._layer = policy, link, layer
         self._radius, self._box, self._shield = radius, box, shield
         self._scan_stamp: float | None = None
+        self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
         self._acted = -math.inf  # when the policy last gave one
         self._state = State.SILENT
@@ -121,10 +122,12 @@ class Flight:
         """The policy's action, or ``None`` where it can give none."""
         if self._state not in _FLIES or now - self._acted > _FORGOTTEN * self.period:
             self._policy.reset()
+            self._read_stamp = None
         if pose is None or not np.isfinite([*pose.position, pose.yaw]).all():
             return None
         read = to_goal(pose, self.goal)
-        told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude)
+        elapsed = None if self._read_stamp is None or scan.stamp <= self._read_stamp else scan.stamp - self._read_stamp
+        told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
         try:
             action = self._policy(scan.points, *told)
             if self._shield is not None:
@@ -134,7 +137,7 @@ class Flight:
                 _logger.warning("The policy gives no action: %s", error)
             self._told = str(error)
             return None
-        self._acted = now
+        self._acted, self._read_stamp = now, scan.stamp
         return action
 
     @staticmethod

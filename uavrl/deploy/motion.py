@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from uavrl.deploy.contract import MotionTerms
 
 
-class Motion:
+class MotionReader:
     """Follows what moves around one vehicle, as :class:`uavrl.transforms.NavigationState` does in training.
 
     Args:
@@ -25,6 +25,7 @@ class Motion:
     """
 
     def __init__(self, terms: MotionTerms) -> None:
+        self._period = terms.period
         self._sight = MotionSight(1, terms.max_range, terms.objects, terms.period)
         self._scales = np.array(scales(terms.max_range), np.float32)
         standing = np.zeros((1, 3), np.float32)
@@ -34,22 +35,27 @@ class Motion:
         """Forgets what was seen."""
         self._sight.reset(np.ones(1, bool))
 
-    @staticmethod
     def checked(
-        velocity: Sequence[float] | np.ndarray | None, attitude: Sequence[float] | np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Velocity and attitude, if these are three finite numbers each."""
+        self,
+        velocity: Sequence[float] | np.ndarray | None,
+        attitude: Sequence[float] | np.ndarray | None,
+        elapsed: float | None,
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Velocity and attitude, if these are three finite numbers each, and the time since the last scan."""
         told = [np.full(1, np.nan) if each is None else np.asarray(each, np.float64) for each in (velocity, attitude)]
         if not all(each.shape == (3,) and np.isfinite(each).all() for each in told):
             raise UavrlError(
                 "This policy sees what moves, for which it needs velocity (3 finite numbers, m/s in the world's axes) "
                 f"and attitude (roll, pitch and yaw in rad), got {velocity} and {attitude}: fly it by what tells both."
             )
-        return told[0], told[1]
+        elapsed = self._period if elapsed is None else float(elapsed)
+        if not 0.0 < elapsed < np.inf:
+            raise UavrlError(f"elapsed must be a finite time above 0 s, got {elapsed}: give that between two scans.")
+        return told[0], told[1], elapsed
 
-    def __call__(self, cloud: np.ndarray, velocity: np.ndarray, attitude: np.ndarray) -> np.ndarray:
+    def __call__(self, cloud: np.ndarray, velocity: np.ndarray, attitude: np.ndarray, elapsed: float) -> np.ndarray:
         """Takes in another scan ``[P, 3]``; returns objects and threats, scaled, ``float32``."""
-        objects = self._sight.look(far_rays(cloud)[None], velocity[None], attitude[None])
+        objects = self._sight.look(far_rays(cloud)[None], velocity[None], attitude[None], elapsed=elapsed)
         own = to_yaw(velocity[None].astype(np.float32), attitude[None, 2].astype(np.float32))
         threats = greatest_threats(self._commanded[None], own, *straight_on(objects.reshape(1, -1)))
         return np.concatenate([(objects / self._scales).ravel(), threats[0] / GREATEST]).astype(np.float32)

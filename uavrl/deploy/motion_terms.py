@@ -23,7 +23,8 @@ FOUND = (
 FRAME = "from the sensor, in level axes that are turned with the yaw alone: forward, left, up"
 RAYS = (
     "of the cloud's points within max_range those count for which "
-    "floor((-atan2(y, x) mod 360) / step - first) mod every is 0, in degrees"
+    "floor((-atan2(y, x) mod 360) / step - first) mod every is 0, in degrees; "
+    "of a sensor whose rays are farther apart, those next to them"
 )
 THREAT = (
     "for a way v = speed * direction, or 0 for standing, a body at p with velocity w, the vehicle's velocity u, all "
@@ -41,7 +42,7 @@ def motion_terms(seen: MovingObjects, met: Threats) -> dict[str, Any]:
     return {
         "max_range": seen.max_range,
         "objects": seen.objects,
-        "object": [f"{name}, {UNITS.get(name.split()[-1], 'm')}" for name in OBJECT],
+        "object": [f"{name} ({UNITS.get(name.split()[-1], 'm')})" for name in OBJECT],
         "frame": FRAME,
         "found": FOUND,
         "period": seen.period,

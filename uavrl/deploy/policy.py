@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.deploy.contract import REMEDY, Contract, read_contract, read_file
-from uavrl.deploy.motion import Motion
+from uavrl.deploy.motion import MotionReader
 from uavrl.deploy.observation import NavigationState, navigation_observation
 from uavrl.deploy.reduction import REDUCTIONS
 from uavrl.errors import UavrlError
@@ -59,7 +59,7 @@ class Policy:
     def _begin(self) -> None:
         limit, frames = self.contract.action_limit, self.contract.state.frames
         self._state = NavigationState(frames, limit is not None, limit or 1.0)
-        self._motion = None if self.contract.motion is None else Motion(self.contract.motion)
+        self._motion = None if self.contract.motion is None else MotionReader(self.contract.motion)
         self.cells = None
         self.last_action = np.zeros(len(self.contract.action.order), np.float32)
 
@@ -85,6 +85,7 @@ class Policy:
         elevation_deg: float,
         velocity: Sequence[float] | np.ndarray | None = None,
         attitude: Sequence[float] | np.ndarray | None = None,
+        elapsed: float | None = None,
     ) -> np.ndarray:
         """The action that answers one scan and the pose of its moment: call it ``contract.rate_hz`` times a second.
 
@@ -98,6 +99,7 @@ class Policy:
                 as is the next one. The world's axes are any whose z points up, the same at all times.
             attitude: ``[3]``, its roll, pitch and yaw in these axes, rad, by which a vector of the vehicle is turned
                 about its own forward, left and up: first by the roll, then by the pitch, then by the yaw.
+            elapsed: since the scan before, s, which is read there too. None: ``1 / contract.rate_hz``.
 
         Returns:
             ``float32 [4]``: forward, left and up in m/s in the yaw-aligned body frame, yaw rate in rad/s, within the
@@ -108,7 +110,7 @@ class Policy:
                 is needed and missing or not finite, and where the network's answer is not finite: then the last action
                 stays what it was.
         """
-        state = self.state(cloud, altitude, heading_deg, elevation_deg, velocity, attitude)
+        state = self.state(cloud, altitude, heading_deg, elevation_deg, velocity, attitude, elapsed)
         self.last_action = self._network(state[None])[0]
         return self.last_action.copy()
 
@@ -120,12 +122,13 @@ class Policy:
         elevation_deg: float,
         velocity: Sequence[float] | np.ndarray | None = None,
         attitude: Sequence[float] | np.ndarray | None = None,
+        elapsed: float | None = None,
     ) -> np.ndarray:
         """Takes a scan and a pose in, and returns what the network reads of them and those before, ``float32 [S]``."""
         terms, pose = self.contract, (altitude, heading_deg, elevation_deg)
         if not np.isfinite(pose).all():
             raise UavrlError(f"altitude, heading_deg and elevation_deg must be finite numbers, got {pose}.")
-        own = None if self._motion is None else self._motion.checked(velocity, attitude)
+        own = None if self._motion is None else self._motion.checked(velocity, attitude, elapsed)
         cells, seen = terms.cells, np.full((1, 3), np.nan) if terms.cloud.blind else cloud
         self.cells = reduced = REDUCTIONS[cells.reduction](seen, cells.radius, cells.statistic)
         scales = {"radius": cells.radius, "flight_level": terms.flight_level}

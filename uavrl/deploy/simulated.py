@@ -42,8 +42,8 @@ class ExportedPolicy:
         for number, vehicle in enumerate(self._vehicles[: len(cloud)]):
             if begins[number].all():
                 vehicle.reset()
-            goal, motion = (float(part[number, 0]) for part in told[:3]), (part[number] for part in told[3:])
-            actions[number] = vehicle(cloud[number], *goal, *motion)
+            altitude, heading, elevation = (float(part[number, 0]) for part in told[:3])
+            actions[number] = vehicle(cloud[number], altitude, heading, elevation, *(part[number] for part in told[3:]))
         return tensordict.set("action", torch.from_numpy(actions))
 
     @property

@@ -5,6 +5,7 @@ import numpy as np
 from uavrl.cells import AZIMUTH_STEP, FAR_EVERY
 
 FIRST = -0.1875  # of a step: where a cycle begins, whose 16 lasers fire within 0.625 of a step, in the middle of it
+FINE = 0.9  # share of the fifths in which a sensor that turns ten times a second has points, where it has any around
 TERMS = (float(np.degrees(AZIMUTH_STEP)), FIRST, FAR_EVERY)
 """By which a point counts: the step in degrees, where the first one begins, and one of how many."""
 
@@ -13,8 +14,8 @@ def far_rays(points: np.ndarray) -> np.ndarray:
     """Of one scan's points in any order, those in every fifth firing cycle of a VLP-16, in the order of firing.
 
     A point is in cycle ``floor(a / AZIMUTH_STEP - FIRST)``, where ``a`` is its azimuth to the right in [0, 360°) from
-    straight ahead. In the simulator these are the rays that look farther than the cells. Of a real sensor, which turns
-    ten times a second and begins anywhere, they are as many.
+    straight ahead. In the simulator these are the rays that look farther than the cells. Of a real sensor, which begins
+    anywhere, they are as many. Where it turns faster, so that many such cycles are empty, the next one counts.
 
     Args:
         points: ``[P, 3]`` in m in the sensor frame.
@@ -32,5 +33,11 @@ def far_rays(points: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         known = np.flatnonzero(x * x + y * y + z * z < np.inf)
     azimuth = np.arctan2(-y[known], x[known]) % (2.0 * np.pi)
-    kept = np.flatnonzero(np.floor(azimuth / AZIMUTH_STEP - FIRST) % FAR_EVERY == 0)
+    cycle = np.floor(azimuth / AZIMUTH_STEP - FIRST).astype(np.int64)
+    sector = (cycle + FAR_EVERY // 2) // FAR_EVERY
+    off = np.abs(cycle - FAR_EVERY * sector)
+    nearest = np.full(sector.max(initial=0) + 1, FAR_EVERY)
+    np.minimum.at(nearest, sector, off)
+    fine = (nearest == 0).sum() >= FINE * (nearest < FAR_EVERY).sum()
+    kept = np.flatnonzero(off == (0 if fine else nearest[sector]))
     return points[known[kept[np.argsort(azimuth[kept], kind="stable")]]]

@@ -74,7 +74,12 @@ class MotionSight:
             self._tracks[one], self._last[one] = [], self._last[one][:0]
 
     def look(
-        self, clouds: np.ndarray, velocities: np.ndarray, attitudes: np.ndarray, which: np.ndarray | None = None
+        self,
+        clouds: np.ndarray,
+        velocities: np.ndarray,
+        attitudes: np.ndarray,
+        which: np.ndarray | None = None,
+        elapsed: float | None = None,
     ) -> np.ndarray:
         """Takes in another scan and returns the moving objects ``float32 [N, K, 7]``, nearest first, 0 for none.
 
@@ -86,12 +91,14 @@ class MotionSight:
             velocities: ``[N, 3]``, of the sensors in world axes in m/s.
             attitudes: ``[N, 3]``, their roll, pitch and yaw in rad.
             which: ``bool [N]``, which have a new scan; what the others report is not to be used. None: all.
+            elapsed: since the scans before, s. None: ``period``.
         """
+        elapsed = self.period if elapsed is None else elapsed
         which = np.ones(len(self._ages), bool) if which is None else which
         seen = find_returns(
             np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range
         )
-        self._move(seen, velocities, body_to_world(attitudes), which)
+        self._move(seen, velocities, body_to_world(attitudes), which, elapsed)
         bounds = np.searchsorted(seen.clouds, np.arange(len(which) + 1))
         world = np.empty_like(seen.points)
         for one, (first, last) in enumerate(pairwise(bounds)):
@@ -104,11 +111,13 @@ class MotionSight:
             mine = slice(bounds[one], bounds[one + 1])
             scan = Scan(world[:, mine].T, moving[mine], fresh[mine])
             if self._tracks[one] or scan.fresh.any():
-                self._tracks[one] = follow(self._tracks[one], scan, partial(self._before, one), self.period)
+                self._tracks[one] = follow(self._tracks[one], scan, partial(self._before, one), elapsed)
             self._last[one] = scan.points
         return self._report(attitudes[:, 2])
 
-    def _move(self, seen: Returns, velocities: np.ndarray, attitudes: np.ndarray, which: np.ndarray) -> None:
+    def _move(
+        self, seen: Returns, velocities: np.ndarray, attitudes: np.ndarray, which: np.ndarray, elapsed: float
+    ) -> None:
         """Moves the sensors ``which`` to where they now scan: as they say, corrected by what stands around them.
 
         Where the scans cannot be laid over each other, the earlier ones are forgotten.
@@ -116,7 +125,7 @@ class MotionSight:
         known = which & (self._ages > 0)
         corrections = np.where(known[:, None, None], self._rotations @ self._attitudes.transpose(0, 2, 1), np.eye(3))
         rotations = corrections @ attitudes
-        moved = self.period * (corrections @ (velocities + self._velocities)[:, :, None] / 2)[:, :, 0]
+        moved = elapsed * (corrections @ (velocities + self._velocities)[:, :, None] / 2)[:, :, 0]
         positions = self._positions + np.where(known[:, None], moved, 0.0)
         images = point_images(seen, len(which), self._scans.grid)
         back = self._rotations.transpose(0, 2, 1)

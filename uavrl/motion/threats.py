@@ -67,7 +67,7 @@ def threat(gap: Array) -> Array:
 def straight_on(objects: Array) -> tuple[Array, Array]:
     """The ways ``[N, K, T, 3]`` of moving objects ``[N, K * 7]``, and which of them there are, ``bool [N, K]``.
 
-    The objects are those that :class:`uavrl.motion.MotionSight` reports.
+    The objects are those that :class:`uavrl.transforms.MotionSight` reports.
     """
     each = objects.reshape(*objects.shape[:-1], -1, len(OBJECT))
     ways = each[..., None, :3] + each[..., None, 3:6] * _times(each)[:, None]
