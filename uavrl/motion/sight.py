@@ -32,7 +32,7 @@ class MotionSight:
     and moves at 1.5 to 8 m/s. Bodies that stand, or are larger than 2.5 m, are never reported.
 
     The sensors' own motion is taken from their velocities and attitudes, and corrected by laying each scan over the one
-    before (:mod:`uavrl.motion.registration`). Where these do not fit, the earlier scans are forgotten and nothing
+    before (`uavrl.motion.registration`). Where these do not fit, the earlier scans are forgotten and nothing
     new is reported. Where the sensors are is not needed.
 
     Args:

@@ -16,7 +16,7 @@ from uavrl.transforms.threats import to_yaw
 class Shielded(TensorDictModuleBase):
     """Flies what a policy asks for, as far as :class:`uavrl.shield.Shield` lets it: the yaw rate always.
 
-    It reads the point clouds beside what the policy reads, which :func:`uavrl.rollout.environment.make_env` keeps with
+    It reads the point clouds beside what the policy reads, which `uavrl.rollout.environment.make_env` keeps with
     ``keep_cloud=True``.
 
     Args:
