@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.transforms.test_motion import BODY, Vehicle, straight, valley
+from tests.helpers.moving import BODY, Vehicle, straight, valley
 from uavrl.attitude import body_to_world
 from uavrl.deploy.packets import decode_vlp16, encode_scan
 from uavrl.envs.lidar import Lidar, LidarConfig

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 
 from tests.helpers.contracts import TransformContract
-from tests.transforms.test_motion import ScanEnv
+from tests.helpers.moving import ScanEnv
 from uavrl.motion.threats import GREATEST, HIGH, LAG, WIDE
 from uavrl.transforms import MovingObjects, mirror_observation
 from uavrl.transforms.threats import DIRECTIONS, Threats
