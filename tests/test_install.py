@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -68,11 +69,27 @@ def test_make_train_evaluates_and_shows_what_it_trained_in_valleys_that_it_never
     asked: str, flown_in: str, tmp_path: Path
 ) -> None:
     result = make(tmp_path, {"python3.12": 0}, "--dry-run", "train", "RUN=runs/a", f"ARGS={asked}")
-    train, evaluate, replay = [shlex.split(line) for line in result.stdout.splitlines() if line.startswith(COMMANDS)]
+    lines = [line for line in result.stdout.splitlines() if line.startswith(COMMANDS)]
+    train, replay, evaluate = [shlex.split(re.split(r" (?:>|\|\|) ", line)[0]) for line in lines]
     assert train[1:] == ["preset=best", "run_dir=runs/a", *asked.split()]
     held_out = yaml.safe_load((ROOT / "conf/suite.yaml").read_text())["held_out"]
     assert evaluate[1:] == ["run=runs/a", flown_in, held_out[1], "episodes=100"]
     assert replay[1:] == ["run=runs/a", flown_in, "valleys=[100]", "episodes=4", "output=runs/a/replay.html"]
+    assert lines[1].endswith("& \\"), "the second core draws meanwhile"
+
+
+@needs_make
+@pytest.mark.parametrize("fails", ["evaluate", "replay"])
+def test_make_train_fails_where_the_evaluation_or_the_page_does(fails: str, tmp_path: Path) -> None:
+    (tmp_path / ".venv/bin").mkdir(parents=True)
+    (tmp_path / ".venv/.ready").touch()
+    for name in ("uavrl-train", "uavrl-evaluate", "uavrl-replay", "python"):
+        command = tmp_path / ".venv/bin" / name
+        command.write_text(f"#!/bin/sh\necho {name} was here\nexit {int(name.endswith(fails))}\n")
+        command.chmod(0o755)
+    (tmp_path / "runs/a").mkdir(parents=True)
+    result = make(tmp_path, {"python3.12": 0}, "train", "RUN=runs/a", "--old-file=.venv/.ready")
+    assert result.returncode != 0 and "python was here" not in result.stdout
 
 
 def test_the_makefile_asks_for_what_the_package_asks_for() -> None:
