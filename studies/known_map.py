@@ -1,11 +1,12 @@
-"""How soon could one be there who knows the map? The upper row beside every policy that has to look.
+"""How does a planner do that knows the map, beside the policies that have to look?
 
     python studies/known_map.py --rows static held_out dense denser [--tasks 500] [--json FILE]
 
 A planner is given the map of the free space from which the tasks are drawn. From the goal it finds the shortest way to
 everywhere (Dijkstra; narrow places count double), sees how far ahead the way is straight and free, and flies there:
 turned by 45 degrees, since each component of the action has its own limit and the diagonal is the fastest. It has no
-LiDAR. The same tasks as in the suite. Nobody can be there sooner than straight on at 2.83 m/s; that is the last column.
+LiDAR. The same tasks as in the suite. It is no bound: no way is shorter, but others fly it faster or with more care.
+Nobody can be there sooner than straight on at 2.83 m/s; that is the last column.
 """
 
 from __future__ import annotations

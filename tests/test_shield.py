@@ -10,11 +10,13 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
+from torch.testing import assert_close
 
 from tests.helpers.commands import in_process
 from uavrl.cli import evaluate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import WorldConfig
+from uavrl.errors import UavrlError
 from uavrl.rollout.rollout import fly
 from uavrl.rollout.shielded import Shielded
 from uavrl.shield import Shield, fitted
@@ -108,11 +110,11 @@ def test_behind_it_the_blind_do_not_collide() -> None:
 
 def test_it_asks_for_what_policy_and_shield_read_and_leaves_the_yaw_rate() -> None:
     turning = TensorDictModule(lambda cells: cells.new_tensor([[3.0, 0.0, 0.0, -1.5]]), ["cells"], ["action"])
-    shielded = Shielded(turning, Shield(time=1.0, margin=0.0))
+    shielded = Shielded(turning, Shield(time=1.0))
     assert shielded.in_keys == ["cells", "point_cloud", "attitude", "velocity"]
     seen = TensorDict(cells=torch.zeros(1, 2), point_cloud=torch.tensor([[[0.85, 0.0, -0.1]]]), batch_size=[1])
     seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
-    assert shielded(seen)["action"][0].tolist() == pytest.approx([0.5, 0.0, 0.0, -1.5], abs=1e-6)
+    assert shielded(seen)["action"][0].tolist() == pytest.approx([0.38, 0.0, 0.0, -1.5], abs=1e-6)
 
 
 def test_an_evaluation_flies_behind_a_shield_of_the_vehicles_own_size(
@@ -132,3 +134,71 @@ def test_an_evaluation_flies_behind_a_shield_of_the_vehicles_own_size(
     assert "shield=true" in result["overrides"] and result["outcomes"] == "TT"
     assert max(flight["flown"] for flight in result["flights"]) < 0.2
     assert shields == {Shield(radius=0.3, height=0.28, sensor=0.1)}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"time": 0.0}, "time must be above 0 and finite, got 0.0"),
+        ({"radius": -1.0}, "radius must be above 0"),
+        ({"lag": float("nan")}, "lag must be 0 or more and finite, got nan"),
+        ({"margin": -0.1}, "margin must be 0 or more"),
+        (
+            {"height": 0.5},
+            "rim of a hull of radius 0.35 m and height 0.5 m sticks out .* margin of 0.12 m: raise margin",
+        ),
+    ],
+)
+def test_a_shield_that_bounds_nothing_is_refused(wrong: dict[str, float], told: str) -> None:
+    with pytest.raises(UavrlError, match=told):
+        Shield(**wrong)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_numbers_that_are_none_are_refused(place: int) -> None:
+    asked, cloud, tilt, velocity = FAST, at_hulls_height((1.0, 0.0)), LEVEL, STILL
+    told = [asked, cloud, tilt, velocity]
+    told[place] = [np.full(3, np.nan), np.zeros((3, 2)), (np.nan, 0.0), np.array([np.inf, 0.0, 0.0])][place]
+    with pytest.raises(UavrlError, match=r"finite numbers|cloud \[points, 3\], got \[3, 2\]"):
+        Shield()(*told)  # type: ignore[arg-type]
+
+
+def test_of_a_sensor_that_sees_nothing_near_more_distance_is_kept() -> None:
+    """What is 0.9 m from the sensor is about to vanish: nothing may be flown towards it."""
+    assert Shield(nearest=0.9)(FAST, at_hulls_height((0.9, 0.0)), LEVEL, STILL)[0] == pytest.approx(0.0, abs=1e-6)
+    assert Shield(nearest=0.3)(FAST, at_hulls_height((0.9, 0.0)), LEVEL, STILL)[0] > 0.5
+
+
+def test_a_velocity_beyond_the_limit_keeps_its_direction() -> None:
+    oblique = at_hulls_height(*((0.8 + 0.5 * y, y) for y in np.linspace(-1, 1, 21)))
+    asked = np.array([2.0, -2.0, 0.0])
+    free, limited = (Shield(limit=most)(asked, oblique, LEVEL, STILL) for most in (100.0, 0.2))
+    assert np.abs(limited).max() == pytest.approx(0.2)
+    assert limited / np.linalg.norm(limited) == pytest.approx(free / np.linalg.norm(free))
+
+
+def test_the_vehicles_own_parts_are_no_obstacle() -> None:
+    rotors = np.array([[0.2, 0.2, -0.1], [0.2, -0.2, -0.1], [-0.2, 0.2, -0.1], [-0.2, -0.2, -0.1]])
+    assert Shield()(FAST, rotors, LEVEL, STILL).tolist() == FAST.tolist()
+
+
+@pytest.mark.parametrize("batch", [[], [3], [2, 5], [0]])
+def test_any_batch_flies_behind_it(batch: list[int]) -> None:
+    ahead = TensorDictModule(lambda cells: cells + torch.tensor([2.0, 0.0, 0.0, 1.0]), ["cells"], ["action"])
+    near = torch.tensor([[0.82 + 0.35, 0.0, -0.1]]).expand(*batch, 1, 3)
+    seen = TensorDict(cells=torch.zeros(*batch, 4), point_cloud=near, batch_size=batch)
+    seen["attitude"], seen["velocity"] = torch.zeros(*batch, 3), torch.zeros(*batch, 3)
+    assert_close(Shielded(ahead)(seen)["action"], torch.tensor([1.0, 0.0, 0.0, 1.0]).expand(*batch, 4))
+
+
+def test_a_policy_that_keeps_its_last_action_hears_what_is_flown() -> None:
+    heard: list[list[float]] = []
+
+    class Keeps(Forward):
+        def flown(self, actions: np.ndarray) -> None:
+            heard.extend(actions.tolist())
+
+    seen = TensorDict(point_cloud=torch.tensor([[[0.82 + 0.35, 0.0, -0.1]]]), batch_size=[1])
+    seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
+    Shielded(Keeps())(seen)
+    assert heard == [pytest.approx([1.0, 0.0, 0.0, 0.5], abs=1e-6)]

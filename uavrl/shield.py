@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from uavrl.attitude import body_to_world
 from uavrl.cells import NEAREST_RETURN
+from uavrl.errors import UavrlError
+from uavrl.ranges import NonNegative, Positive
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
 SWEEPS = 20  # most corrections of a velocity
@@ -20,8 +23,9 @@ class Shield:
 
     Each point of the scan forbids the velocities that would close the gap between it and the hull within less than
     ``time``: n·v ≤ gap / time, where n points from the hull to it, and the gap is what is left after ``lag``, for which
-    the vehicle goes on as it flies. Of all other velocities the one is flown that is nearest to what was asked for, or
-    a slower one. In free air nothing changes.
+    the vehicle goes on as it flies. What is flown is near to what was asked for, and at most 0.1 m/s over a bound.
+    In free air nothing changes. Hull and margin are taken for an ellipsoid, which holds the hull, a level cylinder, but
+    is nearer to its rims than the margin.
 
     Source: Faverjon and Tournassoud (1987), A local based approach for path planning of manipulators with a high number
     of degrees of freedom: there the bound on the speed also falls with the gap.
@@ -34,6 +38,13 @@ class Shield:
         radius: m, of the hull.
         height: m, of the hull.
         sensor: m, of the LiDAR over the hull's middle.
+        nearest: m, the least range that the sensor reports. What comes nearer vanishes, so the margin is then at least
+            what lies between it and the hull.
+        limit: m/s, the greatest component: a velocity beyond it is slowed as a whole.
+
+    Raises:
+        UavrlError: for numbers out of range, and a hull that the ellipsoid does not hold; when called, for a cloud of
+            another shape and for velocities and angles that are not finite.
 
     Examples:
         Something stands 1 m ahead of the hull, which may then come nearer by 0.88 m in 0.7 s; to the side is free:
@@ -43,13 +54,37 @@ class Shield:
         array([1.26, 0.5 , 0.  ])
     """
 
-    time: float = 0.7
-    lag: float = 0.3
-    margin: float = 0.12
-    sight: float = 2.5
-    radius: float = 0.35
-    height: float = 0.28
+    time: Positive = 0.7
+    lag: NonNegative = 0.3
+    margin: NonNegative = 0.12
+    sight: Positive = 2.5
+    radius: Positive = 0.35
+    height: Positive = 0.28
     sensor: float = 0.1
+    nearest: NonNegative = 0.0
+    limit: Positive = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuses what bounds nothing."""
+        for name in ("time", "sight", "radius", "height", "limit", "lag", "margin", "nearest", "sensor"):
+            value = getattr(self, name)
+            least = "above 0" if name in ("time", "sight", "radius", "height", "limit") else "0 or more"
+            wrong = value <= 0 if least == "above 0" else value < 0 and name != "sensor"
+            if wrong or not math.isfinite(value):
+                raise UavrlError(f"A shield's {name} must be {least} and finite, got {value}.")
+        if (self.radius / self._kept) ** 2 + (self.height / 2 / (self.height / 2 + self._margin)) ** 2 > 1:
+            raise UavrlError(
+                f"The rim of a hull of radius {self.radius:g} m and height {self.height:g} m sticks out of a shield "
+                f"with a margin of {self._margin:g} m: raise margin."
+            )
+
+    @property
+    def _margin(self) -> float:
+        return max(self.margin, self.nearest - self.radius if self.nearest else 0.0)
+
+    @property
+    def _kept(self) -> float:
+        return self.radius + self._margin
 
     def __call__(
         self, asked: np.ndarray, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
@@ -62,15 +97,24 @@ class Shield:
             tilt: roll and pitch in rad.
             velocity: at which the vehicle flies now, as ``asked``.
         """
-        return fitted(np.asarray(asked, float), *self.bounds(cloud, tilt, velocity))
+        asked, velocity = np.asarray(asked, float), np.asarray(velocity, float)
+        if cloud.ndim != 2 or cloud.shape[1] != 3:
+            raise UavrlError(f"A shield takes a cloud [points, 3], got {list(cloud.shape)}.")
+        if not np.isfinite([*asked, *tilt, *velocity]).all():
+            raise UavrlError(
+                f"A shield needs finite numbers, got {asked} m/s asked for, roll and pitch {tuple(tilt)} rad, and a "
+                f"velocity of {velocity} m/s."
+            )
+        found = fitted(asked, *self.bounds(cloud, tilt, velocity))
+        return found * min(1.0, self.limit / max(np.abs(found).max(), 1e-9))
 
     def bounds(
         self, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors ``[M, 3]`` in the yaw-aligned frame, and how fast one may fly there: ``[M]`` in m/s."""
         points = self._points(cloud, tilt)
-        kept = self.radius + self.margin
-        stretch = np.array([1.0, 1.0, kept / (self.height / 2 + self.margin)])  # makes hull and margin a ball
+        kept = self._kept
+        stretch = np.array([1.0, 1.0, kept / (self.height / 2 + self._margin)])  # makes hull and margin a ball
         distances = np.linalg.norm(points * stretch, axis=1)
         steepest = points * stretch**2 / np.maximum(distances, 1e-9)[:, None]  # of the stretched distance
         slopes = np.maximum(np.linalg.norm(steepest, axis=1), 1e-9)
@@ -80,13 +124,15 @@ class Shield:
         return towards[chosen], gaps[chosen].clip(min=0.0) / self.time
 
     def _points(self, cloud: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
-        """The returns within sight from the hull's middle, in level axes: ``[M, 3]`` in m."""
+        """The returns within sight and outside the hull, from its middle, in level axes: ``[M, 3]`` in m."""
         x, y, z = cloud.T
         with np.errstate(over="ignore", invalid="ignore"):
             squared = x * x + y * y + z * z
             near = np.flatnonzero((squared > NEAREST_RETURN**2) & (squared < self.sight**2))
         level = body_to_world(np.array([[*tilt, 0.0]]))[0]
-        return np.asarray((cloud[near].astype(float) + np.array([0.0, 0.0, self.sensor])) @ level.T)
+        points = np.asarray(cloud[near], float) + np.array([0.0, 0.0, self.sensor])
+        own = (np.hypot(points[:, 0], points[:, 1]) < self.radius) & (np.abs(points[:, 2]) < self.height / 2)
+        return np.asarray(points[~own] @ level.T)
 
 
 def _nearest_of_each_direction(towards: np.ndarray, gaps: np.ndarray) -> np.ndarray:

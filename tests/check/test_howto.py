@@ -73,7 +73,10 @@ def test_moving_obstacles(run: Any) -> None:
 
 
 def test_a_shield(run: Any) -> None:
-    assert run("shield")["careful"].in_keys == ["observation", "point_cloud", "attitude", "velocity"]
+    names = run("shield")
+    assert names["careful"].in_keys == ["observation", "point_cloud", "attitude", "velocity"]
+    assert names["steps"].shape == (2, 3)
+    names["env"].close()
 
 
 def test_a_device_that_fits_each_machine(run: Any) -> None:

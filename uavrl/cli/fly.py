@@ -56,6 +56,19 @@ class Ros2Config:
 
 
 @dataclass
+class ShieldConfig:
+    """What a shield must know of the vehicle, and its numbers; without a radius there is none."""
+
+    radius: Positive | None = None
+    height: Positive = 0.28
+    sensor: float = 0.1
+    nearest: NonNegative = 0.0
+    time: Positive = 0.7
+    lag: NonNegative = 0.3
+    margin: NonNegative = 0.12
+
+
+@dataclass
 class FlyConfig(LidarKeys):
     """conf/fly.yaml: one flight."""
 
@@ -68,13 +81,13 @@ class FlyConfig(LidarKeys):
     system: Annotated[int, Field(ge=1, le=255)] | None = None
     standing: tuple[float, float, float, float] = (0.0, 0.0, 3.5, 0.0)
     radius: Positive = 1.0
-    shield: tuple[Positive, Positive] | None = None
     hold: NonNegative | None = None
     seconds: Positive | None = None
     log: Folder | None = "flight.mcap"
     json: Folder | None = None
     progress: bool = True
     ros2: Ros2Config = field(default_factory=Ros2Config)
+    shield: ShieldConfig = field(default_factory=ShieldConfig)
     safety: SafetyLimits = field(default_factory=SafetyLimits)
 
     def __post_init__(self) -> None:
@@ -115,7 +128,7 @@ def main(config: DictConfig) -> None:
             opened.enter_context(beside())
         link = opened.enter_context(closing(_link(settings)))
         assert settings.goal is not None
-        layer, shield = SafetyLayer(settings.safety), _shield(settings, policy)
+        layer, shield = SafetyLayer(settings.safety), _shield(settings)
         flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=settings.box, shield=shield)
         log = _log(settings, policy)
         if log is not None:
@@ -157,7 +170,7 @@ def _log(settings: FlyConfig, policy: Policy) -> FlightLog | None:
     if settings.log is None:
         return None
     assert settings.goal is not None
-    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot)}
+    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(_shield(settings))}
     return FlightLog(
         settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
     )
@@ -171,12 +184,10 @@ def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
         print(f"uavrl: {error}", file=sys.stderr)
 
 
-def _shield(settings: FlyConfig, policy: Policy) -> Shield | None:
+def _shield(settings: FlyConfig) -> Shield | None:
     """A shield for the hull that the command line tells of."""
-    if settings.shield is None:
-        return None
-    radius, height = settings.shield
-    return Shield(radius=radius, height=height, sensor=policy.contract.cloud.sensor_position[2])
+    told = {key: value for key, value in asdict(settings.shield).items() if value is not None}
+    return Shield(**told, limit=settings.safety.velocity) if settings.shield.radius is not None else None
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:

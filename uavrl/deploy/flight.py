@@ -143,10 +143,8 @@ class Flight:
     @staticmethod
     def _shielded(shield: Shield, asked: np.ndarray, scan: Scan, pose: Pose) -> np.ndarray:
         """What is left of the velocity ``asked [3]``."""
-        tilt, level = (pose.roll, pose.pitch), to_yaw(np.array([pose.velocity]), np.array([pose.yaw]))[0]
-        if not np.isfinite([*tilt, *level]).all():
-            raise UavrlError(f"the shield needs velocity, roll and pitch, got {pose.velocity} m/s and {tilt} rad.")
-        return shield(asked, scan.points, tilt, level)
+        level = to_yaw(np.array([pose.velocity]), np.array([pose.yaw]))[0]
+        return shield(asked, scan.points, (pose.roll, pose.pitch), level)
 
     def _distance(self, pose: Pose | None) -> float | None:
         """How far the goal is, horizontally, in m."""

@@ -46,6 +46,11 @@ class ExportedPolicy:
             actions[number] = vehicle(cloud[number], altitude, heading, elevation, *(part[number] for part in told[3:]))
         return tensordict.set("action", torch.from_numpy(actions))
 
+    def flown(self, actions: np.ndarray) -> None:
+        """Takes what the vehicles ``[N, 4]`` flew in place of what it gave: to the policy it is the last action."""
+        for vehicle, action in zip(self._vehicles, actions, strict=False):
+            vehicle.last_action = action.copy()
+
     @property
     def overrides(self) -> dict[str, Any]:
         """The keys of a configuration whose environment and perception are the contract's."""

@@ -45,7 +45,12 @@ class LoadedPolicy(TensorDictModuleBase):
         return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
 
     def make_env(
-        self, *changes: str, num_uavs: int = 1, valleys: Sequence[int] | None = None, seed: int = 20_000
+        self,
+        *changes: str,
+        num_uavs: int = 1,
+        valleys: Sequence[int] | None = None,
+        seed: int = 20_000,
+        keep_cloud: bool = False,
     ) -> TransformedEnv:
         """An environment as that of its training, with the inputs and the reward that it was trained with.
 
@@ -56,6 +61,7 @@ class LoadedPolicy(TensorDictModuleBase):
             valleys: seeds of the valleys, each built when a task needs it; by default 100, which no packaged policy
                 was trained in.
             seed: of the tasks.
+            keep_cloud: whether it also gives the point clouds, as a :class:`~uavrl.rollout.shielded.Shielded` reads.
 
         Raises:
             UavrlError: for a change that the policy cannot be asked to bear.
@@ -81,5 +87,10 @@ class LoadedPolicy(TensorDictModuleBase):
             require_valley(run.env, run.choices, "valleys")
         if "world" in run.env and (valleys is not None or "env.world.seeds" not in keys):
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
-        context: dict[str, Any] = {"packages": run.packages, "num_uavs": num_uavs, "seed": seed}
+        context: dict[str, Any] = {
+            "packages": run.packages,
+            "num_uavs": num_uavs,
+            "seed": seed,
+            "keep_cloud": keep_cloud,
+        }
         return make_env(run.env, run.perception, run.reward, **context)

@@ -91,6 +91,7 @@ def _shielded(chosen: PolicySetup) -> PolicySetup:
     require_valley(chosen.env, chosen.choices, "shield")
     hull = chosen.env.get("airframe") or Airframe()
     sizes = {"radius": hull.collision_radius, "height": hull.collision_height, "sensor": hull.lidar_position[2]}
+    sizes["nearest"] = getattr(chosen.perception.get("lidar"), "min_range", 0.0)
     return replace(chosen, policy=Shielded(chosen.policy, Shield(**sizes)))
 
 

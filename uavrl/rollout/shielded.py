@@ -41,13 +41,17 @@ class Shielded(TensorDictModuleBase):
         self.out_keys = list(getattr(policy, "out_keys", ["action"]))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action``, within its limits."""
+        """Writes ``action``, within its limits, and tells a policy that keeps its last action what is flown."""
         tensordict = self.policy(tensordict)
-        asked = tensordict["action"]
-        flown = asked.clamp(-ACTION_LIMIT, ACTION_LIMIT)
-        own = to_yaw(tensordict["velocity"], tensordict["attitude"][:, 2])
-        told = (flown[:, :3], tensordict["point_cloud"], tensordict["attitude"][:, :2], own)
-        rows = zip(*(each.cpu().numpy() for each in told), strict=True)
-        fits = [self.shield(asked, cloud, tuple(tilt), velocity) for asked, cloud, tilt, velocity in rows]
-        velocities = torch.from_numpy(np.stack(fits)).to(flown).clamp(-ACTION_LIMIT, ACTION_LIMIT)
-        return tensordict.set("action", torch.cat([velocities, flown[:, 3:]], -1))
+        keys = ("action", "point_cloud", "attitude", "velocity")
+        acted, clouds, attitudes, velocities = (tensordict[key].detach().cpu() for key in keys)
+        clouds = clouds.reshape(acted[..., 0].numel(), *clouds.shape[-2:])
+        acted, attitudes, velocities = (each.reshape(-1, each.shape[-1]) for each in (acted, attitudes, velocities))
+        asked = acted.clamp(-ACTION_LIMIT, ACTION_LIMIT)
+        own = to_yaw(velocities, attitudes[:, 2])
+        rows = zip(*(each.numpy() for each in (asked[:, :3], clouds, attitudes[:, :2], own)), strict=True)
+        fits = [self.shield(wanted, cloud, tuple(tilt), velocity) for wanted, cloud, tilt, velocity in rows]
+        asked[:, :3] = torch.from_numpy(np.array(fits).reshape(-1, 3))
+        if hasattr(self.policy, "flown"):
+            self.policy.flown(asked.numpy())
+        return tensordict.set("action", asked.view(tensordict["action"].shape).to(tensordict["action"]))
