@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.helpers.commands import VALLEY, in_process
@@ -18,6 +19,7 @@ from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.rollout.policies import choose
 from uavrl.rollout.recording import load_recording
+from uavrl.shield import Shield
 
 Refused = Callable[..., str]
 SHORT = [*VALLEY, "episodes=3", "num_uavs=2", "env.max_steps=8", "progress=false"]  # a vehicle begins a second episode
@@ -36,9 +38,12 @@ def evaluation(output: Path, *arguments: str) -> dict[str, Any]:
     return json.loads(output.read_text())
 
 
-def test_it_flies_as_its_weights_do(folder: Path, tmp_path: Path) -> None:
-    ours = evaluation(tmp_path / "policy.json", f"policy={folder}")
-    theirs = evaluation(tmp_path / "run.json", f"run={folder}")
+@pytest.mark.parametrize("shield", ["false", "true"])
+def test_it_flies_as_its_weights_do(shield: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind a shield, too, where its last action is not what it gave."""
+    monkeypatch.setattr(Shield, "__call__", lambda _, asked, *__: np.asarray(asked) / 2)
+    ours = evaluation(tmp_path / "policy.json", f"policy={folder}", f"shield={shield}")
+    theirs = evaluation(tmp_path / "run.json", f"run={folder}", f"shield={shield}")
     assert ours["policy"] == str(folder) and ours["outcomes"] == theirs["outcomes"]
     for flown, expected in zip(ours["flights"], theirs["flights"], strict=True):
         assert (flown["task"], flown["outcome"], flown["steps"]) == tuple(
