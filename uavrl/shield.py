@@ -10,7 +10,6 @@ import numpy as np
 from uavrl.attitude import body_to_world
 from uavrl.cells import NEAREST_RETURN
 from uavrl.errors import UavrlError
-from uavrl.ranges import NonNegative, Positive
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
 SWEEPS = 20  # most corrections of a velocity
@@ -54,15 +53,15 @@ class Shield:
         array([1.26, 0.5 , 0.  ])
     """
 
-    time: Positive = 0.7
-    lag: NonNegative = 0.3
-    margin: NonNegative = 0.12
-    sight: Positive = 2.5
-    radius: Positive = 0.35
-    height: Positive = 0.28
+    time: float = 0.7
+    lag: float = 0.3
+    margin: float = 0.12
+    sight: float = 2.5
+    radius: float = 0.35
+    height: float = 0.28
     sensor: float = 0.1
-    nearest: NonNegative = 0.0
-    limit: Positive = 2.0
+    nearest: float = 0.0
+    limit: float = 2.0
 
     def __post_init__(self) -> None:
         """Refuses what bounds nothing."""

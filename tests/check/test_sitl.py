@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +124,8 @@ def test_a_signal_ends_it_with_what_came_of_it(tmp_path: Path, number: int, code
     options = [f"lidar={ground.addresses[0]}", f"autopilot={ground.addresses[1]}", f"json={told}"]
     command = [sys.executable, "-m", "uavrl.cli.sitl", *VALLEY, *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with closing(ground.lidar), subprocess.Popen(command, **pipes) as process:  # type: ignore[call-overload]
+    heard = partial(signal.signal, number, signal.SIG_DFL)  # who runs this under nohup has told it not to hear
+    with closing(ground.lidar), subprocess.Popen(command, preexec_fn=heard, **pipes) as process:  # type: ignore[call-overload]
         process.stdout.readline()
         time.sleep(0.5)
         process.send_signal(number)
