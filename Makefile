@@ -40,7 +40,7 @@ train: WORLD = $(or $(filter env=%,$(ARGS)),env=static)
 train: $(READY)
 	@echo "Training by preset=best in $(RUN); the thesis's 5,000 episodes: $(BIN)/uavrl-train"
 	@$(BIN)/uavrl-train preset=best run_dir=$(RUN) $(ARGS)
-	@trap 'kill $$!' INT; \
+	@trap 'kill $$! 2>/dev/null' INT EXIT; \
 	$(BIN)/uavrl-replay run=$(RUN) $(WORLD) 'valleys=[100]' episodes=4 output=$(RUN)/replay.html > $(RUN)/replay.txt 2>&1 & \
 	$(BIN)/uavrl-evaluate run=$(RUN) $(WORLD) 'valleys=[100,101,102,103,104,105,106,107,108,109]' episodes=100 || exit; \
 	wait $$! || { cat $(RUN)/replay.txt; exit 1; }

@@ -139,10 +139,10 @@ def test_an_evaluation_flies_behind_a_shield_of_the_vehicles_own_size(
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        ({"time": 0.0}, "time must be above 0 and finite, got 0.0"),
-        ({"radius": -1.0}, "radius must be above 0"),
-        ({"lag": float("nan")}, "lag must be 0 or more and finite, got nan"),
-        ({"margin": -0.1}, "margin must be 0 or more"),
+        ({"time": 0.0}, "time must be a finite number above 0, got 0.0"),
+        ({"radius": -1.0}, "radius must be a finite number above 0, got -1.0"),
+        ({"lag": float("nan")}, "lag must be a finite number of 0 or more, got nan"),
+        ({"margin": -0.1}, "margin must be a finite number of 0 or more, got -0.1"),
         (
             {"height": 0.5},
             "rim of a hull of radius 0.35 m and height 0.5 m sticks out .* margin of 0.12 m: raise margin",

@@ -65,12 +65,13 @@ class Shield:
 
     def __post_init__(self) -> None:
         """Refuses what bounds nothing."""
-        for name in ("time", "sight", "radius", "height", "limit", "lag", "margin", "nearest", "sensor"):
+        above_0, at_least_0 = ("time", "sight", "radius", "height", "limit"), ("lag", "margin", "nearest")
+        for name in (*above_0, *at_least_0, "sensor"):
             value = getattr(self, name)
-            least = "above 0" if name in ("time", "sight", "radius", "height", "limit") else "0 or more"
-            wrong = value <= 0 if least == "above 0" else value < 0 and name != "sensor"
+            wrong = (name in above_0 and value <= 0) or (name in at_least_0 and value < 0)
             if wrong or not math.isfinite(value):
-                raise UavrlError(f"A shield's {name} must be {least} and finite, got {value}.")
+                least = " above 0" if name in above_0 else " of 0 or more" if name in at_least_0 else ""
+                raise UavrlError(f"A shield's {name} must be a finite number{least}, got {value}.")
         if (self.radius / self._kept) ** 2 + (self.height / 2 / (self.height / 2 + self._margin)) ** 2 > 1:
             raise UavrlError(
                 f"The rim of a hull of radius {self.radius:g} m and height {self.height:g} m sticks out of a shield "
