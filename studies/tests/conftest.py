@@ -1,0 +1,26 @@
+"""What the tests of all studies share."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """What a study prints."""
+
+    def run(study: str, *arguments: object) -> str:
+        monkeypatch.setattr(sys, "argv", [f"{study}.py", *map(str, arguments)])
+        runpy.run_path(str(ROOT / "studies" / f"{study}.py"), run_name="__main__")
+        return capsys.readouterr().out
+
+    for folder in ("benchmarks", "studies"):
+        monkeypatch.syspath_prepend(ROOT / folder)
+    return run

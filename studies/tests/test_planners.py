@@ -1,0 +1,83 @@
+"""Planners that policies are compared with: tuned, told beside the packaged policy, and one that knows the map."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uavrl.envs.tasks import FlightMap, FreeSpace
+
+Said = Callable[..., str]
+
+
+def test_a_rivals_settings_are_drawn_and_the_better_ones_fly_on(
+    said: Said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A world in which the third setting arrives: of eight two are left, which fly four times as many tasks."""
+    import tune_rivals
+
+    settings, flown = tune_rivals.drawn(tune_rivals.RIVALS["mppi"], 8), list[int]()
+
+    def fly(env: Any, policy: Any, tasks: int) -> list[Any]:
+        flown.append(tasks)
+        outcome = "arrived" if policy.costs.spread == settings[2]["spread"] else "collided"
+        return [SimpleNamespace(outcome=outcome, steps=100)] * tasks
+
+    monkeypatch.setattr(tune_rivals, "fly", fly)
+    monkeypatch.setattr(tune_rivals, "make_env", lambda *parts, **more: SimpleNamespace(set_seed=lambda seed: None))
+    arguments = f"tune_rivals.py mppi --settings 8 --tasks 4 --json {tmp_path}/t.json"
+    monkeypatch.setattr(sys, "argv", arguments.split())
+    tune_rivals.main()
+    rounds = json.loads((tmp_path / "t.json").read_text())["rounds"]
+    assert [len(found) for found in rounds] == [8, 2] and flown == [4] * 8 + [16] * 2
+    assert rounds[1][0]["setting"] == settings[2] and settings[0]["temperature"] == 0.2
+
+
+def test_rivals_are_told_beside_the_packaged_policy(
+    said: Said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rivals
+
+    suite = {"dense": {**json.loads(rivals.BEST.read_text())["dense"], "outcomes": "C" * 500}}
+    monkeypatch.setattr(rivals, "fly", lambda *told: suite)
+    monkeypatch.setattr(rivals, "milliseconds", lambda name, vehicles: float(vehicles))
+    monkeypatch.setattr(sys, "argv", f"rivals.py {tmp_path} --rivals mppi --rows dense".split())
+    told: list[str] = []
+    monkeypatch.setattr("builtins.print", lambda *words, **more: told.append(str(words[0])))
+    rivals.main()
+    assert told[2].startswith("| `policy=mppi` | 0.0% (0.0%–0.8%) | -91.2 (") and "| 1.0, 16.0 |" in told[2]
+    assert rivals.lines_of(importlib.import_module("uavrl.rollout.potential_field")) in range(30, 60)
+
+
+def test_who_knows_the_map_arrives_and_is_not_sooner_than_straight_on(said: Said, tmp_path: Path) -> None:
+    told = said("known_map", "--rows", "static", "--tasks", 2, "--json", tmp_path / "found.json")
+    found = json.loads((tmp_path / "found.json").read_text())["static"]
+    assert found["outcomes"] == "SS" and found["straight"] <= found["steps"] <= found["longest"] < 300
+    assert "| static | 100.0%" in told
+
+
+def test_the_way_to_the_goal_leads_around_and_is_flown_as_fast_as_it_is_wide(said: Said) -> None:
+    known_map = importlib.import_module("known_map")
+    x, y, z = np.arange(0.0, 4.0, 0.25), np.arange(0.0, 3.0, 0.25), np.array([3.0, 3.5, 4.0])
+    wall = (x[:, None, None] == 2.0) & (y[None, :, None] < 2.0) & (z > 0)
+    space = FreeSpace(x, y, z, np.where(wall, 0.0, 0.6))
+    ways = known_map.Ways(FlightMap(space, ~wall, np.zeros((0, 2))))
+    following = ways.to(np.array([3.5, 0.5, 3.5]), 0.5)
+    way, _ = ways.towards(np.array([1.5, 0.5, 3.5]), following)
+    assert way[1] > 0.5 and np.abs(way[0]) < 1.0  # first along the wall
+    beside, wide = ways.towards(np.array([3.0, 1.5, 3.5]), following)
+    assert beside[1] < -0.5 and wide == pytest.approx(0.6)
+    far = np.array([3.0, 0.0, 0.0])
+    fast = known_map.command(far, 0.6, np.array([2 * 2**0.5, 0, 0]), math.pi / 4)
+    assert fast == pytest.approx([2.0, -2.0, 0.0, 0.0])
+    slow = known_map.command(far, 0.35, np.zeros(3), math.pi / 4)
+    assert np.hypot(*slow[:2]) == pytest.approx(2 * known_map.SLOWEST) and slow[3] == pytest.approx(0.0)
