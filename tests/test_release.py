@@ -13,7 +13,9 @@ import yaml
 import uavrl
 
 ROOT = Path(__file__).resolve().parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = PYPROJECT["project"]
+LINK = re.compile(r"\]\((?!#)(.+?)\)")
 
 
 def workflow(name: str) -> dict[str, Any]:
@@ -78,9 +80,22 @@ def test_addresses_are_placeholders_until_the_release_page_has_been_followed() -
     ]
 
 
+def test_on_pypi_each_link_of_the_readme_leads_to_the_files_of_the_tag() -> None:
+    owner = PROJECT["urls"]["Homepage"].split("/")[3]
+    shown = plain = (ROOT / "README.md").read_text(encoding="utf-8")
+    for each in PYPROJECT["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
+        shown = re.sub(each["pattern"], each["replacement"], shown)
+    for before, after in zip(LINK.findall(plain), LINK.findall(shown), strict=True):
+        if before.startswith("https:"):
+            assert after == before
+            continue
+        host = "https://raw.githubusercontent.com" if before.endswith((".gif", ".png")) else "https://github.com"
+        assert after.startswith(f"{host}/{owner}/uavrl/") and after.endswith(f"/v$HFPR_VERSION/{before}")
+        assert (ROOT / before.partition("#")[0]).exists(), before
+
+
 def test_an_sdist_holds_what_is_there() -> None:
-    text = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    for name in text["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]:
+    for name in PYPROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]:
         assert (ROOT / name.lstrip("/")).exists(), name
 
 

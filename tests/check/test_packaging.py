@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import sysconfig
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import uavrl
 from tests.helpers.commands import TINY
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,6 +38,7 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
     try:
+        import hatch_fancy_pypi_readme  # noqa: F401
         import hatchling  # noqa: F401
     except ImportError:
         pass
@@ -61,6 +64,10 @@ def test_the_wheel_holds_the_package_and_its_configuration_alone(unpacked: Path)
     for command in ("train", "evaluate", "pretrain", "report", "replay"):
         assert f"uavrl-{command} = uavrl.cli.{command}:main" in entry_points.read_text()
     assert list(unpacked.glob("*.dist-info/licenses/LICENSE"))
+    (metadata,) = unpacked.glob("*.dist-info/METADATA")
+    told = metadata.read_text(encoding="utf-8")
+    assert f"/uavrl/blob/v{uavrl.__version__}/docs/results.md" in told
+    assert not re.search(r"\]\((?!https?:|#)", told.partition("# uavrl")[2])
 
 
 @pytest.mark.slow
