@@ -2,6 +2,7 @@
 
 python examples/valley_pictures.py --output docs/img
 python examples/valley_pictures.py --seed 100 --obstacles 90
+python examples/valley_pictures.py --seed 200 --obstacles 20 --traps 3 --output docs/img   # from above, with five tasks
 """
 
 from __future__ import annotations
@@ -14,11 +15,14 @@ from matplotlib.image import imsave
 
 from uavrl.envs.bullet import pybullet, silenced
 from uavrl.envs.mesh import Mesh
+from uavrl.envs.traps import KINDS, wall
 from uavrl.envs.world import World, WorldConfig
 
 GROUND, ROCK, WOOD, FIR = (0.62, 0.57, 0.42), (0.58, 0.54, 0.5), (0.45, 0.32, 0.2), (0.2, 0.42, 0.22)
-COLOURS = {"tree": FIR, "pole": WOOD, "bridge": WOOD}
+BRICK, START, GOAL, LINE = (0.62, 0.32, 0.22), (0.1, 0.3, 0.9), (0.1, 0.8, 0.2), (0.95, 0.85, 0.2)
+COLOURS = {"tree": FIR, "pole": WOOD, "bridge": WOOD, **dict.fromkeys((kind.__name__ for kind in KINDS), BRICK)}
 WIDTH, HEIGHT = 1200, 700
+TOP = 8.0  # m, over all walls: there lines are seen from above
 BRIGHTER = 1.5  # the renderer's picture is dark
 
 
@@ -54,22 +58,31 @@ def picture(client: int, eye: tuple[float, ...], towards: tuple[float, ...], ang
 
 
 def main() -> None:
-    """Writes both pictures."""
+    """Writes both pictures, or the one from above."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--obstacles", type=int, default=WorldConfig.obstacles)
+    parser.add_argument("--traps", type=int, default=0)
     parser.add_argument("--output", type=Path, default=Path())
     arguments = parser.parse_args()
-    world = World(WorldConfig(seeds=(arguments.seed,), obstacles=arguments.obstacles))
+    world = World(WorldConfig(seeds=(arguments.seed,), obstacles=arguments.obstacles, traps=arguments.traps))
     with silenced():
         client = pybullet.connect(pybullet.DIRECT)
     for tile in world.valleys[0].ground.tiles():
         add(client, tile, GROUND)
     for obstacle in world.valleys[0].obstacles:
         add(client, obstacle.mesh, COLOURS.get(obstacle.kind, ROCK))
-    task = world.sample_task(np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    tasks = [world.sample_task(rng) for _ in range(5 if arguments.traps else 1)]
+    task = tasks[0]
+    for each in tasks if arguments.traps else ():
+        ends = np.stack([each.start[:2], each.goal[:2]])
+        for line, thick, colour in ((ends, 0.15, LINE), (ends[[0, 0]], 0.8, START), (ends[[1, 1]], 0.8, GOAL)):
+            add(client, wall(line + np.array([[0.0, 0.0], [1e-3, 0.0]]), thick, TOP, TOP + thick), colour)
     arguments.output.mkdir(parents=True, exist_ok=True)
     views = {"outside": ((-6, -20, 34), (0, 1, 0), 62.0), "inside": (tuple(task.start), tuple(task.goal), 75.0)}
+    if arguments.traps:
+        views = {"traps": ((0.0, -0.01, 40.0), (0.0, 0.0, 0.0), 44.0)}
     for name, (eye, towards, angle) in views.items():
         imsave(arguments.output / f"valley_{name}.png", picture(client, eye, towards, angle))
     pybullet.disconnect(client)

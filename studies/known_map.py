@@ -1,6 +1,6 @@
 """How does a planner do that knows the map, beside the policies that have to look?
 
-    python studies/known_map.py --rows static held_out dense denser [--tasks 500] [--json FILE]
+    python studies/known_map.py --rows static held_out dense denser [--tasks 500] [--narrow 2] [--json FILE]
 
 A planner is given the map of the free space from which the tasks are drawn. From the goal it finds the shortest way to
 everywhere (Dijkstra; narrow places count double), sees how far ahead the way is straight and free, and flies there:
@@ -55,10 +55,11 @@ class Ways:
 
     Args:
         flight: its map.
+        narrow: times the length that a way counts through the narrowest place.
     """
 
-    def __init__(self, flight: FlightMap) -> None:
-        self.space = flight.space
+    def __init__(self, flight: FlightMap, narrow: float = NARROW) -> None:
+        self.space, self.narrow = flight.space, narrow
         self._index = np.full(flight.corridor.shape, -1)
         self._index[flight.corridor] = np.arange(flight.corridor.sum())
         self.places = self.space.points[flight.corridor]  # [M, 3] m, in the valley's frame
@@ -82,7 +83,7 @@ class Ways:
             fits = room > 0.1
             first.append(a[fits])
             second.append(b[fits])
-            cost.append((length * (1 + (NARROW - 1) * narrow))[fits])
+            cost.append((length * (1 + (self.narrow - 1) * narrow))[fits])
         a, b, costs = (np.concatenate(each) for each in (first, second, cost))
         count = len(self.places)
         return csr_array(coo_array((np.tile(costs, 2), (np.r_[a, b], np.r_[b, a])), (count, count)))
@@ -142,11 +143,12 @@ class KnowsTheMap:
 
     Args:
         env: knows the map.
+        narrow: times the length that a way counts through the narrowest place.
     """
 
-    def __init__(self, env: NavigationEnv) -> None:
+    def __init__(self, env: NavigationEnv, narrow: float = NARROW) -> None:
         self.world = env.world
-        self.valleys = {valley.seed: (valley, Ways(valley.flight)) for valley in env.world.valleys}
+        self.valleys = {valley.seed: (valley, Ways(valley.flight, narrow)) for valley in env.world.valleys}
         self._following: dict[int, np.ndarray] = {}  # of the tasks that are being flown
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -168,14 +170,14 @@ class KnowsTheMap:
         return command(apart, wide, velocity, float(attitude[2]))
 
 
-def flown(row: str, tasks: int) -> dict[str, Any]:
+def flown(row: str, tasks: int, narrow: float = NARROW) -> dict[str, Any]:
     """What a row of the suite comes to."""
     chosen = [each.replace("valleys=", "env.world.seeds=") for each in scenarios("all")[row]]
     settings = validate(compose(*chosen, name="evaluate"), EvaluateConfig)
     own = {"blind": True, "measure_clearance": True, "num_uavs": settings.num_uavs, "seed": settings.seed}
     env = build({**settings.env, **own}, EnvBase)
     assert isinstance(env, NavigationEnv)
-    flights = fly(env, KnowsTheMap(env), tasks)
+    flights = fly(env, KnowsTheMap(env, narrow), tasks)
     env.close()
     arrived = [flight for flight in flights if flight.outcome == "arrived"]
     least = [math.ceil(CONTROL_RATE * (flight.straight or 0.0) / FASTEST) for flight in arrived]
@@ -193,13 +195,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rows", nargs="+", default=list(ROWS))
     parser.add_argument("--tasks", type=int, default=500)
+    parser.add_argument("--narrow", type=float, default=NARROW, help="times that a way counts in the narrowest place")
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     args = parser.parse_args()
     torch.set_num_threads(1)
     found = {}
     print("| row | arrived | steps of those | most | straight on |\n|---|---|---|---|---|")
     for row in args.rows:
-        found[row] = flown(row, args.tasks)
+        found[row] = flown(row, args.tasks, args.narrow)
         told = "{rate:.1%} ({low:.1%}–{high:.1%}) | {steps:.0f} | {longest} | {straight:.0f}".format(**found[row])
         print(f"| {row} | {told} |", flush=True)
     if args.json:

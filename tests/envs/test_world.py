@@ -126,6 +126,8 @@ def test_arrived_is_at_any_height_within_the_radius(world):
         ({"min_clearance": -1.0}, "min_clearance"),
         ({"flight_level": 5.0, "ceiling": 4.0}, "ceiling"),
         ({"planes": -3}, "planes"),
+        ({"traps": -1}, "traps"),
+        ({"traps": 1, "planes": 1}, "no lanes between traps"),
         ({"plane_speed": (4.0, 2.5)}, "plane_speed"),
         ({"plane_speed": (0.0, 2.5)}, "plane_speed"),
     ],

@@ -149,10 +149,15 @@ def wall_places(rng: np.random.Generator, half: np.ndarray, count: int) -> tuple
     return places, np.where(across, -side * np.pi / 2, np.where(side > 0, np.pi, 0.0))
 
 
-def place_obstacles(rng: np.random.Generator, count: int, scale: float, ground: HeightField) -> list[Obstacle]:
-    """Returns ``count`` obstacles on the ground from wall to wall; buttresses stand against the walls."""
+def place_obstacles(
+    rng: np.random.Generator, count: int, scale: float, ground: HeightField, taken: np.ndarray | None = None
+) -> list[Obstacle]:
+    """Returns ``count`` obstacles on the ground from wall to wall; buttresses stand against the walls.
+
+    They keep off the circles ``taken [K, 3]``, x, y and radius in m, where there is room.
+    """
     half = np.maximum(np.array(ground.size) / 2 - MARGIN, 0.0)
-    circles = np.zeros((0, 3))
+    circles = np.zeros((0, 3)) if taken is None else taken
     obstacles = []
     for kind in (MIX[i % len(MIX)] for i in range(count)):
         mesh = make_obstacle(rng, kind, scale, 0.0)

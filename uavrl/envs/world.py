@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from itertools import cycle
 
 import numpy as np
@@ -13,6 +13,7 @@ from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
+from uavrl.envs.traps import LONGEST_WAY, Trap, place_traps, trap_top, trapped
 from uavrl.errors import UavrlError
 from uavrl.machine import processors
 
@@ -26,6 +27,7 @@ LARGEST = {
     "goal_radius": 100.0,
     "min_clearance": 100.0,
     "uav_radius": 10.0,
+    "traps": 20,
     "planes": 100,
     "plane_speed": 100.0,
     "plane_wingspan": 20.0,
@@ -48,6 +50,10 @@ class WorldConfig:
         size: Extent of a valley along x and y in m.
         obstacles: Number of obstacles per valley, or a list of numbers that the valleys take in turn.
         obstacle_scale: Factor on all lengths of the obstacles.
+        traps: Number of traps per valley, walls as tall as the ceiling of which U, box canyon and a wall across the
+            valley with one gap take turns. With any, every task leads into one: the straight line from start to goal
+            meets its closed side from within, or that wall 3.5 m and more from its gap. The way around is at most 33 m
+            long. Other obstacles stand elsewhere than without traps. There can be no planes.
         flight_level: Height in m (world z) at which episodes start.
         ceiling: Height above the ground in m at which an episode ends; the goal cylinder reaches up to it.
         goal_radius: Radius of the goal cylinder in m.
@@ -64,6 +70,7 @@ class WorldConfig:
     size: tuple[float, float] = (40.0, 30.0)
     obstacles: tuple[int, ...] | int = 45
     obstacle_scale: float = 1.0
+    traps: int = 0
     flight_level: float = 3.5
     ceiling: float = 5.0
     goal_radius: float = 1.0
@@ -97,7 +104,10 @@ class WorldConfig:
             object.__setattr__(self, "obstacles", whole("obstacles", self.obstacles))
         if not in_turn(self.obstacles):
             raise ValueError("obstacles takes a number, or a list that the valleys take in turn, got an empty list.")
-        object.__setattr__(self, "planes", whole("planes", self.planes))
+        for name in ("planes", "traps"):
+            object.__setattr__(self, name, whole(name, getattr(self, name)))
+        if self.traps and self.planes:
+            raise ValueError(f"planes have no lanes between traps, got {self.planes} and {self.traps}; set one to 0.")
         for name in ("min_goal_distance", "min_clearance", "plane_keep_out"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}; pass 0 to go without.")
@@ -138,7 +148,7 @@ def _check_size(world: WorldConfig) -> None:
 
 @dataclass(frozen=True)
 class Valley:
-    """One valley of the world."""
+    """One valley of the world; ``trapped`` has the tasks of each trap, which are all its tasks where there are any."""
 
     seed: int
     origin: np.ndarray
@@ -146,6 +156,8 @@ class Valley:
     obstacles: list[Obstacle]
     flight: FlightMap
     lanes: list[Lane]
+    traps: list[Trap] = field(default_factory=list)
+    trapped: list[np.ndarray] = field(default_factory=list)
 
     def meshes(self) -> list[Mesh]:
         """Returns its geometry in world coordinates, in few large parts: the physics steps faster over few bodies."""
@@ -158,7 +170,10 @@ class Valley:
 def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int) -> Valley:
     """Builds one valley of ``count`` obstacles around ``origin [2]`` and maps its free space."""
     ground = valley_ground(np.random.default_rng([seed, 0]), config.size)
-    obstacles = place_obstacles(np.random.default_rng([seed, 1]), count, config.obstacle_scale, ground)
+    traps = place_traps(np.random.default_rng([seed, 3]), config.traps, config.size)
+    taken = np.concatenate([np.zeros((0, 3)), *(trap.taken() for trap in traps)])
+    obstacles = place_obstacles(np.random.default_rng([seed, 1]), count, config.obstacle_scale, ground, taken)
+    obstacles += [trap.obstacle(trap_top(config.ceiling)) for trap in traps]
     flight = flight_map(
         ground,
         Mesh.merge(obstacle.mesh for obstacle in obstacles),
@@ -174,13 +189,30 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int)
             f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
             "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
         )
+    tasks = (
+        []
+        if not traps
+        else trapped(
+            np.random.default_rng([seed, 4]),
+            flight,
+            traps,
+            config.flight_level,
+            config.uav_radius,
+            config.min_goal_distance,
+        )
+    )
+    if traps and not tasks:
+        raise UavrlError(
+            f"A valley with traps needs a start and a goal between which one lies, joined by a way of at most "
+            f"{LONGEST_WAY} m, but seed {seed} has none in {config.size} m; enlarge size, or lower obstacles."
+        )
     lanes: list[Lane] = []
     if config.planes:
         rng, radius = np.random.default_rng([seed, 2]), config.plane_wingspan / 2
         top = float(np.ceil(ground.heights.max() + radius))
         solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
         lanes = plan_lanes(rng, solid, config.size, top, config.ceiling, radius, LANES)
-    return Valley(seed, origin, ground, obstacles, flight, lanes)
+    return Valley(seed, origin, ground, obstacles, flight, lanes, traps, tasks)
 
 
 def draw_valley(config: WorldConfig, rng: np.random.Generator) -> int:
@@ -240,9 +272,12 @@ class World:
         index = self._drawn(rng) if valley is None else valley
         place, config = self.valleys[index], self.config
         places = place.flight.candidates
-        start = places[rng.integers(len(places))]
-        far = np.linalg.norm(places - start, axis=1) >= config.min_goal_distance + 2 * JITTER
-        goal = places[rng.choice(np.flatnonzero(far))]
+        if place.trapped:
+            start, goal = places[rng.choice(place.trapped[rng.integers(len(place.trapped))])]
+        else:
+            start = places[rng.integers(len(places))]
+            far = np.linalg.norm(places - start, axis=1) >= config.min_goal_distance + 2 * JITTER
+            goal = places[rng.choice(np.flatnonzero(far))]
         start, goal = np.stack([start, goal]) + rng.uniform(-CELL / 2, CELL / 2, (2, 2)) + place.origin
         yaw = float(rng.uniform(-np.pi, np.pi))
         if avoid is not None and len(avoid):
