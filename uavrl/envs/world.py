@@ -189,18 +189,8 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int)
             f"geometry and joined by a free corridor, but seed {seed} has none in {config.size} m; enlarge size, or "
             "lower obstacles, obstacle_scale, min_clearance or min_goal_distance."
         )
-    tasks = (
-        []
-        if not traps
-        else trapped(
-            np.random.default_rng([seed, 4]),
-            flight,
-            traps,
-            config.flight_level,
-            config.uav_radius,
-            config.min_goal_distance,
-        )
-    )
+    rng = np.random.default_rng([seed, 4])
+    tasks = trapped(rng, flight, traps, config.flight_level, config.uav_radius, config.min_goal_distance)
     if traps and not tasks:
         raise UavrlError(
             f"A valley with traps needs a start and a goal between which one lies, joined by a way of at most "
