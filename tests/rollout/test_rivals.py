@@ -22,7 +22,7 @@ from uavrl.rollout.rollout import fly
 from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
 
 Rival = Callable[[TensorDictBase], TensorDictBase]
-PLANNERS = ("vfh_star", "mppi")
+PLANNERS = ("vfh_star", "mppi", "rrt_connect")
 RIVALS = (*PLANNERS, "potential_field")
 
 
