@@ -80,6 +80,16 @@ def test_it_plans_twice_a_second_and_keeps_its_path_meanwhile(ompl: None, monkey
     assert all(action[1] > 1.0 and abs(action[0]) < 0.1 for action in actions)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_wall_with_a_gap_is_passed_through_the_gap(ompl: None, side: float) -> None:
+    """The wall ends 0.6 m to the gap's side of the straight way."""
+    across = grid(2.5, (-2.5, 0.65), (-1.5, 1.5)) * torch.tensor([1.0, side, 1.0])
+    path = flown(RRTConnect(), across, 60)
+    assert path[-1, 0] > 3.0
+    passing = path[np.abs(path[:, 0] - 2.5) < 0.35]
+    assert (side * passing[:, 1] > 0.6 + 0.35).all()
+
+
 def test_closed_in_the_reflex_flies_along_the_walls_at_its_distance(ompl: None) -> None:
     """No way leads out of a room: it goes on to fly in it, and touches nothing."""
     rival = RRTConnect(tries=20)

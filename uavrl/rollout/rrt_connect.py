@@ -13,11 +13,12 @@ from torch import Tensor
 from uavrl.ranges import Positive, Seed
 from uavrl.rollout.mppi import limited
 from uavrl.rollout.remembered import HIGHEST, HULL, LOWEST, PERIOD, Planner, Surroundings, stretch
-from uavrl.rollout.ways import APART, Obstacles, clearances, filled, length, load_ompl, search
+from uavrl.rollout.ways import APART, Obstacles, clearances, filled, length, load_ompl, pushed_out, search
 from uavrl.transforms.state import ACTION_LIMIT
 
 EVERY = round(0.5 / PERIOD)  # steps between two plans: 2 Hz
 TURNS = np.deg2rad([0] + [side * turn for turn in range(15, 181, 15) for side in (1, -1)])  # from the goal's direction
+SHORT = 1.0  # m of an old path that are left when it is no longer worth to be kept for itself
 SPAN = 1.0  # m up and down in which ways are looked for: scans lie within 15 degrees
 ON_PATH = 0.85  # share of what is kept from obstacles, the hull included, that an old path must still keep
 CLIMB = 0.5  # m/s up or down for each m/s on the level, at most
@@ -25,7 +26,10 @@ CLIMB = 0.5  # m/s up or down for each m/s on the level, at most
 
 @dataclass(frozen=True)
 class RRTConnectWeights:
-    """How an :class:`RRTConnect` plans, follows its path, and evades."""
+    """How an :class:`RRTConnect` plans, follows its path, and evades.
+
+    The numbers are first guesses. ``python studies/tune_rivals.py rrt_connect`` has not been flown.
+    """
 
     ahead: float = 3.5  #: m to the point that is planned to
     near: float = 0.25  #: m that are kept between hull and obstacle
@@ -124,10 +128,11 @@ class RRTConnect(Planner):
         start = costs.lead * carried * self._stretch
         points = seen.cloud[one].double().numpy()
         points = points[np.abs(points[:, 2]) < max(SPAN, abs(off)) + HULL[0]] * self._stretch
-        obstacles = Obstacles(points, start, HULL[0] + costs.near)
+        begin = pushed_out(points, start, HULL[0] + costs.near)
+        obstacles = Obstacles(points, begin, HULL[0] + costs.near)
         left = None if pilot.path is None else self._left(pilot.path, one, seen)
         if pilot.age % EVERY == 0:
-            left = self._planned(obstacles, start, self._target(obstacles, goal, off, left), off, left, pilot.age)
+            left = self._planned(obstacles, begin, self._target(obstacles, goal, off, left), off, left, pilot.age)
             pilot.path = None if left is None else self._kept(left, one, seen)
         pilot.age += 1
         if left is None or not self._open(obstacles, left[: round(costs.watch / APART) + 1]):
@@ -178,8 +183,9 @@ class RRTConnect(Planner):
         """The path from now on, ``[K, 3]`` m: straight on, the old one, or a new one; None for none."""
         if left is not None and not self._open(obstacles, left):
             left = None
+        short = left is None or length(left) < SHORT
         if target is None:
-            return left
+            return None if short else left
         straight = np.stack([start, target])
         if obstacles.free(straight[:1], straight[1:])[0]:
             return filled(straight)
@@ -189,9 +195,11 @@ class RRTConnect(Planner):
         found = search(obstacles, start, target, box, self.costs.stride, self.tries, self.seed + age // EVERY + 1)
         if left is not None:
             on = np.concatenate([left, target[None]])
-            if found is None or length(found) > self.costs.keep * length(on):
-                last = obstacles.free(left[-1:], target[None])[0]
-                return np.concatenate([left[:-1], filled(on[-2:])]) if last else left
+            if obstacles.free(on[-2:-1], on[-1:])[0]:
+                if found is None or length(found) > self.costs.keep * length(on):
+                    return np.concatenate([left[:-1], filled(on[-2:])])
+            elif not short:
+                return left
         return None if found is None else filled(found)
 
     def _follow(self, obstacles: Obstacles, start: np.ndarray, left: np.ndarray) -> np.ndarray:

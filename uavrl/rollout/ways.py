@@ -46,6 +46,23 @@ class Obstacles:
         return (clearances(self.points, starts, ends) > share * self.kept).all(1)
 
 
+def pushed_out(points: np.ndarray, place: np.ndarray, kept: float) -> np.ndarray:
+    """A place ``[3]`` moved away from ``points [P, 3]`` that are nearer than is kept, as far as three pushes lead.
+
+    Examples:
+        >>> pushed_out(np.array([[0.3, 0.0, 0.0]]), np.zeros(3), 0.5).round(3).tolist()
+        [-0.2, 0.0, 0.0]
+    """
+    for _ in range(3 if len(points) else 0):
+        apart = place - points
+        distances = np.sqrt((apart * apart).sum(1))
+        nearest = int(distances.argmin())
+        if distances[nearest] >= kept:
+            break
+        place = place + (1.001 * kept / max(float(distances[nearest]), 1e-3) - 1) * apart[nearest]
+    return place
+
+
 def search(
     obstacles: Obstacles, start: np.ndarray, end: np.ndarray, box: np.ndarray, stride: float, tries: int, seed: int
 ) -> np.ndarray | None:
