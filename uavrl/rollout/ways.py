@@ -85,7 +85,7 @@ def search(
     """
     base, geometric, util = load_ompl()
 
-    class Lines(base.MotionValidator):
+    class Lines(base.MotionValidator):  # type: ignore[name-defined]
         def checkMotion(self, first: Any, second: Any) -> bool:
             ends = np.array([[each[0], each[1], each[2]] for each in (first, second)])
             return bool(obstacles.free(ends[:1], ends[1:])[0])
