@@ -35,7 +35,7 @@ from uavrl.runs.episodes import wilson
 
 BEST = Path(baselines.__file__).parents[1] / "policies/best/suite.json"
 CELLS = ["perception=range_image", "perception.last_action=true"]
-RIVALS: dict[str, list[str]] = {"vfh_star": [], "mppi": [], "potential_field": [], "vfh": CELLS}
+RIVALS: dict[str, list[str]] = {"vfh_star": [], "mppi": [], "potential_field": [], "rrt_connect": [], "vfh": CELLS}
 ROWS = ("static", "held_out", "dense")
 
 

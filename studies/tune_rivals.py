@@ -1,6 +1,6 @@
 """Chooses the numbers of a planner that learned policies are compared with: the same budget for each.
 
-    python studies/tune_rivals.py vfh_star --json docs/data/rivals/vfh_star_tuning.json    # or mppi, potential_field
+    python studies/tune_rivals.py vfh_star --json docs/data/rivals/vfh_star_tuning.json    # or another of RIVALS
 
 Settings are drawn at random around the present ones, which take part, too. All fly the same tasks in valleys 200 to
 209, which no evaluation uses, with twice the default's obstacles. The better quarter flies four times as many, and so
@@ -26,6 +26,7 @@ from uavrl.rollout.environment import make_env
 from uavrl.rollout.mppi import MPPI, MPPIWeights
 from uavrl.rollout.potential_field import FieldWeights, PotentialField
 from uavrl.rollout.rollout import fly
+from uavrl.rollout.rrt_connect import RRTConnect, RRTConnectWeights
 from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
@@ -82,6 +83,23 @@ RIVALS = {
         PotentialField,
         FieldWeights,
         {"attraction": (0.5, 3.0), "repulsion": (0.02, 3.0), "reach": (0.5, 3.5), "level": (0.3, 2.0)},
+    ),
+    "rrt_connect": Tuned(
+        RRTConnect,
+        RRTConnectWeights,
+        {
+            "ahead": (2.5, 4.0),
+            "near": (0.1, 0.3),
+            "far": (0.4, 1.2),
+            "lead": (0.25, 1.0),
+            "keep": (0.6, 1.0),
+            "carrot": (0.5, 1.5),
+            "slow": (0.4, 1.2),
+            "watch": (0.8, 2.5),
+            "reflex": (0.4, 1.2),
+            "distance": (0.3, 0.6),
+            "gain": (0.5, 2.0),
+        },
     ),
 }
 

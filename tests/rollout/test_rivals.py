@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,8 @@ from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
 
 Rival = Callable[[TensorDictBase], TensorDictBase]
 PLANNERS = ("vfh_star", "mppi")
-RIVALS = (*PLANNERS, "potential_field")
+WITH_OMPL = ["rrt_connect"] * bool(find_spec("ompl"))  # some machines have no wheel of it
+RIVALS = (*PLANNERS, "potential_field", *WITH_OMPL)
 
 
 def grid(x: float, left: tuple[float, float], up: tuple[float, float] = (-0.7, 0.7)) -> torch.Tensor:

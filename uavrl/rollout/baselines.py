@@ -13,6 +13,7 @@ from uavrl.motion.threats import straight_on, to_yaw
 from uavrl.rollout.evasion import evade
 from uavrl.rollout.mppi import MPPI
 from uavrl.rollout.potential_field import PotentialField
+from uavrl.rollout.rrt_connect import RRTConnect
 from uavrl.rollout.vfh_star import VFHStar
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
@@ -198,5 +199,6 @@ BASELINES = {
     "vfh_star": VFHStar,
     "mppi": MPPI,
     "potential_field": PotentialField,
+    "rrt_connect": RRTConnect,
 }
 """By the name that chooses them on the command line."""

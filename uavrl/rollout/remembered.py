@@ -65,7 +65,7 @@ class ScanMemory:
         cubes = int(self._shape.prod())
         self._stamps = np.full(count * cubes, NEVER, np.int32)
         self._points = np.zeros((count * cubes, 3), np.float32)  # since the episode's start, world axes
-        self._places, self._velocities = np.zeros((2, count, 3))
+        self.places, self._velocities = np.zeros((2, count, 3))
 
     def look(self, clouds: np.ndarray, velocities: np.ndarray, attitudes: np.ndarray, fresh: np.ndarray) -> None:
         """Takes in another scan of each vehicle.
@@ -77,13 +77,13 @@ class ScanMemory:
             fresh: ``bool [N]``, whose episode begins: it has seen nothing before.
         """
         count = len(clouds)
-        if len(self._places) != count:
+        if len(self.places) != count:
             self._begin(count)
         self._stamps.reshape(count, -1)[fresh] = NEVER
-        self._places += np.where(fresh[:, None], -self._places, PERIOD * (velocities + self._velocities) / 2)
+        self.places += np.where(fresh[:, None], -self.places, PERIOD * (velocities + self._velocities) / 2)
         self._velocities, self._now = velocities, self._now + 1
         turns, seen = body_to_world(attitudes).astype(np.float32), find_returns(clouds, self.sight)
-        sensors = self._places + LIDAR_ABOVE * turns[:, :, 2]
+        sensors = self.places + LIDAR_ABOVE * turns[:, :, 2]
         self._forget(seen, turns, sensors)
         world = np.einsum("mij,jm->mi", turns[seen.clouds], seen.points) + sensors[seen.clouds]
         ring = np.floor(world / self.cube).astype(np.int64) % self._shape
@@ -112,7 +112,7 @@ class ScanMemory:
     def recall(self) -> tuple[np.ndarray, np.ndarray]:
         """What is remembered within sight: ``[M, 3]`` m from the hull's middle, world axes, and whose it is ``[M]``."""
         known, owners = self._known()
-        apart = self._points[known] - self._places[owners]
+        apart = self._points[known] - self.places[owners]
         near = (apart * apart).sum(1) < self.sight**2
         return apart[near], owners[near]
 
@@ -155,6 +155,9 @@ class Surroundings(NamedTuple):
     altitude: Tensor  #: ``[N, 1]`` m
     fresh: Tensor  #: ``bool [N, 1]``, whether the episode begins
     turn: Tensor  #: yaw rates ``[N, 1]`` in rad/s that slowly turn to the goal
+    cloud: list[Tensor]  #: all that each vehicle remembers within sight, ``[M, 3]``, m from the hull's middle
+    place: Tensor  #: ``[N, 3]`` m since the episode's start by its own velocity, world axes
+    yaw: Tensor  #: ``[N]`` rad
 
 
 def stretch(near: float) -> Tensor:
@@ -233,4 +236,7 @@ class Planner(TensorDictModuleBase):
             tensordict["altitude"],
             fresh,
             (TURN_GAIN * heading).clamp(-TURN_LIMIT, TURN_LIMIT),
+            [torch.from_numpy(each) for each in np.split(level, np.searchsorted(owners, np.arange(1, len(yaw))))],
+            torch.from_numpy(self.memory.places),
+            yaw,
         )
