@@ -138,6 +138,11 @@ def test_a_learner_trains_goes_on_and_is_evaluated(learner: str, tmp_path: Path)
     assert in_process(evaluate, f"run={halved}", PACKAGE, "episodes=2", "progress=false") == 0
 
 
+def test_two_pools_need_a_pilot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(train, *short(tmp_path / "run", "ddpg"), "buffer=two_pools", "buffer.until=80") == 1
+    assert "The buffer reads 'guide_action'" in capsys.readouterr().err
+
+
 def test_the_policy_that_is_used_has_the_critic_that_was_learned(tmp_path: Path) -> None:
     assert in_process(train, *short(tmp_path / "run", "td3_alternative")) == 0
     network = read_policy(tmp_path / "run", packages=["learners"]).actor.network

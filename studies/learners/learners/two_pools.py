@@ -12,6 +12,7 @@ from torchrl.data.replay_buffers import Storage
 from uavrl.buffers import EpisodeBuffer
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count, Share
+from uavrl.transforms.guidance import GUIDE_ACTION
 
 
 def pilots_share(stored: int, pilot_steps: int, until: int, first_share: float = 1.0) -> float:
@@ -92,6 +93,8 @@ class TwoPoolsBuffer(EpisodeBuffer):
     Raises:
         UavrlError: for an ``until`` that is not above ``pilot_steps``, or is above ``capacity``.
     """
+
+    reads = (GUIDE_ACTION,)  # without a guide the first steps are nobody's
 
     def __init__(
         self, capacity: Count = 1_000_000, pilot_steps: Count = 10_000, until: Count = 50_000, first_share: Share = 1.0,
