@@ -7,14 +7,18 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
+from tests.helpers.flights import small_recording
 from uavrl.envs.tasks import FlightMap, FreeSpace
+from uavrl.rollout.recording import save_recording
 
 Said = Callable[..., str]
 
@@ -81,3 +85,23 @@ def test_the_way_to_the_goal_leads_around_and_is_flown_as_fast_as_it_is_wide(sai
     assert fast == pytest.approx([2.0, -2.0, 0.0, 0.0])
     slow = known_map.command(far, 0.35, np.zeros(3), math.pi / 4)
     assert np.hypot(*slow[:2]) == pytest.approx(2 * known_map.SLOWEST) and slow[3] == pytest.approx(0.0)
+
+
+def test_the_first_failure_of_each_recording_is_drawn(
+    said: Said, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failing = small_recording(tasks=(1, 5))
+    ends = ("arrived", "collided")
+    flights = [
+        replace(f, summary=replace(f.summary, outcome=end)) for f, end in zip(failing.flights, ends, strict=True)
+    ]
+    save_recording(replace(failing, flights=tuple(flights)), tmp_path / "mine.npz")
+    told = said("failures", tmp_path / "mine.npz", "--output", tmp_path / "failures.png")
+    assert "mine: 1 arrived, 1 collided" in told
+    height, width, _ = imread(tmp_path / "failures.png").shape
+    assert 1.0 < height / width < 1.3, "one picture, of the one failure"
+    save_recording(replace(failing, flights=tuple(flights[:1])), tmp_path / "good.npz")
+    with pytest.raises(SystemExit):
+        said("failures", tmp_path / "good.npz", "--output", tmp_path / "none.png")
+    assert "Every flight of these recordings arrived" in capsys.readouterr().err
+    assert not (tmp_path / "none.png").exists()
