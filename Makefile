@@ -46,7 +46,7 @@ train: $(READY)
 	wait $$! || { cat $(RUN)/replay.txt; exit 1; }
 	@$(BIN)/python -m uavrl.cli.run_summary $(RUN)
 
-# Four flights of the packaged policy in a valley that it never saw.
+# Four episodes of the packaged policy in a valley that it never saw.
 demo: $(READY)
 	$(BIN)/uavrl-replay policy=best valleys=[100] tasks=[0,1,2,3] output=demo.html
 	@echo "Open demo.html in a browser."
