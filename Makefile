@@ -5,8 +5,8 @@ READY := $(VENV)/.ready
 DEV := $(VENV)/.ready-dev
 DOCS := $(VENV)/.ready-docs
 # The newest fitting Python here, unless make PYTHON=/path/to/python3 names one.
-PYTHON ?= $(shell for name in python3.13 python3.12 python3.11 python3; do \
-	$$name -c 'import sys, ensurepip, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null && echo $$name && break; done)
+fits = -c 'import sys, ensurepip, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null
+PYTHON ?= $(shell for name in python3.13 python3.12 python3.11 python3; do $$name $(fits) && echo $$name && break; done)
 install = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e
 export OMP_NUM_THREADS ?= 1
 export PYTHONDONTWRITEBYTECODE :=   # else each process would compile torch anew, for ten seconds
@@ -19,7 +19,7 @@ endif
 setup: $(READY)
 
 $(BIN)/python:
-	@test -n "$(PYTHON)" || { echo "uavrl needs Python 3.11, 3.12 or 3.13 with its venv module (Debian and Ubuntu: apt install python3-venv): install one, or name it with make PYTHON=/path/to/python3"; exit 1; }
+	@test -n "$(PYTHON)" && $(PYTHON) $(fits) || { echo "uavrl needs Python 3.11, 3.12 or 3.13 with its venv module (Debian and Ubuntu: apt install python3-venv): install one, or name it with make PYTHON=/path/to/python3"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
 # What trains, evaluates and draws.

@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -55,8 +56,9 @@ def test_a_python_may_be_named(tmp_path: Path) -> None:
 
 
 @needs_make
-def test_one_sentence_where_none_fits(tmp_path: Path) -> None:
-    result = make(tmp_path, {"python3": 1}, "setup")
+@pytest.mark.parametrize("named", [[], ["PYTHON=python3"]])
+def test_one_sentence_where_none_fits(named: list[str], tmp_path: Path) -> None:
+    result = make(tmp_path, {"python3": 1}, "setup", *named)
     assert result.returncode != 0
     sentence = result.stdout.splitlines()[1 if "directory" in result.stdout.splitlines()[0] else 0]
     assert sentence.startswith("uavrl needs Python 3.11, 3.12 or 3.13 with its venv module"), result
@@ -90,6 +92,14 @@ def test_make_train_fails_where_the_evaluation_or_the_page_does(fails: str, tmp_
     (tmp_path / "runs/a").mkdir(parents=True)
     result = make(tmp_path, {"python3.12": 0}, "train", "RUN=runs/a", "--old-file=.venv/.ready")
     assert result.returncode != 0 and "python was here" not in result.stdout
+
+
+def test_a_python_without_what_uavrl_needs_is_told_in_a_sentence(tmp_path: Path) -> None:
+    command = [sys.executable, "-S", "-m", "uavrl", "--version"]  # -S: without what is installed
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    result = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert re.fullmatch(r"uavrl needs the package '\w+', which .* does not have: activate .*\n", result.stderr)
 
 
 def test_the_makefile_asks_for_what_the_package_asks_for() -> None:
