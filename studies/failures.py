@@ -23,7 +23,7 @@ from uavrl.cli.errors import one_sentence
 from uavrl.envs.navigation import CONTROL_RATE
 from uavrl.errors import UavrlError
 from uavrl.rollout.recording import RecordedFlight, Scenery, load_recording
-from uavrl.runs.episodes import OUTCOMES
+from uavrl.runs.episodes import OUTCOMES, SAID
 
 REACH = 1.5  # m below
 ROUND = 2.5  # m, that is drawn around a way
@@ -59,18 +59,18 @@ def main() -> None:
     for path in args.recordings:
         recording = load_recording(path)
         ends = [flight.summary.outcome for flight in recording.flights]
-        print(f"{path.stem}: {', '.join(f'{ends.count(kind)} {kind}' for kind in OUTCOMES if kind in ends)}")
+        print(f"{path.stem}: {', '.join(f'{SAID[kind]} {ends.count(kind)}' for kind in OUTCOMES if kind in ends)}")
         failed = [flight for flight in recording.flights if flight.summary.outcome != "arrived"]
         failures += [(path.stem, flight, recording.scenery(flight)) for flight in failed[:1]]
     if not failures:
-        raise UavrlError("Every flight of these recordings arrived: record more tasks, or harder ones.")
+        raise UavrlError("Every flight of these recordings succeeds: record more tasks, or harder ones.")
     figure = Figure(figsize=(3.4 * len(failures), 3.8), layout="constrained")
     for axes, (name, flight, scenery) in zip(
         figure.subplots(1, len(failures), squeeze=False)[0], failures, strict=True
     ):
         draw(axes, flight, scenery)
         about, lasted = flight.summary, flight.times[-1]
-        ended = about.outcome.replace("_", " ")
+        ended = SAID[about.outcome]
         axes.set_title(f"{name}, task {about.task}: {ended} after {lasted:.1f} s", fontsize=8)
         axes.tick_params(labelsize=7)
     figure.savefig(args.output, dpi=110)

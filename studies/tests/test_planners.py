@@ -97,11 +97,11 @@ def test_the_first_failure_of_each_recording_is_drawn(
     ]
     save_recording(replace(failing, flights=tuple(flights)), tmp_path / "mine.npz")
     told = said("failures", tmp_path / "mine.npz", "--output", tmp_path / "failures.png")
-    assert "mine: 1 arrived, 1 collided" in told
+    assert "mine: success 1, collision 1" in told
     height, width, _ = imread(tmp_path / "failures.png").shape
     assert 1.0 < height / width < 1.3, "one picture, of the one failure"
     save_recording(replace(failing, flights=tuple(flights[:1])), tmp_path / "good.npz")
     with pytest.raises(SystemExit):
         said("failures", tmp_path / "good.npz", "--output", tmp_path / "none.png")
-    assert "Every flight of these recordings arrived" in capsys.readouterr().err
+    assert "Every flight of these recordings succeeds" in capsys.readouterr().err
     assert not (tmp_path / "none.png").exists()

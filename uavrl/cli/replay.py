@@ -77,6 +77,7 @@ def main(config: DictConfig) -> None:
     from uavrl.rollout.position_stats import whereabouts_lines
     from uavrl.rollout.recording import load_recording, save_recording
     from uavrl.rollout.smoothness import smoothness_lines
+    from uavrl.runs.episodes import SAID
     from uavrl.training.matmul import matmul_backend
     from uavrl.viewer.assembly import needs_plotly
     from uavrl.viewer.flight_page import write_page
@@ -89,7 +90,7 @@ def main(config: DictConfig) -> None:
         shown = loaded() if callable(loaded) else loaded
     for flight in shown.flights:
         summary = flight.summary
-        ended = f"{summary.outcome.replace('_', ' ')} after {summary.steps} steps"
+        ended = f"{SAID[summary.outcome]} after {summary.steps} steps"
         lengths = f"path efficiency {summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
         print(f"task {summary.task}: {ended}, {lengths}")
         lines = [

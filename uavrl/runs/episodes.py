@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # reports read episodes without torch
 
 OUTCOMES = ("arrived", "collided", "timed_out")
 RATES = {"success": "arrived", "collision": "collided", "time_out": "timed_out"}
+SAID = {outcome: name.replace("_", "-") for name, outcome in RATES.items()}  # success, collision, time-out
 TERM = "return_"  # begins the column of what one term of the reward adds to the return
 LETTERS = {"arrived": "S", "collided": "C", "timed_out": "T"}  # success, collision, time-out: an outcome in one letter
 
