@@ -73,7 +73,7 @@ def main() -> None:
         ended = SAID[about.outcome]
         axes.set_title(f"{name}, task {about.task}: {ended} after {lasted:.1f} s", fontsize=8)
         axes.tick_params(labelsize=7)
-    figure.savefig(args.output, dpi=110)
+    figure.savefig(args.output, dpi=85, pil_kwargs={"optimize": True})
 
 
 if __name__ == "__main__":
