@@ -16,6 +16,7 @@ WORLDS = {
     "static": "the default valley",
     "held_out": "ten valleys never trained in",
     "dense": "twice as many obstacles",
+    "traps": "ten valleys with dead ends, into which every task leads",
     "real": "the ten valleys, in which all of the following comes together",
     "real_vehicle": "mass and inertia ± 20 %, thrust ± 15 %, motors half to twice as slow, drag ± 50 %",
     "real_delay": "actions and scans each up to 0.1 s late",
