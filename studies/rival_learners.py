@@ -71,10 +71,10 @@ def fly(learner: str, seed: int, run: Path) -> None:
 def found(run: Path) -> dict[str, Any] | None:
     """What a run came to; None where it is not evaluated yet."""
     suite = run / "suite/suite.json"
-    rows = json.loads(suite.read_text()) if suite.exists() else {}
+    rows = json.loads(suite.read_text(encoding="utf-8")) if suite.exists() else {}
     if not set(WORLDS) <= set(rows):
         return None
-    summary = json.loads((run / "summary.json").read_text())
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     kept = ("episodes", "outcomes", "steps_per_arrival", "seed")
     told = {world: {key: rows[world][key] for key in kept if key in rows[world]} for world in WORLDS}
     return {**told, "steps": summary["steps"], "updates": summary["updates"], "commit": summary["versions"]["commit"]}
