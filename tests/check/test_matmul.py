@@ -78,9 +78,11 @@ def test_what_multiplies_in_less_than_float32_is_refused() -> None:
     said = errors("onednn", "auto", isa="AVX512_CORE_AMX")
     if said["onednn"][0] is not None:
         pytest.skip("this processor has no instructions that round factors")
-    assert "computes in less than float32 in this process" in said["onednn"][1]
     assert said["auto"][0] == "mkl"
     assert said["auto"][1] < 1.5e-4
+    if "PyTorch does not hand products to oneDNN" in said["onednn"][1]:
+        pytest.skip("this processor's instructions are too few for oneDNN at all")
+    assert "computes in less than float32 in this process" in said["onednn"][1]
 
 
 def test_what_the_machine_cannot_do_is_one_sentence() -> None:
