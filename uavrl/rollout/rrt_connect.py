@@ -62,10 +62,10 @@ class RRTConnect(Planner):
     shorter. As soon as a scan shows something on the way, or where none is found, the reflex flies along the nearest
     obstacle, on the side that leads to the goal, until there is a way again.
 
-    Sources: Elmokadem and Savkin (2021), A hybrid approach for autonomous collision-free UAV navigation in 3D partially
-    unknown dynamic environments, Drones 5, 57, for RRT-Connect with a sliding-mode reflex; Kuffner and LaValle (2000)
-    for RRT-Connect. There the first plan is of a known map, and the reflex turns a vehicle of constant speed in a plane
-    that it chooses; here the map is what was seen, the plane is level, and its sliding surface is flown as a velocity.
+    Sources: Kuffner and LaValle (2000), RRT-Connect; the idea of a sliding-mode reflex beside it is that of Elmokadem
+    and Savkin (2021), A hybrid approach for autonomous collision-free UAV navigation in 3D partially unknown dynamic
+    environments, Drones 5, 57, of which the abstract alone was at hand: the reflex here is our own reading. The map is
+    what was seen, the reflex is level, and its sliding surface is flown as a velocity.
     It knows no distance to the goal, only its direction. What moves is taken for standing.
 
     Vehicles of one age share OMPL's seed, so that an episode does not depend on what flies beside it. OMPL has one seed
@@ -216,7 +216,7 @@ class RRTConnect(Planner):
     def _reflex(self, points: np.ndarray, start: np.ndarray, goal: np.ndarray, side: float) -> tuple[np.ndarray, float]:
         """The velocity ``[3]`` along the nearest obstacle, and on which side that is.
 
-        Source: Elmokadem and Savkin (2021): the speed to or from the obstacle is that of the sliding surface
+        After the idea of Elmokadem and Savkin (2021): the speed to or from the obstacle is that of a sliding surface,
         d' + chi(d - d_0) = 0, where chi is linear and saturates; what is left of the speed leads along it.
         """
         costs = self.costs
