@@ -7,7 +7,10 @@ import time
 import tracemalloc
 
 from tests.helpers.autopilot_peer import OFFBOARD, Peer, garbage
+from tests.helpers.measured import measured
 from uavrl.deploy.vehicle import Control
+
+pytestmark = measured
 
 
 def test_a_minute_of_random_bytes_does_no_harm_and_takes_no_memory() -> None:

@@ -9,7 +9,10 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.measured import measured
 from tests.helpers.ports import free_ports
+
+pytestmark = measured
 
 ROOT = Path(__file__).resolve().parents[2]
 

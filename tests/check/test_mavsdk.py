@@ -13,6 +13,7 @@ import pytest
 
 from tests.helpers.autopilot_peer import free_port
 from tests.helpers.commands import VALLEY
+from tests.helpers.measured import measured
 from tests.helpers.sitl import Ground
 
 mavsdk = pytest.importorskip("mavsdk.asyncio", exc_type=ImportError)
@@ -27,6 +28,8 @@ from mavsdk.asyncio.plugins.offboard import (  # noqa: E402
 )
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync  # noqa: E402
 from mavsdk.plugins.telemetry import FlightMode  # noqa: E402
+
+pytestmark = measured
 
 
 class Client:

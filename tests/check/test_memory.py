@@ -11,6 +11,7 @@ from pathlib import Path
 import gymnasium
 import pytest
 
+from tests.helpers.measured import measured
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.world import WorldConfig
@@ -18,7 +19,8 @@ from uavrl.envs.world import WorldConfig
 SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0)
 PAGE = os.sysconf("SC_PAGE_SIZE")  # bytes
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads what Linux tells of a process")
+_tells = Path("/proc/self/statm").exists()
+pytestmark = [measured, pytest.mark.skipif(not _tells, reason="reads what Linux tells of a process")]
 
 
 def resident() -> float:

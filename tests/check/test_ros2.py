@@ -21,8 +21,11 @@ from uavrl.envs.vlp16 import firing_directions
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 
+from tests.helpers.measured import measured
 from tests.helpers.ros2_follower import SETPOINT
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, cloud, odometry, px4_odometry
+
+pytestmark = measured
 
 ROOT = Path(__file__).resolve().parents[2]
 SCANS = 20

@@ -19,6 +19,7 @@ import pytest
 import torch
 
 from tests.helpers.commands import VALLEY
+from tests.helpers.measured import measured
 from tests.helpers.sitl import Ground, Scripted, fly, running
 from tests.helpers.valleys import NEAR, SMALL
 from uavrl.config import compose, validate
@@ -29,6 +30,8 @@ from uavrl.deploy.sitl import Sitl
 from uavrl.deploy.vehicle import Control
 from uavrl.envs import NavigationEnv
 from uavrl.envs.live import PIECE, LiveEpisode
+
+pytestmark = measured
 
 REAL = validate(compose("randomize=real")).env.randomize
 

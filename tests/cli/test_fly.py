@@ -15,6 +15,7 @@ import pytest
 
 from tests.helpers.commands import in_process
 from tests.helpers.exported import exported
+from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
 from uavrl.cli import fly
@@ -22,6 +23,8 @@ from uavrl.deploy.logged_flight import LoggedFlight
 from uavrl.deploy.packets import encode_scan
 from uavrl.deploy.sources import ScanSource
 from uavrl.envs.vlp16 import firing_directions
+
+pytestmark = measured
 
 RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
 GOAL = "goal=[20,0,2.5]"

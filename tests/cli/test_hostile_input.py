@@ -16,6 +16,7 @@ from omegaconf import DictConfig
 
 from tests.helpers.commands import TINY, in_process
 from tests.helpers.configs import composed
+from tests.helpers.measured import measured
 from uavrl.cli import train as train_command
 from uavrl.cli.memory import require_memory
 from uavrl.collectors.stall_notice import StallNotice
@@ -114,6 +115,7 @@ def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does
         require_memory(large, memory=1e9)
 
 
+@measured
 def test_a_long_silence_is_explained_once_and_a_short_one_never(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with StallNotice("Waiting for an episode.", seconds=0.3) as stall_notice:

@@ -64,7 +64,7 @@ class RosNode:
         )
 
 
-def until(found: Callable[[], Any], what: str, seconds: float = 10.0) -> Any:
+def until(found: Callable[[], Any], what: str, seconds: float = 60.0) -> Any:
     """What a function gives, once it gives something."""
     end = time.monotonic() + seconds
     while not (result := found()):

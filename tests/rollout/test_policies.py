@@ -99,8 +99,9 @@ def test_a_packaged_policy_is_evaluated_in_randomized_vehicles_and_without_again
 
 @pytest.mark.parametrize("name", packaged_policies())
 def test_it_reads_recorded_scans_as_it_did(name: str) -> None:
-    scans, perception = load_file(SCANS), as_evaluated(name)[0].perception
-    assert_close(states(scans, perception), scans[perception.reduction], atol=1e-5, rtol=0)
+    """But for what moves in them: that needs whole scans, and is tested beside what finds it."""
+    scans, perception = load_file(SCANS), {**as_evaluated(name)[0].perception, "motion": None}
+    assert_close(states(scans, perception), scans[perception["reduction"]], atol=1e-5, rtol=0)
 
 
 def test_recorded_scans_are_read_by_default_as_they_were() -> None:
