@@ -67,7 +67,9 @@ def test_its_contract_is_of_these_weights_and_this_configuration(name: str) -> N
 def test_its_suite_is_of_this_policy_and_tells_how_each_task_ended(name: str) -> None:
     rows, known = suite(name), about(name)
     assert set(rows) == set(scenarios("all"))
-    for row in rows.values():
+    for scenario, row in rows.items():
+        changed = [each for each in row["overrides"] if not each.startswith("num_uavs=")]
+        assert changed == scenarios("all")[scenario]
         assert (row["checkpoint"], row["training_steps"]) == (known["checkpoint"], known["training_steps"])
         assert row["episodes"] == 500 and "flights" not in row
         assert len(row["outcomes"]) == 500 and set(row["outcomes"]) <= set(LETTERS.values())
