@@ -7,7 +7,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
@@ -141,6 +143,28 @@ def test_a_run_updates_as_often_as_it_steps_and_can_be_resumed(tmp_path: Path) -
     assert [e.episode for e in episodes] == list(range(1, 23))
     assert summary["steps"] == sum(e.steps for e in episodes) == episodes[-1].total_steps
     assert summary["updates"] == sum(e.steps for e in episodes if e.total_steps >= 40)
+
+
+class Slow(Breaking):
+    """Is built for as long as a large world is."""
+
+    def __init__(self) -> None:
+        time.sleep(600)
+        super().__init__()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_does_not_wait_for_a_world_that_is_being_built(number: int) -> None:
+    begun, before = time.monotonic(), signal.signal(number, signal.default_int_handler)
+    signaller = threading.Timer(5.0, os.kill, (os.getpid(), number))
+    try:
+        signaller.start()
+        with pytest.raises(KeyboardInterrupt):
+            collector(Slow, policy())
+    finally:
+        signal.signal(number, before)
+        signaller.join()
+    assert not active_children() and time.monotonic() - begun < 300.0
 
 
 STOPPED = """

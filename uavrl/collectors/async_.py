@@ -14,7 +14,7 @@ from torchrl.collectors import MultiAsyncCollector
 from torchrl.envs import EnvBase
 
 from uavrl.errors import FlyingEnded, UavrlError
-from uavrl.runs.interrupts import interrupts_held_back
+from uavrl.runs.interrupts import interrupts_end
 
 
 class AsyncCollector(MultiAsyncCollector):
@@ -37,10 +37,10 @@ class AsyncCollector(MultiAsyncCollector):
         others = active_children()
         try:
             resource_tracker.ensure_running()  # starting it later would let interrupts through again
-            with interrupts_held_back():
+            with interrupts_end(lambda: _kill_all_but(others)):
                 super().__init__([create_env_fn] * processes, **kwargs)
-        except BaseException:  # Ctrl-C too: another thread of the library's may hear it, and it is ours then
-            _kill([process for process in active_children() if process not in others])
+        except BaseException:  # Ctrl-C too: it is ours after the library has been told that its processes are gone
+            _kill_all_but(others)
             self._end_schemes()
             raise
         Finalize(self, _kill, (self.procs,), exitpriority=0)
@@ -106,6 +106,10 @@ def _worker_errors() -> Iterator[None]:
         yield
     except (RuntimeError, OSError, EOFError) as error:
         raise FlyingEnded(str(error).strip() or type(error).__name__) from error
+
+
+def _kill_all_but(others: Sequence[BaseProcess]) -> None:
+    _kill([process for process in active_children() if process not in others])
 
 
 def _kill(processes: Sequence[BaseProcess]) -> None:

@@ -1,12 +1,14 @@
 """Ctrl-C and SIGTERM while a run trains."""
 
 import signal
+import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+HELD_BACK = {signal.SIGINT, signal.SIGTERM}
 PATIENCE = 10.0  # s for which a stopped run goes on at most, where its next checkpoint comes in half of them
 
 
@@ -62,11 +64,44 @@ class Stop:
 @contextmanager
 def interrupts_held_back() -> Iterator[None]:
     """Blocks Ctrl-C and SIGTERM meanwhile: processes that are started inherit this, and this one handles both later."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, HELD_BACK)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
+    """As :func:`interrupts_held_back`, but a Ctrl-C or SIGTERM calls ``processes``, again and again until all is over.
+
+    It ends the processes for which the main thread waits in a library, which then raises; the signal is handled next.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        with interrupts_held_back():
+            yield
+        return
+    over, (told, teller) = threading.Event(), socket.socketpair()
+    teller.setblocking(False)
+
+    def watch() -> None:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, HELD_BACK)  # this thread hears them, wherever the main one is
+        while not HELD_BACK & set(told.recv(64)) and not over.is_set():
+            pass
+        while not over.wait(0.2):
+            processes()
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    with interrupts_held_back(), told, teller:
+        before = signal.set_wakeup_fd(teller.fileno(), warn_on_full_buffer=False)
+        watcher.start()
+        try:
+            yield
+        finally:
+            over.set()
+            signal.set_wakeup_fd(before)
+            teller.send(b"\0")
+            watcher.join()
 
 
 @contextmanager

@@ -113,9 +113,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     _drop_unfinished_checkpoints(run_dir)
     try:
         warn_of_late_learning(settings)
-        with StallNotice(
-            "The world and the networks are still being built: large ones take minutes, and Ctrl-C may wait for them."
-        ):
+        with StallNotice("The world and the networks are still being built: large ones take minutes."):
             trainer = build_trainer(settings, config, run_dir)
     except Exception:
         if not resume:
