@@ -13,5 +13,15 @@ addEventListener("DOMContentLoaded", () => {
   // A table without a header row has no empty one; a corner is no header.
   document.querySelectorAll("thead").forEach(head => head.textContent.trim() || head.querySelector("img") || head.remove());
   document.querySelectorAll("th").forEach(cell => cell.textContent.trim() || cell.querySelector("img") || cell.replaceWith(document.createElement("td")));
+  // The arguments of a long signature: Sphinx makes them a list of definitions without terms.
+  document.querySelectorAll("dt.sig > dl").forEach(list => {
+    const lines = Object.assign(document.createElement("div"), { className: "sig-lines" });
+    for (const item of [...list.children]) {
+      const line = document.createElement("div");
+      line.append(...item.childNodes);
+      lines.append(line);
+    }
+    list.replaceWith(lines);
+  });
   document.querySelectorAll("pre, table.docutils").forEach(wide => { if (wide.scrollWidth > wide.clientWidth) wide.tabIndex = 0; });
 });
