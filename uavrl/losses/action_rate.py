@@ -26,7 +26,7 @@ class ActionRate(Enhancer):
     next state, which n-step returns leave out.
 
     Args:
-        base: the loss to enhance.
+        base: the loss to add the term to.
         actions: numbers in an action.
         limit: the largest action.
         weight: weight of the distance.

@@ -57,12 +57,12 @@ class ActorCriticLoss(_LossModule):
 
     @property
     def unwrapped(self) -> ActorCriticLoss:
-        """The loss below all enhancers; here that is itself."""
+        """The loss below all actor penalties; here that is itself."""
         return self
 
     @property
     def enhancers(self) -> list[ActorCriticLoss]:
-        """The enhancers around the loss, the outermost first; here there are none."""
+        """The actor penalties around the loss, the outermost first; here there are none."""
         return []
 
     @property
@@ -75,7 +75,7 @@ class ActorCriticLoss(_LossModule):
         raise NotImplementedError
 
     def observe(self, episodes: TensorDictBase) -> None:
-        """Takes whole new episodes ``[T]``, end to end; only enhancers learn from them."""
+        """Takes whole new episodes ``[T]``, end to end; only actor penalties learn from them."""
 
     def diagnostics(self) -> dict[str, float]:
         """Numbers to log; here there are none."""

@@ -23,7 +23,7 @@ Sample = Callable[[int], TensorDictBase]
 
 @dataclass(frozen=True, kw_only=True)
 class AuxiliaryModel:
-    """A model that an enhancer trains: at each update by ``loss``, after each episode by ``on_episode``, or both.
+    """A model that an actor penalty trains: at each update by ``loss``, after each episode by ``on_episode``, or both.
 
     Attributes:
         parameters: what Adam moves; none where ``on_episode`` has a rule of its own.
@@ -50,7 +50,7 @@ class Enhancer(ActorCriticLoss, LossModule):
     networks appear as its own: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``.
 
     Args:
-        base: the loss to enhance, or another enhancer.
+        base: the loss to add the term to, or another actor penalty.
     """
 
     @dataclass
@@ -156,12 +156,12 @@ class Enhancer(ActorCriticLoss, LossModule):
 
     @property
     def enhancers(self) -> list[ActorCriticLoss]:
-        """This enhancer and those below it, the outermost first."""
+        """This actor penalty and those below it, the outermost first."""
         return [self, *self.base.enhancers]
 
     @property
     def unwrapped(self) -> ActorCriticLoss:
-        """The loss below all enhancers."""
+        """The loss below all actor penalties."""
         return self.base.unwrapped
 
     @property

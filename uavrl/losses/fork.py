@@ -30,7 +30,7 @@ class Fork(Enhancer):
     error) or :attr:`predicts_rewards`.
 
     Args:
-        base: the loss to enhance, or another enhancer. Its actor reads one key, the state.
+        base: the loss to add the term to, or another actor penalty. Its actor reads one key, the state.
         system_network: takes state and ``action`` to the next state, such as :class:`uavrl.models.SystemNet`.
         reward_network: takes state, next state and ``action`` to the reward ``[*B, 1]``, such as
             :class:`uavrl.models.RewardNet`; None where a variant predicts no rewards.

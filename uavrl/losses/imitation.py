@@ -50,7 +50,7 @@ class Imitation(Enhancer):
     (2011), DAgger, for the states.
 
     Args:
-        base: the loss to enhance.
+        base: the loss to add the term to.
         limit: the largest action.
         weight: weight of the distance at first; Fujimoto and Gu have 1 / α = 0.4.
         final_weight: weight after ``decay_steps``, reached geometrically; None: it stays.

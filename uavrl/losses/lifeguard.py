@@ -27,7 +27,7 @@ class LifeGuard(Enhancer):
     after more than ``min_evaluations`` evaluations, while the true-negative rate is above ``min_true_negative_rate``.
 
     Args:
-        base: the loss to enhance.
+        base: the loss to add the term to.
         observations: width of the state.
         actions: width of the action.
         model: ``"linear"`` (the thesis), ``"mlp"``, or a module that takes features ``[*B, observations + actions]``

@@ -70,7 +70,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         kwargs |= {"target_entropy": target_entropy, "loss_function": loss_function, "reduction": reduction}
         super().__init__(actor_network, list(qvalue_networks), action_spec=action_spec, **kwargs)
         self.out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy"]
-        _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an enhancer
+        _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an actor penalty
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
 
     @classmethod

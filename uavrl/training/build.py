@@ -83,7 +83,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
 def make_loss(
     settings: TrainConfig, actor: TensorDictModuleBase, sizes: NetworkSizes, device: torch.device
 ) -> ActorCriticLoss:
-    """The loss of the algorithm with critics of its own, and the enhancers around it: FORK first, LifeGuard next."""
+    """The algorithm's loss with critics of its own, and the actor penalties around it: FORK first, LifeGuard next."""
     loss_type, packages = loss_class(settings), settings.packages
     critics = [
         TensorDictModule(

@@ -39,7 +39,7 @@ class ActorCriticStepper(OptimizationStepper):
     """Critics and models every step; actor and targets every ``policy_delay``, while ``actor_learns`` (Algorithm 3.1).
 
     Args:
-        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its enhancers say what else is trained.
+        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its ``enhancers`` say what else is trained.
         actor_lr: Adam's step for the actor.
         actor_lr_decay: updates between which it falls linearly to 2 % of that; None: it stays.
         critic_lr: Adam's step for the critics.
@@ -125,13 +125,13 @@ class ActorCriticStepper(OptimizationStepper):
         return tuple(enhancer.active for enhancer in self.loss.enhancers)
 
     def observe(self, episodes: TensorDictBase, sample: Sample) -> None:
-        """Shows whole new episodes ``[T]`` to the enhancers, and trains the models that learn after each episode."""
+        """Shows whole new episodes ``[T]`` to the actor penalties; trains the models that learn after each episode."""
         self.loss.observe(episodes)
         for on_episode, optimizer in self.fits:
             on_episode(sample, len(episodes), optimizer)
 
     def diagnostics(self) -> dict[str, float]:
-        """What the enhancers have to say of themselves."""
+        """What the actor penalties have to say of themselves."""
         return self.loss.diagnostics()
 
     def _optimizers(self) -> dict[str, torch.optim.Optimizer]:
