@@ -131,21 +131,20 @@ class RRTConnect(Planner):
         begin = pushed_out(points, start, HULL[0] + costs.near)
         obstacles = Obstacles(points, begin, HULL[0] + costs.near)
         left = None if pilot.path is None else self._left(pilot.path, one, seen)
-        aim = self.aim(one, seen, pilot.age % EVERY == 0)
+        goal, far = self.aim(one, seen, pilot.age % EVERY == 0)
         if pilot.age % EVERY == 0:
-            left = self._planned(obstacles, begin, self._target(obstacles, aim, off, left), off, left, pilot.age)
+            left = self._planned(obstacles, begin, self._target(obstacles, goal, far, off, left), off, left, pilot.age)
             pilot.path = None if left is None else self._kept(left, one, seen)
         pilot.age += 1
         if left is None or not self._open(obstacles, left[: round(costs.watch / APART) + 1]):
-            goal = aim / max(float(np.linalg.norm(aim)), 1e-6)
             velocity, pilot.side = self._reflex(points, start, goal, pilot.side)
             return velocity
         pilot.side = 0.0
         return self._follow(obstacles, start, left)
 
-    def aim(self, one: int, seen: Surroundings, plans: bool) -> np.ndarray:
-        """Where a vehicle wants to get, ``[3]`` m, level; ``plans`` says whether it is about to plan the way there."""
-        return self.costs.ahead * seen.goal[one].double().numpy()
+    def aim(self, one: int, seen: Surroundings, plans: bool) -> tuple[np.ndarray, float]:
+        """Where a vehicle wants to get: a level unit vector ``[3]``, and how far, m; ``plans``: a plan is due."""
+        return seen.goal[one].double().numpy(), self.costs.ahead
 
     def _left(self, path: np.ndarray, one: int, seen: Surroundings) -> np.ndarray:
         """What is left of a path: ``[K, 3]`` m, stretched, in axes of the yaw."""
@@ -167,12 +166,14 @@ class RRTConnect(Planner):
         """Whether nothing has come onto a path."""
         return bool(obstacles.free(path, path, ON_PATH).all())
 
-    def _target(self, obstacles: Obstacles, aim: np.ndarray, off: float, left: np.ndarray | None) -> np.ndarray | None:
-        """The point ``[3]`` to plan to: free, as far away as ``aim``, as near to its direction as may be."""
-        heading = np.arctan2(aim[1], aim[0])
-        turns = TURNS if left is None or aim[0] * left[-1, 1] - aim[1] * left[-1, 0] >= 0 else -TURNS
+    def _target(
+        self, obstacles: Obstacles, goal: np.ndarray, far: float, off: float, left: np.ndarray | None
+    ) -> np.ndarray | None:
+        """The point ``[3]`` to plan to: free, ``far`` m away, as near to the goal's direction as may be."""
+        heading = np.arctan2(goal[1], goal[0])
+        turns = TURNS if left is None or goal[0] * left[-1, 1] - goal[1] * left[-1, 0] >= 0 else -TURNS
         height = -off * self._stretch[2] * np.ones(len(turns))
-        level = float(np.linalg.norm(aim[:2])) * np.stack([np.cos(heading + turns), np.sin(heading + turns)])
+        level = far * np.stack([np.cos(heading + turns), np.sin(heading + turns)])
         ends = np.stack([*level, height], 1)
         free = obstacles.free(ends, ends)
         return ends[free.argmax()] if free.any() else None

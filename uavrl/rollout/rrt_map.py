@@ -67,8 +67,8 @@ class RRTMap(RRTConnect):
         self._maps: list[EpisodeMap] = []
         self._routes: list[np.ndarray | None] = []
 
-    def aim(self, one: int, seen: Surroundings, plans: bool) -> np.ndarray:
-        """A point of the route, at most as far away as is planned."""
+    def aim(self, one: int, seen: Surroundings, plans: bool) -> tuple[np.ndarray, float]:
+        """The direction of a point of the route, and how far it is: at most as far as is planned."""
         if len(self._maps) != len(seen.fresh):
             self._maps = [EpisodeMap(self.cell, self.reach) for _ in seen.fresh]
             self._routes = [None for _ in seen.fresh]
@@ -87,8 +87,10 @@ class RRTMap(RRTConnect):
             self._routes[one] = known.route()
         way = self._routes[one]
         if way is None:
-            return self.costs.ahead * goal
-        return np.append(self._along(way, place, known) @ turn, 0.0)
+            return goal, self.costs.ahead
+        apart = np.append(self._along(way, place, known) @ turn, 0.0)
+        far = float(np.linalg.norm(apart))
+        return apart / max(far, 1e-6), far
 
     def _along(self, way: np.ndarray, place: np.ndarray, known: EpisodeMap) -> np.ndarray:
         """From a place to a point of the way: the last that is straight ahead, or where it bends within sight."""
