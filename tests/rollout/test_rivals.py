@@ -24,7 +24,7 @@ from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
 
 Rival = Callable[[TensorDictBase], TensorDictBase]
 PLANNERS = ("vfh_star", "mppi")
-WITH_OMPL = ["rrt_connect"] * bool(find_spec("ompl"))  # some machines have no wheel of it
+WITH_OMPL = ["rrt_connect", "rrt_map"] * bool(find_spec("ompl"))  # some machines have no wheel of it
 RIVALS = (*PLANNERS, "potential_field", *WITH_OMPL)
 
 

@@ -14,6 +14,7 @@ from uavrl.rollout.evasion import evade
 from uavrl.rollout.mppi import MPPI
 from uavrl.rollout.potential_field import PotentialField
 from uavrl.rollout.rrt_connect import RRTConnect
+from uavrl.rollout.rrt_map import RRTMap
 from uavrl.rollout.vfh_star import VFHStar
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
@@ -200,5 +201,6 @@ BASELINES = {
     "mppi": MPPI,
     "potential_field": PotentialField,
     "rrt_connect": RRTConnect,
+    "rrt_map": RRTMap,
 }
 """By the name that chooses them on the command line."""

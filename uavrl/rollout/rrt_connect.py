@@ -123,7 +123,7 @@ class RRTConnect(Planner):
     def _fly(self, pilot: Pilot, one: int, seen: Surroundings) -> np.ndarray:
         """The velocity of one vehicle, ``[3]`` m/s; all places are stretched, in level axes of its yaw."""
         costs = self.costs
-        goal, carried = (each[one].double().numpy() for each in (seen.goal, seen.carried))
+        carried = seen.carried[one].double().numpy()
         off = float(seen.altitude[one]) - self.flight_level
         start = costs.lead * carried * self._stretch
         points = seen.cloud[one].double().numpy()
@@ -131,8 +131,9 @@ class RRTConnect(Planner):
         begin = pushed_out(points, start, HULL[0] + costs.near)
         obstacles = Obstacles(points, begin, HULL[0] + costs.near)
         left = None if pilot.path is None else self._left(pilot.path, one, seen)
+        goal, far = self.aim(one, seen, pilot.age % EVERY == 0)
         if pilot.age % EVERY == 0:
-            left = self._planned(obstacles, begin, self._target(obstacles, goal, off, left), off, left, pilot.age)
+            left = self._planned(obstacles, begin, self._target(obstacles, goal, far, off, left), off, left, pilot.age)
             pilot.path = None if left is None else self._kept(left, one, seen)
         pilot.age += 1
         if left is None or not self._open(obstacles, left[: round(costs.watch / APART) + 1]):
@@ -140,6 +141,10 @@ class RRTConnect(Planner):
             return velocity
         pilot.side = 0.0
         return self._follow(obstacles, start, left)
+
+    def aim(self, one: int, seen: Surroundings, plans: bool) -> tuple[np.ndarray, float]:
+        """Where a vehicle wants to get: a level unit vector ``[3]``, and how far, m; ``plans``: a plan is due."""
+        return seen.goal[one].double().numpy(), self.costs.ahead
 
     def _left(self, path: np.ndarray, one: int, seen: Surroundings) -> np.ndarray:
         """What is left of a path: ``[K, 3]`` m, stretched, in axes of the yaw."""
@@ -161,12 +166,14 @@ class RRTConnect(Planner):
         """Whether nothing has come onto a path."""
         return bool(obstacles.free(path, path, ON_PATH).all())
 
-    def _target(self, obstacles: Obstacles, goal: np.ndarray, off: float, left: np.ndarray | None) -> np.ndarray | None:
-        """The point ``[3]`` to plan to: free, at the edge of sight, as near to the goal's direction as may be."""
+    def _target(
+        self, obstacles: Obstacles, goal: np.ndarray, far: float, off: float, left: np.ndarray | None
+    ) -> np.ndarray | None:
+        """The point ``[3]`` to plan to: free, ``far`` m away, as near to the goal's direction as may be."""
         heading = np.arctan2(goal[1], goal[0])
         turns = TURNS if left is None or goal[0] * left[-1, 1] - goal[1] * left[-1, 0] >= 0 else -TURNS
         height = -off * self._stretch[2] * np.ones(len(turns))
-        level = self.costs.ahead * np.stack([np.cos(heading + turns), np.sin(heading + turns)])
+        level = far * np.stack([np.cos(heading + turns), np.sin(heading + turns)])
         ends = np.stack([*level, height], 1)
         free = obstacles.free(ends, ends)
         return ends[free.argmax()] if free.any() else None

@@ -1,0 +1,110 @@
+"""RRT-Connect on the last scans, led by a map of the whole episode: a planner that finds its way out of dead ends."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from uavrl.ranges import Positive, Seed
+from uavrl.rollout.episode_map import EpisodeMap
+from uavrl.rollout.remembered import HULL, Surroundings
+from uavrl.rollout.rrt_connect import RRTConnect, RRTConnectWeights
+from uavrl.rollout.ways import Obstacles
+
+LEVEL = 0.4  # m over and under the flight level, within which what is seen is in the way
+SEEN_AROUND = 0.6  # m that a straight line of the route keeps between hull and cells
+
+
+class RRTMap(RRTConnect):
+    """:class:`~uavrl.rollout.rrt_connect.RRTConnect`, led along a way to the goal through all that it has seen.
+
+    Twice a second each vehicle enters what it remembers of its last scans into a map of its own, of cells at the flight
+    level, which holds for the episode. The quickest way through the map (Dijkstra), in which what was not seen is free,
+    leads to the goal; the planner below aims at a point of that way. So it looks into a dead end, and flies out again.
+    It is told no distance to the goal: the goal is where its directions from different places meet.
+
+    What lies over or under the flight level is left to the planner below. What moves stays in the map where it was.
+
+    Args:
+        flight_level: altitude to hold where nothing is in the way, m.
+        radius: how far it sees, m; what lies farther is not used.
+        seconds: for which the planner below remembers obstacles.
+        tries: times that a tree grows for a plan, at most.
+        seed: of the plans.
+        costs: None for those of :class:`~uavrl.rollout.rrt_connect.RRTConnectWeights`.
+        cell: edge of the map's cells, m.
+        reach: m from the vehicle to each side, beyond which the map forgets.
+
+    Raises:
+        UavrlError: where OMPL is not installed.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> seen = {"point_cloud": torch.full((1, 16, 3), torch.nan), "altitude": torch.full((1, 1), 3.5)}
+        >>> still = {"velocity": torch.zeros(1, 3), "attitude": torch.zeros(1, 3), "heading_deg": torch.zeros(1, 1)}
+        >>> state = TensorDict({**seen, **still, "is_init": torch.ones(1, 1, dtype=bool)}, [1])
+        >>> RRTMap()(state)["action"].round(decimals=3).abs().tolist()
+        [[2.0, 0.0, 0.0, 0.0]]
+    """
+
+    def __init__(
+        self,
+        flight_level: float = 3.5,
+        radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
+        *,
+        seconds: Positive = 10.0,
+        tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
+        seed: Seed = 0,
+        costs: RRTConnectWeights | None = None,
+        cell: Positive = 0.25,
+        reach: Positive = 40.0,
+    ) -> None:
+        super().__init__(flight_level, radius, seconds=seconds, tries=tries, seed=seed, costs=costs)
+        self.cell, self.reach = cell, reach
+        self._maps: list[EpisodeMap] = []
+        self._routes: list[np.ndarray | None] = []
+
+    def aim(self, one: int, seen: Surroundings, plans: bool) -> tuple[np.ndarray, float]:
+        """The direction of a point of the route, and how far it is: at most as far as is planned."""
+        if len(self._maps) != len(seen.fresh):
+            self._maps = [EpisodeMap(self.cell, self.reach) for _ in seen.fresh]
+            self._routes = [None for _ in seen.fresh]
+        if seen.fresh[one, 0]:
+            self._maps[one], self._routes[one] = EpisodeMap(self.cell, self.reach), None
+        yaw, place = float(seen.yaw[one]), seen.place[one].double().numpy()[:2]
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        goal, points = seen.goal[one].double().numpy(), np.zeros((0, 2))
+        if plans:
+            cloud = seen.cloud[one].double().numpy()
+            points = cloud[np.abs(cloud[:, 2] + float(seen.altitude[one]) - self.flight_level) < LEVEL, :2]
+            points = points @ turn.T + place
+        known = self._maps[one]
+        known.look(points, place, turn @ goal[:2])
+        if plans:
+            self._routes[one] = known.route()
+        way = self._routes[one]
+        if way is None:
+            return goal, self.costs.ahead
+        apart = np.append(self._along(way, place, known) @ turn, 0.0)
+        far = float(np.linalg.norm(apart))
+        return apart / max(far, 1e-6), far
+
+    def _along(self, way: np.ndarray, place: np.ndarray, known: EpisodeMap) -> np.ndarray:
+        """From a place to a point of the way: the last that is straight ahead, or where it bends within sight."""
+        ahead = self.costs.ahead
+        way = way[int(((way - place) ** 2).sum(1).argmin()) :]
+        level = np.pad(way, ((0, 0), (0, 1)))
+        cells = np.pad((known.occupied + 0.5) * known.cell, ((0, 0), (0, 1)))
+        here = np.append(place, 0.0)
+        free = Obstacles(cells, here, HULL[0] + SEEN_AROUND).free(np.broadcast_to(here, level.shape), level)
+        last = int(free.nonzero()[0].max(initial=-1))
+        if last >= 0:
+            apart = way[last] - place
+            far = float(np.linalg.norm(apart))
+            if far >= ahead or last == len(way) - 1:
+                return ahead * apart / max(far, 1e-6)
+        gone = np.cumsum(np.linalg.norm(np.diff(way, axis=0, prepend=place[None]), axis=1))
+        return way[min(int(np.searchsorted(gone, ahead)), len(way) - 1)] - place
