@@ -58,6 +58,17 @@ def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
     assert not errors, errors
 
 
+def test_in_a_low_window_the_charts_lie_above_the_numbers(browser: Any) -> None:
+    size = browser.get_window_size()
+    browser.set_window_size(1100, 600)
+    try:
+        bottom = "return document.querySelector('.chart:last-child').getBoundingClientRect().bottom"
+        top = "return document.getElementById('whereabouts').getBoundingClientRect().top"
+        assert browser.execute_script(bottom) <= browser.execute_script(top)
+    finally:
+        browser.set_window_size(size["width"], size["height"])
+
+
 def test_a_browser_plays_and_steps_by_keys_wherever_the_mouse_has_been(browser: Any) -> None:
     from selenium.webdriver import ActionChains, Keys
 
