@@ -27,7 +27,7 @@ from run_statistics import paired_difference
 from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.errors import UavrlError
-from uavrl.rollout import baselines, remembered, ways
+from uavrl.rollout import baselines, episode_map, remembered, rrt_connect, ways
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import named_policy
 from uavrl.rollout.rollout import rollout
@@ -35,7 +35,14 @@ from uavrl.runs.episodes import wilson
 
 BEST = Path(baselines.__file__).parents[1] / "policies/best/suite.json"
 CELLS = ["perception=range_image", "perception.last_action=true"]
-RIVALS: dict[str, list[str]] = {"vfh_star": [], "mppi": [], "potential_field": [], "rrt_connect": [], "vfh": CELLS}
+RIVALS: dict[str, list[str]] = {
+    "vfh_star": [],
+    "mppi": [],
+    "potential_field": [],
+    "rrt_connect": [],
+    "rrt_map": [],
+    "vfh": CELLS,
+}
 ROWS = ("static", "held_out", "dense")
 
 
@@ -112,7 +119,8 @@ def main() -> None:
         cells = [cell for row in args.rows for cell in row_of(found[name][row], told_of_best(row))]
         kind = baselines.BASELINES[name]
         own = [sys.modules[kind.__module__]] + [remembered] * issubclass(kind, remembered.Planner)
-        own += [ways] * (name == "rrt_connect")
+        own += [ways] * issubclass(kind, rrt_connect.RRTConnect)
+        own += [rrt_connect, episode_map] * (name == "rrt_map")
         times = ", ".join(f"{milliseconds(name, vehicles):.1f}" for vehicles in (1, 16))
         print(f"| `policy={name}` | {' | '.join(cells)} | {times} | {lines_of(*own)} |", flush=True)
     if args.json:
