@@ -39,7 +39,7 @@ def rows(suite: Path, about: dict[str, Any]) -> dict[str, Any]:
     wanted = {key: about.get(key) for key in ("checkpoint", "training_steps")}
     for name, overrides in scenarios("all").items():
         row = found.get(name, {})
-        changed = [each for each in row.get("overrides", []) if not each.startswith("num_uavs=")]
+        changed = [each for each in row.get("overrides", []) if not each.startswith(("num_uavs=", "policy="))]
         wrong = [key for key, value in {"episodes": TASKS, **wanted}.items() if row.get(key) != value]
         wrong += ["overrides"] if changed != overrides else []
         wrong += ["outcomes"] if len(row.get("outcomes") or "") != TASKS else []

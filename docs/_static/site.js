@@ -12,7 +12,7 @@ addEventListener("DOMContentLoaded", () => {
   if (!document.querySelector("h1")) article?.prepend(Object.assign(document.createElement("h1"), { textContent: document.title.split(" - ")[0] }));
   // A table without a header row has no empty one; a corner is no header.
   document.querySelectorAll("thead").forEach(head => head.textContent.trim() || head.querySelector("img") || head.remove());
-  document.querySelectorAll("th").forEach(cell => cell.textContent.trim() || cell.querySelector("img") || cell.replaceWith(document.createElement("td")));
+  document.querySelectorAll("th").forEach(cell => cell.textContent.trim() || cell.querySelector("img") || cell.replaceWith(Object.assign(document.createElement("td"), { colSpan: cell.colSpan, rowSpan: cell.rowSpan })));
   // The arguments of a long signature: Sphinx makes them a list of definitions without terms.
   document.querySelectorAll("dt.sig > dl").forEach(list => {
     const lines = Object.assign(document.createElement("div"), { className: "sig-lines" });

@@ -155,7 +155,8 @@ class Slow(Breaking):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_does_not_wait_for_a_world_that_is_being_built(number: int) -> None:
-    begun, before = time.monotonic(), signal.signal(number, signal.default_int_handler)
+    begun, others = time.monotonic(), active_children()
+    before = signal.signal(number, signal.default_int_handler)
     signaller = threading.Timer(5.0, os.kill, (os.getpid(), number))
     try:
         signaller.start()
@@ -164,7 +165,7 @@ def test_ctrl_c_does_not_wait_for_a_world_that_is_being_built(number: int) -> No
     finally:
         signal.signal(number, before)
         signaller.join()
-    assert not active_children() and time.monotonic() - begun < 300.0
+    assert set(active_children()) <= set(others) and time.monotonic() - begun < 300.0
 
 
 STOPPED = """

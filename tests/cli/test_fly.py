@@ -24,8 +24,6 @@ from uavrl.deploy.packets import encode_scan
 from uavrl.deploy.sources import ScanSource
 from uavrl.envs.vlp16 import firing_directions
 
-pytestmark = measured
-
 RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
 GOAL = "goal=[20,0,2.5]"
 
@@ -48,6 +46,7 @@ def test_a_recording_is_flown_into_nothing(policy: Path, tmp_path: Path, capsys:
     assert 0.0 < facts["latency_ms"]["median"] < 1000.0
 
 
+@measured
 def test_a_sensor_is_flown_by_until_the_goal(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     numbers, ended, (port, _) = tmp_path / "flight.json", threading.Event(), free_ports()
 

@@ -9,11 +9,8 @@ import time
 
 import pytest
 
-from tests.helpers.measured import measured
 from uavrl.cli import telling
 from uavrl.cli.telling import beside
-
-pytestmark = measured
 
 
 def test_all_comes_in_its_order(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

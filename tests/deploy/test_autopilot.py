@@ -10,14 +10,11 @@ from typing import Any
 import pytest
 
 from tests.helpers.autopilot_peer import ARDUPILOT, GUIDED, LOITER, OFFBOARD, POSCTL, PX4, Peer, garbage
-from tests.helpers.measured import measured
 from uavrl.deploy.autopilot import Autopilot
 from uavrl.deploy.frames import to_goal
 from uavrl.deploy.safety import Cycle, SafetyLayer, State
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import UavrlError
-
-pytestmark = measured
 
 SET_MODE, ARM, SET_INTERVAL = 176, 400, 511
 

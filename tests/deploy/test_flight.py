@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.helpers.measured import measured
 from tests.helpers.ports import free_ports
 from uavrl.deploy.dry_run import DryRun
 from uavrl.deploy.feeds import UdpScans
@@ -28,8 +27,6 @@ from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
 from uavrl.shield import Shield
-
-pytestmark = measured
 
 GOAL = (20.0, 0.0, 2.5)
 

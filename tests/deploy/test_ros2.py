@@ -12,7 +12,6 @@ import numpy as np
 import pybullet
 import pytest
 
-from tests.helpers.measured import measured
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, cloud, odometry, same, until
 from uavrl.deploy.dds import Arrived, Node, check_topic, idl_type, topic_of
 from uavrl.deploy.frames import Pose
@@ -20,8 +19,6 @@ from uavrl.deploy.messages import CLOUD, ODOMETRY, TWIST
 from uavrl.deploy.ros2 import Ros2Scans, Ros2Vehicle, Stamps, pose_of, twist_of
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import UavrlError
-
-pytestmark = measured
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 

@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.helpers.measured import measured
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, px4_mode, px4_odometry, until
 from uavrl.deploy.dds import idl_type
 from uavrl.deploy.frames import Pose
 from uavrl.deploy.messages import PX4_CONTROL_MODE, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT
 from uavrl.deploy.ros2_px4 import Px4Ros2, px4_pose, px4_setpoint
 from uavrl.deploy.vehicle import Control
-
-pytestmark = measured
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 

@@ -12,15 +12,12 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from tests.helpers.autopilot_peer import garbage
-from tests.helpers.measured import measured
 from tests.helpers.sitl import Ground, Scripted
 from uavrl.deploy.faults import Faults
 from uavrl.deploy.packets import PACKET, decode_vlp16
 from uavrl.deploy.sitl import Sitl
 from uavrl.envs.live import PIECE
 from uavrl.errors import UavrlError
-
-pytestmark = measured
 
 
 @pytest.fixture

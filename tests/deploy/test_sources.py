@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from tests.helpers.captures import KINDS, PACKETS, TIMES, captured
-from tests.helpers.measured import measured
 from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, store, write_bag
 from uavrl.deploy import bags, sources
 from uavrl.deploy.pcap import read_pcap, udp_content
@@ -22,8 +21,6 @@ from uavrl.deploy.reduction import is_return
 from uavrl.deploy.sources import ScanSource, without_vehicle
 from uavrl.deploy.udp import address, read_udp
 from uavrl.errors import UavrlError
-
-pytestmark = measured
 
 POINTS = np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [0.0, 0.0, 0.0], [-4.0, 5.5, 6.0]], np.float32)
 

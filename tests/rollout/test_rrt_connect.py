@@ -112,5 +112,7 @@ def test_the_reflex_goes_to_and_from_an_obstacle_by_its_distance(ompl: None) -> 
 
 def test_without_ompl_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ompl", None)
-    with pytest.raises(UavrlError, match=r"policy=rrt_connect needs OMPL: pip install 'uavrl\[planners\]'\.$"):
+    with pytest.raises(
+        UavrlError, match=r"policy=rrt_connect and policy=rrt_map need OMPL: pip install 'uavrl\[planners\]'\.$"
+    ):
         RRTConnect()

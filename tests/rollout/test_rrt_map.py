@@ -153,3 +153,17 @@ def test_with_nothing_in_sight_it_acts_like_the_planner_without_a_map() -> None:
     state = seen(scan(torch.zeros(0, 3)), fresh=True, heading_deg=torch.tensor([[30.0]]))
     led, alone = (rival(state.clone())["action"] for rival in (RRTMap(), RRTConnect()))
     assert torch.allclose(led, alone, atol=1e-4)
+
+
+def test_a_start_and_a_goal_in_one_cell_are_the_way() -> None:
+    ends = np.array([[0.3, 0.3], [0.4, 0.4]])
+    np.testing.assert_array_equal(route(np.zeros((0, 2), int), *ends, 0.25), ends)
+
+
+@needs_ompl
+def test_the_map_does_not_turn_with_the_vehicle() -> None:
+    rival = RRTMap()
+    rival(seen(scan(grid(2.0, (-0.9, 0.9))), fresh=True, attitude=torch.tensor([[0.0, 0.0, np.pi / 2]])))
+    places = (rival._maps[0].occupied + 0.5) * CELL
+    assert np.abs(places[:, 1] - 2.0).max() < 0.2 and len(places) > 4
+    assert rival._maps[0].goal() == pytest.approx([0.0, 15.0], abs=1e-3)

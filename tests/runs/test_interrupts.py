@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
-from uavrl.runs.interrupts import PATIENCE, Stop, stoppable
+from uavrl.runs.interrupts import PATIENCE, Stop, interrupts_end, stoppable
 
 
 def test_signals_are_given_back_to_who_had_them() -> None:
@@ -41,6 +43,22 @@ def test_an_interrupt_that_was_swallowed_comes_again() -> None:
         stop.handle(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
         stop.set_time_to_checkpoint(1, 1)
+
+
+def test_an_interrupt_at_any_moment_leaves_no_watcher_behind() -> None:
+    threads, ended = threading.active_count(), threading.Event()
+    for moment in [*np.random.default_rng(0).uniform(0.0, 2e-3, 40), 0.3]:
+        signaller = threading.Timer(moment, os.kill, (os.getpid(), signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            signaller.start()
+            with interrupts_end(ended.set):
+                ended.wait(20.0 if moment == 0.3 else 0.0)
+            signaller.join()
+            signal.pthread_sigmask(signal.SIG_BLOCK, [])  # Python looks for what has come
+        signaller.join()
+        assert threading.active_count() == threads
+        assert signal.set_wakeup_fd(-1) == -1 and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert ended.is_set(), "what was waited for was ended"
 
 
 @pytest.mark.parametrize(("left", "waits"), [(4, True), (6, False)])

@@ -46,7 +46,7 @@ class Enhancer(ActorCriticLoss, LossModule):
 
     A subclass defines :meth:`actor_term`; one with models to train defines :attr:`models`, too.
 
-    Enhancers nest: ``LifeGuard(Fork(TD3Loss(...)))``. What an enhancer does not change comes from ``base``, whose
+    They nest: ``LifeGuard(Fork(TD3Loss(...)))``. What one does not change comes from ``base``, whose
     networks appear as its own: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``.
 
     Args:

@@ -21,7 +21,7 @@ def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float
     """The quickest way from cell to cell, in eight directions; what is not known to be occupied is free.
 
     It keeps from obstacles where there is room: what is near them counts more than once, and where the hull does not
-    fit there is none.
+    fit, to the width of a cell, there is none.
 
     Args:
         occupied: cells ``int [K, 2]``, in any order.
@@ -70,7 +70,8 @@ def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float
     way = [at]
     while way[-1] != index[here]:
         way.append(int(before[way[-1]]))
-    middles = cell * (np.stack(np.unravel_index(way[-2:0:-1], shape), 1) + low + 0.5)
+    between = np.array(way[-2:0:-1], np.int64)
+    middles = cell * (np.stack(np.unravel_index(between, shape), 1) + low + 0.5)
     return np.concatenate([start[None], middles, goal[None]])
 
 

@@ -26,6 +26,8 @@ class RRTMap(RRTConnect):
     It is told no distance to the goal: the goal is where its directions from different places meet.
 
     What lies over or under the flight level is left to the planner below. What moves stays in the map where it was.
+    Where the map leaves no way, it acts as that planner does. It was not tried in vehicles that are not as believed: a
+    wrong heading or velocity shifts the map and the goal.
 
     Args:
         flight_level: altitude to hold where nothing is in the way, m.
@@ -59,8 +61,8 @@ class RRTMap(RRTConnect):
         tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
-        cell: Positive = 0.25,
-        reach: Positive = 40.0,
+        cell: Annotated[float, Field(ge=0.1, le=1)] = 0.25,
+        reach: Annotated[float, Field(ge=5, le=100)] = 40.0,
     ) -> None:
         super().__init__(flight_level, radius, seconds=seconds, tries=tries, seed=seed, costs=costs)
         self.cell, self.reach = cell, reach

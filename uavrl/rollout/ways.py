@@ -129,7 +129,7 @@ def load_ompl() -> tuple[Any, Any, Any]:
     try:
         from ompl import base, geometric, util
     except ImportError as error:
-        raise UavrlError("policy=rrt_connect needs OMPL: pip install 'uavrl[planners]'.") from error
+        raise UavrlError("policy=rrt_connect and policy=rrt_map need OMPL: pip install 'uavrl[planners]'.") from error
     util.setLogLevel(util.LogLevel.LOG_NONE)
     return base, geometric, util
 

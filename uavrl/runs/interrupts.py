@@ -81,8 +81,10 @@ def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
         with interrupts_held_back():
             yield
         return
-    over, (told, teller) = threading.Event(), socket.socketpair()
+    over, came, (told, teller) = threading.Event(), list[int](), socket.socketpair()
     teller.setblocking(False)
+    handlers = {number: signal.getsignal(number) for number in HELD_BACK}
+    handlers = {number: each for number, each in handlers.items() if each not in (signal.SIG_IGN, None)}
 
     def watch() -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, HELD_BACK)  # this thread hears them, wherever the main one is
@@ -93,15 +95,21 @@ def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
 
     watcher = threading.Thread(target=watch, daemon=True)
     with interrupts_held_back(), told, teller:
+        for number in handlers:  # none may raise in the midst of what follows: a signal is noted
+            signal.signal(number, lambda number, _: came.append(number))
         before = signal.set_wakeup_fd(teller.fileno(), warn_on_full_buffer=False)
         watcher.start()
         try:
             yield
         finally:
             over.set()
-            signal.set_wakeup_fd(before)
             teller.send(b"\0")
             watcher.join()
+            signal.set_wakeup_fd(before)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+            for number in came[:1]:
+                signal.raise_signal(number)  # comes when it is no longer held back
 
 
 @contextmanager
