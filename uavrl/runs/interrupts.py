@@ -108,8 +108,8 @@ def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
             signal.set_wakeup_fd(before)
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-            for number in came[:1]:
-                signal.raise_signal(number)  # comes when it is no longer held back
+            for first in came[:1]:
+                signal.raise_signal(first)  # comes when it is no longer held back
 
 
 @contextmanager
