@@ -40,7 +40,7 @@ SLOW = {
     "algo.gamma=1.5": "algo.gamma must be in [0, 1), got 1.5",
     "+reward.arived_reward=1": "did you mean reward.arrived_reward?",
 }
-SECONDS = 30.0  # of a processor; a fast one takes 5, a slow one that others load several times as long
+SECONDS = 12.0  # of a processor; an idle one takes 5, one that others load up to twice as long
 
 
 @pytest.mark.parametrize("command", LIGHT)

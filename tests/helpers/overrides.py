@@ -24,7 +24,7 @@ from uavrl.cli import train as train_command
 from uavrl.envs.world import World
 from uavrl.training.trainer import EpisodeTrainer
 
-SECONDS = 30.0  # of computing, from the command to its end or its start
+SECONDS = 10.0  # of computing, from the command to its end or its start
 SMALL = [
     "env.max_steps=3",
     "algo.learning_starts=0",

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 from tensordict import TensorDict
 from torch.testing import assert_close
 
-from tests.helpers.recorded import SCANS, as_evaluated, evaluation, recorded, states, suite
+from tests.helpers.recorded import LARGEST, SCANS, as_evaluated, evaluation, recorded, states, suite
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.values import to_plain
 from uavrl.deploy.export import contract
@@ -81,7 +81,7 @@ def test_it_acts_as_it_did_in_recorded_states(name: str) -> None:
     kept, (_, policy) = recorded(name), as_evaluated(name)
     with torch.no_grad():
         action = policy(TensorDict({"observation": kept["observation"]}, [len(kept["observation"])]))["action"]
-    assert len(action) > 80 and action.std(0).min() > 0.1
+    assert len(action) == LARGEST // (4 * (kept["observation"].shape[-1] + 4)) and action.std(0).min() > 0.1
     assert_close(action, kept["action"], atol=1e-4, rtol=0)
 
 

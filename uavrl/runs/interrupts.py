@@ -93,19 +93,21 @@ def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
         while not over.wait(0.2):
             processes()
 
-    watcher = threading.Thread(target=watch, daemon=True)
+    watcher = threading.Thread(target=watch, daemon=True, name="interrupts")
     with interrupts_held_back(), told, teller:
-        for number in handlers:  # none may raise in the midst of what follows: a signal is noted
-            signal.signal(number, lambda number, _: came.append(number))
-        before = signal.set_wakeup_fd(teller.fileno(), warn_on_full_buffer=False)
-        watcher.start()
         try:
-            yield
+            for number in handlers:  # none may raise in the midst of what follows: a signal is noted
+                signal.signal(number, lambda number, _: came.append(number))
+            before = signal.set_wakeup_fd(teller.fileno(), warn_on_full_buffer=False)
+            watcher.start()
+            try:
+                yield
+            finally:
+                over.set()
+                teller.send(b"\0")
+                watcher.join()
+                signal.set_wakeup_fd(before)
         finally:
-            over.set()
-            teller.send(b"\0")
-            watcher.join()
-            signal.set_wakeup_fd(before)
             for number, handler in handlers.items():
                 signal.signal(number, handler)
             for first in came[:1]:
