@@ -14,7 +14,7 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import replay as replay_command
 from uavrl.config import validate_run
-from uavrl.rollout.policies import PACKAGED
+from uavrl.rollout.policies import PACKAGED, packaged_policies
 from uavrl.runs.config import load_config
 
 
@@ -71,7 +71,7 @@ def test_an_unknown_run_and_a_taken_folder_are_refused(
         ([f"run={run_dir}", "policy=best", new], "Give either run=RUN_FOLDER or policy=NAME, and not both"),
         (
             ["policy=bst", new],
-            "policy must be one of best, got 'bst': did you mean best?",
+            f"policy must be one of {', '.join(packaged_policies())}, got 'bst': did you mean best?",
         ),
         (["policy=dynamic", new], "policy=dynamic came with uavrl 0.1.0 and is not in this version: take policy=best"),
         (["policy=straight", new], "got 'straight': to export your own give run=RUN_FOLDER"),
