@@ -16,7 +16,7 @@ FLOORS = [
     {"buffers", "envs", "losses"},
     {"models", "transforms"},
     {"config", "runs"},
-    {"motion", "shield", "upstream"},
+    {"mapping", "motion", "shield", "upstream"},
     {"attitude", "errors", "ranges", "command_line", "machine", "cells"},
 ]
 

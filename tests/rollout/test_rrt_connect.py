@@ -10,8 +10,9 @@ import torch
 
 from tests.rollout.test_rivals import flown, grid, scan, seen
 from uavrl.errors import UavrlError
+from uavrl.mapping.lines import Obstacles, clearances
 from uavrl.rollout.rrt_connect import EVERY, RRTConnect, RRTConnectWeights
-from uavrl.rollout.ways import Obstacles, clearances, filled, length, search
+from uavrl.rollout.ways import filled, length, search
 
 START, END = np.zeros(3), np.array([3.0, 0.0, 0.0])
 BOX = np.array([[-4.0, -4.0, -0.5], [4.0, 4.0, 0.5]])

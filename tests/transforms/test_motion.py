@@ -16,7 +16,7 @@ from uavrl.config import compose, validate_run
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.environment import make_env
+from uavrl.rollout.environment import make_env, with_sight
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
 
@@ -169,10 +169,18 @@ def test_the_buffers_mirror_is_told_of_them() -> None:
     assert not _make_mirror(validate_run(compose("buffer.mirror=true"))).motion
 
 
-def test_the_sensor_looks_as_far_as_objects_are_looked_for() -> None:
-    assert validate_run(compose("perception.motion=12")).perception["lidar"].far_range == 12.0
-    off = validate_run(compose()).perception
-    assert off["motion"] is None and off["lidar"].far_range is None
+@pytest.mark.parametrize(
+    ("chosen", "reaches"),
+    [
+        ([], None),
+        (["perception.motion=12"], 12.0),
+        (["perception.memory=10"], 10.0),
+        (["perception.motion=8", "perception.memory=10"], 10.0),
+        (["perception.motion=8", "perception.lidar.far_range=20"], 20.0),
+    ],
+)
+def test_the_sensor_looks_as_far_as_perception_does(chosen: list[str], reaches: float | None) -> None:
+    assert with_sight(validate_run(compose(*chosen)).perception)["lidar"].far_range == reaches
 
 
 @pytest.mark.parametrize("motion", [3, 12])
@@ -184,8 +192,9 @@ def test_a_sensor_that_reaches_as_far_without_it_will_do(motion: int) -> None:
     env.close()
 
 
-def test_looking_farther_than_the_sensor_reaches_is_refused() -> None:
+@pytest.mark.parametrize("looks", ["motion", "memory"])
+def test_looking_farther_than_the_sensor_reaches_is_refused(looks: str) -> None:
     """What is not scanned would seem to be free, and all that comes into range to move."""
-    seen = validate_run(compose("perception.motion=12", "perception.lidar.far_range=8")).perception
-    with pytest.raises(UavrlError, match=r"perception\.motion=12 looks farther than the LiDAR, which reaches 8 m"):
+    seen = validate_run(compose(f"perception.{looks}=12", "perception.lidar.far_range=8")).perception
+    with pytest.raises(UavrlError, match=rf"perception\.{looks}=12 looks farther than the LiDAR, which reaches 8 m"):
         make_env(small_env(), seen)

@@ -1,7 +1,7 @@
 """The environment of a configuration, and what a network reads and writes there."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -62,7 +62,7 @@ def make_env(
 
     ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins.
     """
-    require_sight(perception)
+    perception = with_sight(perception)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
@@ -85,17 +85,25 @@ def make_env(
     return made
 
 
-def require_sight(perception: Mapping[str, Any]) -> None:
-    """Refuses to look for moving objects farther than the LiDAR reaches: what is not scanned would seem to be free."""
-    motion, lidar = perception.get("motion"), perception.get("lidar")
-    if not isinstance(motion, int | float) or lidar is None:  # somebody else's perception
-        return
-    reach = max(lidar.max_range, lidar.far_range or 0.0)
-    if motion > reach:
+def with_sight(perception: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Lets the LiDAR reach as far as perception looks; refuses one that is told otherwise.
+
+    What is not scanned would seem to be free.
+    """
+    lidar, looked = perception.get("lidar"), {key: perception.get(key) for key in ("motion", "memory")}
+    ranges = {key: value for key, value in looked.items() if isinstance(value, int | float)}
+    if lidar is None or not ranges:  # nothing looks far, or somebody else's perception
+        return perception
+    key, farthest = max(ranges.items(), key=lambda item: item[1])
+    if lidar.far_range is None:
+        return {**perception, "lidar": replace(lidar, far_range=farthest)}
+    reach = max(lidar.max_range, lidar.far_range)
+    if farthest > reach:
         raise UavrlError(
-            f"perception.motion={motion:g} looks farther than the LiDAR, which reaches {reach:g} m: leave "
-            f"perception.lidar.far_range out, or lower perception.motion."
+            f"perception.{key}={farthest:g} looks farther than the LiDAR, which reaches {reach:g} m: leave "
+            f"perception.lidar.far_range out, or lower perception.{key}."
         )
+    return perception
 
 
 def require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:

@@ -56,7 +56,7 @@ class LoadedPolicy(TensorDictModuleBase):
 
         Args:
             *changes: as ``uavrl-evaluate`` takes them: ``"env=dynamic"``, ``"randomize=none"``,
-                ``"env.world.obstacles=90"``, ``"perception.lidar.range_noise=0.02"``.
+                ``"env.world.obstacles=90"``, ``"perception.lidar.range_noise=0.02"``, ``"perception.memory=40"``.
             num_uavs: number of vehicles, the environment's batch size.
             valleys: seeds of the valleys, each built when a task needs it; by default 100, which no packaged policy
                 was trained in.
@@ -75,7 +75,7 @@ class LoadedPolicy(TensorDictModuleBase):
         keys = keys_of(changes)
         for key in keys:
             if (key not in _TAKEN and not key.startswith(("env.", *OF_SENSOR))) or key == "env.num_uavs":
-                taken = "env, env.KEY, randomize, perception.lidar.KEY and perception.blind"
+                taken = "env, env.KEY, randomize, perception.lidar.KEY, perception.blind and perception.memory"
                 raise UavrlError(f"make_env takes changes of {taken}, and its arguments, got {key!r}.")
         try:
             composed = compose(*changes, name="evaluate")

@@ -8,7 +8,8 @@ from omegaconf import DictConfig, OmegaConf
 from uavrl.config.build import TARGET, arguments, find_class
 from uavrl.errors import UavrlError
 
-OF_SENSOR = ("perception.lidar.", "perception.blind")  # and blind_to: what may be changed for a trained policy
+# What may be changed for a trained policy, and blind_to: it reads the same numbers, of another sensor or another goal.
+OF_SENSOR = ("perception.lidar.", "perception.blind", "perception.memory")
 
 
 def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str) -> None:
@@ -21,8 +22,8 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     """The run's configuration with what the command line says about environment and sensor.
 
     ``env=NAME`` replaces the environment, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
-    ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value`` change one value. The
-    rest of perception makes the policy's input: it stays.
+    ``perception.lidar.key=value``, ``perception.blind=value``, ``perception.blind_to=value`` and
+    ``perception.memory=value`` change one value. The rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says

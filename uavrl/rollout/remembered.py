@@ -11,13 +11,13 @@ from torch import Tensor
 from uavrl.attitude import body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY
+from uavrl.mapping.route import HULL
+from uavrl.mapping.wayfinder import LIDAR_ABOVE
 from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl.motion.threats import to_yaw
 from uavrl.transforms.state import ACTION_LIMIT
 
 PERIOD = 0.1  # s between two scans
-HULL = (0.35, 0.14)  # m: its radius, and half its height
-LIDAR_ABOVE = 0.1  # m, of the sensor over the hull's middle
 THINNED = 4  # of the scan's firing cycles, 0.2 degrees apart, one of so many is read
 MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to forget it
 TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt

@@ -10,10 +10,11 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.mapping.lines import Obstacles, clearances
 from uavrl.ranges import Positive, Seed
 from uavrl.rollout.mppi import limited
 from uavrl.rollout.remembered import HIGHEST, HULL, LOWEST, PERIOD, Planner, Surroundings, stretch
-from uavrl.rollout.ways import APART, Obstacles, clearances, filled, length, load_ompl, pushed_out, search
+from uavrl.rollout.ways import APART, filled, length, load_ompl, pushed_out, search
 from uavrl.transforms.state import ACTION_LIMIT
 
 EVERY = round(0.5 / PERIOD)  # steps between two plans: 2 Hz

@@ -7,14 +7,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from uavrl.mapping import EpisodeMap
+from uavrl.mapping.route import waypoint
+from uavrl.mapping.wayfinder import LEVEL
 from uavrl.ranges import Positive, Seed
-from uavrl.rollout.episode_map import EpisodeMap
-from uavrl.rollout.remembered import HULL, Surroundings
+from uavrl.rollout.remembered import Surroundings
 from uavrl.rollout.rrt_connect import RRTConnect, RRTConnectWeights
-from uavrl.rollout.ways import Obstacles
-
-LEVEL = 0.4  # m over and under the flight level, within which what is seen is in the way
-SEEN_AROUND = 0.6  # m that a straight line of the route keeps between hull and cells
 
 
 class RRTMap(RRTConnect):
@@ -90,23 +88,7 @@ class RRTMap(RRTConnect):
         way = self._routes[one]
         if way is None:
             return goal, self.costs.ahead
-        apart = np.append(self._along(way, place, known) @ turn, 0.0)
+        point, straight = waypoint(way, place, known.middles(), self.costs.ahead)
+        apart = np.append((way[point] - place) @ turn, 0.0)
         far = float(np.linalg.norm(apart))
-        return apart / max(far, 1e-6), far
-
-    def _along(self, way: np.ndarray, place: np.ndarray, known: EpisodeMap) -> np.ndarray:
-        """From a place to a point of the way: the last that is straight ahead, or where it bends within sight."""
-        ahead = self.costs.ahead
-        way = way[int(((way - place) ** 2).sum(1).argmin()) :]
-        level = np.pad(way, ((0, 0), (0, 1)))
-        cells = np.pad((known.occupied + 0.5) * known.cell, ((0, 0), (0, 1)))
-        here = np.append(place, 0.0)
-        free = Obstacles(cells, here, HULL[0] + SEEN_AROUND).free(np.broadcast_to(here, level.shape), level)
-        last = int(free.nonzero()[0].max(initial=-1))
-        if last >= 0:
-            apart = way[last] - place
-            far = float(np.linalg.norm(apart))
-            if far >= ahead or last == len(way) - 1:
-                return ahead * apart / max(far, 1e-6)
-        gone = np.cumsum(np.linalg.norm(np.diff(way, axis=0, prepend=place[None]), axis=1))
-        return way[min(int(np.searchsorted(gone, ahead)), len(way) - 1)] - place
+        return apart / max(far, 1e-6), self.costs.ahead if straight else far

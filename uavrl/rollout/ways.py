@@ -1,4 +1,4 @@
-"""Straight lines and ways between obstacles of which points are known, by OMPL's RRT-Connect."""
+"""Ways between obstacles of which points are known, by OMPL's RRT-Connect."""
 
 from __future__ import annotations
 
@@ -8,42 +8,9 @@ from typing import Any
 import numpy as np
 
 from uavrl.errors import UavrlError
+from uavrl.mapping.lines import Obstacles
 
 APART = 0.1  # m between the points of a path
-
-
-def clearances(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """How near each of ``points [P, 3]`` is to each straight line from ``starts [S, 3]`` to ``ends``: ``[S, P]`` m.
-
-    Examples:
-        >>> clearances(np.array([[1.0, 0.5, 0.0], [3.0, 0.0, 0.0]]), np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]]))
-        array([[0.5, 1. ]])
-    """
-    ways = ends - starts
-    squared, along = (ways * ways).sum(1)[:, None], ways @ points.T - (ways * starts).sum(1)[:, None]
-    share = (along / np.maximum(squared, 1e-12)).clip(0, 1)
-    apart = (points * points).sum(1) - 2 * starts @ points.T + (starts * starts).sum(1)[:, None]
-    return np.sqrt((apart + share * (share * squared - 2 * along)).clip(0))
-
-
-class Obstacles:
-    """What stands around one vehicle, in heights that are stretched until the hull is as high as wide.
-
-    What is already nearer to ``start`` than is kept is not to come nearer, so that a way out is found.
-
-    Args:
-        points: ``[P, 3]``, m.
-        start: where ways begin, ``[3]`` m.
-        kept: between the hull's middle and a point, m.
-    """
-
-    def __init__(self, points: np.ndarray, start: np.ndarray, kept: float) -> None:
-        self.points = points
-        self.kept = np.minimum(kept, 0.99 * np.sqrt(((points - start) ** 2).sum(1)))
-
-    def free(self, starts: np.ndarray, ends: np.ndarray, share: float = 1.0) -> np.ndarray:
-        """Which straight lines ``[S, 3]`` keep so great a share of the distance to all: ``bool [S]``."""
-        return (clearances(self.points, starts, ends) > share * self.kept).all(1)
 
 
 def pushed_out(points: np.ndarray, place: np.ndarray, kept: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""TorchRL transforms: the LiDAR reduction, sight of what moves, the policy's observation and the thesis's rewards."""
+"""TorchRL transforms: the LiDAR reduction, sight of what moves, memory, observation and the thesis's rewards."""
 
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
@@ -17,6 +17,7 @@ from uavrl.transforms.rewards import (
 )
 from uavrl.transforms.state import REDUCTIONS, NavigationState
 from uavrl.transforms.threats import Threats
+from uavrl.transforms.waypoint import Waypoint
 
 __all__ = [
     "REDUCTIONS",
@@ -33,6 +34,7 @@ __all__ = [
     "Threats",
     "TraditionalReward",
     "TruncatedIcosahedron",
+    "Waypoint",
     "mirror_action",
     "mirror_observation",
     "navigation_observation",

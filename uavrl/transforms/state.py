@@ -16,6 +16,7 @@ from uavrl.transforms.observation import Angles, LastAction, NavigationObservati
 from uavrl.transforms.range_image import RangeImage
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
 from uavrl.transforms.threats import Threats
+from uavrl.transforms.waypoint import Waypoint
 
 Reduction = Literal["truncated_icosahedron", "range_image"]
 REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
@@ -60,6 +61,8 @@ class NavigationState(Compose):
         last_action: whether an observation also holds the action that led to it.
         motion: how far :class:`MovingObjects` are looked for, m, of which an observation then also holds the nearest
             three and their :class:`Threats`; the scan must reach as far. None: not at all.
+        memory: how far a map of the episode looks, m, through which the next :class:`Waypoint` is found; the heading in
+            an observation is then that to the waypoint, and the scan must reach as far. None: that to the goal.
         frames: observations in a state.
 
     Examples:
@@ -83,13 +86,18 @@ class NavigationState(Compose):
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
         motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
+        memory: Annotated[float, Field(gt=0, le=100)] | None = None,
     ) -> None:
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
+        heading = "heading_deg" if memory is None else "waypoint_deg"
         super().__init__(
+            *([Waypoint(memory, flight_level=flight_level)] if memory is not None else ()),
             *([MovingObjects(motion, MOVING_OBJECTS, FAR_EVERY)] if motion is not None else ()),
             REDUCTIONS[reduction](radius=radius, statistic=statistic),
-            NavigationObservation(radius, flight_level, angles),
+            NavigationObservation(
+                radius, flight_level, angles, in_keys=("faces", "altitude", heading, "elevation_deg")
+            ),
             *(_with_motion(motion) if motion is not None else ()),
             *(_with_last_action() if last_action else ()),
             CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),

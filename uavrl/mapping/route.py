@@ -1,4 +1,4 @@
-"""What one vehicle has seen since its episode began, as a grid at the flight level, and the ways through it."""
+"""The quickest way through a grid of what is known, and the point of it that a vehicle heads for."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from uavrl.rollout.remembered import HULL
+from uavrl.mapping.lines import Obstacles
 
+HULL = (0.35, 0.14)  # m: the hull's radius, and half its height
 EDGE = 2.0  # m, free around all that is known: there a way leads around it
 WIDE = 1.2  # m from the hull's middle to an obstacle, from which on a way counts once
 TIGHT = 0.6  # m, nearer than which it counts SQUEEZED times; between both, up to 3 times
 SQUEEZED = 10.0
-GUESS = 15.0  # m, how far the goal is thought to be before its directions say
-TRUST = 5e-3  # weight of that guess; n directions from places a metre apart, seen at d metres, have about n / d²
+SEEN_AROUND = 0.6  # m that a straight line of the way keeps between hull and cells
 
 
 def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float) -> np.ndarray | None:
@@ -75,58 +75,32 @@ def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float
     return np.concatenate([start[None], middles, goal[None]])
 
 
-class EpisodeMap:
-    """The cells at the flight level in which one vehicle has seen something, and where its goal seems to be.
+def waypoint(way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: float) -> tuple[int, bool]:
+    """The last point of a way that is straight ahead, or else where the way bends within sight.
 
     Args:
-        cell: edge of a cell, m.
-        reach: m from the vehicle, beyond which cells are forgotten.
+        way: ``[L, 2]`` m.
+        place: of the vehicle, ``[2]`` m, near the way.
+        obstacles: ``[K, 2]`` m.
+        ahead: how far the vehicle looks along the way, m.
+
+    Returns:
+        The point's place in the way, and whether it is straight ahead.
 
     Examples:
-        A goal that was straight ahead, and lies to the right from 3 m to the left, is 4 m away:
-
-        >>> seen = EpisodeMap()
-        >>> for _ in range(200):
-        ...     seen.look(np.zeros((0, 2)), np.array([0.0, 0.0]), np.array([1.0, 0.0]))
-        ...     seen.look(np.zeros((0, 2)), np.array([0.0, 3.0]), np.array([0.8, -0.6]))
-        >>> bool(abs(seen.goal() - [4.0, 0.0]).max() < 0.05)
-        True
+        >>> corner = np.array([[0.0, 0], [1, 0], [2, 0], [3, 0], [3, 1], [3, 2], [3, 3], [3, 4]])
+        >>> waypoint(corner, np.zeros(2), np.zeros((0, 2)), ahead=2.0)
+        (7, True)
+        >>> waypoint(corner, np.zeros(2), np.array([[1.5, 1.4]]), ahead=2.0)
+        (3, True)
+        >>> waypoint(corner, np.zeros(2), np.array([[1.5, 0.5]]), ahead=2.0)
+        (2, False)
     """
-
-    def __init__(self, cell: float = 0.25, reach: float = 40.0) -> None:
-        self.cell, self.reach = cell, reach
-        self.occupied = np.zeros((0, 2), np.int64)
-        self._normals, self._offsets = np.zeros((2, 2)), np.zeros(2)
-        self._guess: np.ndarray | None = None
-        self._place, self._bearing = np.zeros((2, 2))
-
-    def look(self, points: np.ndarray, place: np.ndarray, bearing: np.ndarray) -> None:
-        """Takes in what is seen.
-
-        Args:
-            points: ``[P, 2]`` m since the episode's start, of what is at the flight level.
-            place: of the vehicle, ``[2]``, likewise.
-            bearing: unit vector ``[2]`` to the goal, world axes.
-        """
-        across = np.array([-bearing[1], bearing[0]])
-        self._normals += np.outer(across, across)
-        self._offsets += across * (across @ place)
-        self._place, self._bearing = place, bearing
-        if self._guess is None:
-            self._guess = place + GUESS * bearing
-        if len(points):
-            cells = np.floor(points / self.cell).astype(np.int64)
-            self.occupied = np.unique(np.concatenate([self.occupied, cells]), axis=0)
-            near = np.abs((self.occupied + 0.5) * self.cell - place).max(1) < self.reach
-            self.occupied = self.occupied[near]
-
-    def goal(self) -> np.ndarray:
-        """Where the goal is, ``[2]`` m: in its present direction, as far as all its directions so far say."""
-        assert self._guess is not None
-        met = np.linalg.solve(self._normals + TRUST * np.eye(2), self._offsets + TRUST * self._guess)
-        far = float(np.clip((met - self._place) @ self._bearing, 1.0, self.reach))
-        return self._place + far * self._bearing
-
-    def route(self) -> np.ndarray | None:
-        """The quickest way to the goal, ``[L, 2]`` m since the episode's start; None for none."""
-        return route(self.occupied, self._place, self.goal(), self.cell)
+    first = int(((way - place) ** 2).sum(1).argmin())
+    left = way[first:]
+    free = Obstacles(obstacles, place, HULL[0] + SEEN_AROUND).free(np.broadcast_to(place, left.shape), left)
+    last = int(free.nonzero()[0].max(initial=-1))
+    if last >= 0 and (last == len(left) - 1 or np.linalg.norm(left[last] - place) >= ahead):
+        return first + last, True
+    gone = np.cumsum(np.linalg.norm(np.diff(left, axis=0, prepend=place[None]), axis=1))
+    return first + min(int(np.searchsorted(gone, ahead)), len(left) - 1), False
