@@ -42,6 +42,7 @@ from uavrl.transforms import (
     NavigationState,
     PointCloudReduction,
     Threats,
+    Waypoint,
 )
 from uavrl.transforms.icosahedron import truncated_icosahedron_faces
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
@@ -112,7 +113,8 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     """The contract of a policy that was trained with these settings; None where the valley's definitions do not hold.
 
     They hold for a :class:`~uavrl.transforms.NavigationState` in a :class:`~uavrl.envs.NavigationEnv`; what somebody
-    else's perception or environment means, nobody here can say.
+    else's perception or environment means, nobody here can say. There is none either for a policy that was trained with
+    a map of its episode (``perception.memory``), which what flies a vehicle does not keep.
 
     Args:
         settings: the validated configuration of the run.
@@ -123,6 +125,8 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
         return None
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
+    if Waypoint in parts:
+        return None
     seen = parts.get(MovingObjects)
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))
     scaled, frames = parts[NavigationObservation], parts[CatFrames]
