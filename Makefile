@@ -55,8 +55,8 @@ demo: $(READY)
 test: $(DEV) lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=tests/check $(ARGS)
 
-# What needs processes, Ray, kills, a browser or more than some seconds.
-check: $(DEV)
+# What needs processes, Ray, kills, a browser, the built site or more than some seconds.
+check: $(DEV) $(DOCS)
 	$(BIN)/python -m pytest -n 2 --dist worksteal tests/check examples/walker/tests studies/tests $(ARGS)
 
 # What takes more than a minute by its nature.
@@ -73,8 +73,10 @@ lint: $(DEV)
 	$(BIN)/mypy
 
 # The site, in docs/_build/html; tutorials run once and again when they change. ARGS="-D nb_execution_mode=off" shows them without.
+# Then its pages are read for broken links and for what a screen reader misses.
 docs: $(DOCS)
 	$(BIN)/python -m sphinx -b html -W -n --keep-going -d docs/_build/trees $(ARGS) docs docs/_build/html
+	$(BIN)/python -m tools.check_site docs/_build/html
 	@echo "Open docs/_build/html/index.html in a browser."
 
 # Asks the network whether the pages that ours link to are there.

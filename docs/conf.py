@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
 from hyperparameters import tables as tables_of_keys  # noqa: E402
+from mend import with_lines_of_arguments, with_links_back, without_empty_headers  # noqa: E402
 from signatures import ranges_in_words, signature_of  # noqa: E402
 from tables import keep_together  # noqa: E402
 
@@ -34,13 +35,15 @@ extensions = [
     "sphinx_copybutton",
     "myst_nb",
 ]
-exclude_patterns = ["_build", "conf.py", "hyperparameters.py", "signatures.py", "tables.py", "tutorials/shell.py"]
+_OURS = ["conf.py", "hyperparameters.py", "mend.py", "signatures.py", "tables.py", "tutorials/shell.py"]
+exclude_patterns = ["_build", *_OURS]
 nitpicky = True
 suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
 
 html_theme = "furo"
 html_title = "uavrl"
 html_static_path = ["_static"]
+templates_path = ["_templates"]
 html_css_files = ["site.css"]
 html_js_files = ["site.js"]
 html_show_sphinx = False
@@ -161,6 +164,29 @@ def _drop_quotes_of_ranges(app: Sphinx, domain: str, kind: str, content: Element
             node.parent.replace(node, Text(node.astext().strip("'")))
 
 
+def _mend(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: object) -> None:
+    """Mends the HTML of a page before it is written."""
+    if "body" not in context:
+        return
+    context["body"] = with_lines_of_arguments(without_empty_headers(context["body"]))
+
+    def address(name: str) -> str | None:
+        found = app.env.domains.python_domain.objects.get(name)
+        return f"{app.builder.get_relative_uri(page, found.docname)}#{found.node_id}" if found else None
+
+    if page.startswith("_modules/"):
+        module = page.removeprefix("_modules/").replace("/", ".")
+        context["body"] = with_links_back(context["body"], module, address)
+
+
+def _list_no_module_without_code(app: Sphinx) -> list[tuple[str, dict[str, Any], str]]:
+    """Keeps ``builtins`` out of viewcode's list of modules, which has those without a page, too."""
+    modules = getattr(app.env, "_viewcode_modules", {})
+    for name in [name for name, entry in modules.items() if not entry]:
+        del modules[name]
+    return []
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("source-read", _stay_on_the_site)
@@ -169,3 +195,5 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-signature", _show_own_arguments)
     app.connect("object-description-transform", _drop_quotes_of_ranges)
     app.connect("missing-reference", _find_where_public, priority=600)
+    app.connect("html-page-context", _mend)
+    app.connect("html-collect-pages", _list_no_module_without_code, priority=400)

@@ -144,7 +144,7 @@ print("does the actor hear of LifeGuard?", loss.active)
 # few flights came. For each direction of full speed we ask for the risk of a crash. 0° is straight at the pillar; a step that turns
 # less than 49° from there touches it.
 
-# %%
+# %% mystnb={"image": {"alt": "The risk that LifeGuard sees by the direction of the action, at a place on the way to the goal and at one off it"}}
 room = Room()
 angles = torch.linspace(-np.pi, np.pi, 73)
 touches = angles.abs() < np.deg2rad(49)

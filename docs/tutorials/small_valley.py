@@ -50,7 +50,7 @@ third = len(flights) // 3
 for name, part in (("first", arrived[:third]), ("second", arrived[third : 2 * third]), ("last", arrived[2 * third :])):
     print(f"{name} third: {sum(part)} of {len(part)} flights arrived")
 
-# %%
+# %% mystnb={"image": {"alt": "Share of the last flights that arrived, over all flights of the training"}}
 window = max(len(arrived) // 5, 1)
 rate = [100 * sum(arrived[i - window : i]) / window for i in range(window, len(arrived) + 1)]
 plt.figure(figsize=(7, 3))
@@ -79,7 +79,7 @@ sh(f"uavrl-evaluate run={run} episodes={size('TASKS', 20)} progress=false")
 # %%
 sh(f"uavrl-replay run={run} task=0 output={folder / 'flight.html'} data={folder / 'flight.npz'} progress=false")
 
-# %%
+# %% mystnb={"image": {"alt": "The flight from above: obstacles grey, the way of the quadrotor from its start, the goal as a circle"}}
 recording = load_recording(folder / "flight.npz")
 flight = recording.flights[0]
 valley = recording.scenery(flight)
