@@ -42,5 +42,6 @@ def test_one_name_for_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert set(main.COMMANDS) == {"train", "evaluate", "replay", "report", "export", "scan", "fly", "sitl", "pretrain"}
     assert said("train", "--help").startswith("uavrl-train: Trains one policy")
     assert said("--version").split()[0] == "uavrl"
+    assert said("train", "--version") == said("--version")  # and not Hydra's
     assert said("trian", code=1) == "uavrl: There is no command 'trian': did you mean train?\n"
     assert "did you mean trainer.episodes?" in said("train", "trainer.epsodes=3", code=1)

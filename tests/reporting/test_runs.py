@@ -94,7 +94,11 @@ def test_rows_of_episodes_that_cannot_be_are_no_run_and_one_cut_off_does_not_cou
         assert reason(folder).startswith("episodes.csv cannot be read"), replace
     file.write_text(text[:-20])
     assert len(only(folder).episodes) == 2
-    assert "cannot be read" in reason(run_folder(tmp_path / "empty", ""))
+
+
+def test_a_run_without_an_episode_is_not_called_damaged(tmp_path: Path) -> None:
+    said = "episodes.csv has no episode yet: let the run train on, or leave the folder out."
+    assert reason(run_folder(tmp_path / "begun", "")) == said
 
 
 def test_a_run_is_called_by_its_choices_whatever_its_values_are(tmp_path: Path) -> None:

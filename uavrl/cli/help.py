@@ -136,8 +136,18 @@ def _table(rows: dict[str, str]) -> list[str]:
 
 
 def show(name: str) -> bool:
-    """Prints the help that the command line asks for; False where it asks for none."""
+    """Prints the help or the version that the command line asks for; False where it asks for neither."""
+    if sys.argv[1:2] == ["--version"]:
+        show_version()
+        return True
     asked = [argument for argument in sys.argv[1:] if argument in ("--help", "-h", "--help=all")]
     if asked:
         print(help_text(name, every_key=asked[0] == "--help=all"))
     return bool(asked)
+
+
+def show_version() -> None:
+    """Prints which uavrl this is."""
+    from importlib.metadata import version
+
+    print(f"uavrl {version('uavrl')}")

@@ -4,7 +4,7 @@ import sys
 from importlib import import_module
 
 from uavrl.cli.errors import command_process
-from uavrl.cli.help import ABOUT
+from uavrl.cli.help import ABOUT, show_version
 from uavrl.config.sentences import did_you_mean
 from uavrl.errors import UavrlError
 
@@ -19,9 +19,7 @@ def main() -> None:
 
 def _run(name: str, *rest: str) -> None:
     if name in ("--version", "-V"):
-        from importlib.metadata import version
-
-        print(f"uavrl {version('uavrl')}")
+        show_version()
     elif name in ("--help", "-h", "help"):
         print("uavrl: teaches a quadrotor to fly to a goal through a cluttered valley, seeing only by LiDAR.\n")
         print("\n".join(f"  uavrl {command:<10}{about}" for command, about in COMMANDS.items()))

@@ -26,6 +26,10 @@ _COPIED = ("policy", "training_steps", "path_efficiency", "median_clearance", "s
 T = TypeVar("T")
 
 
+class NoEpisodes(UavrlError):
+    """A run ended, or was asked for, before its first episode was over."""
+
+
 @dataclass(frozen=True)
 class Run:
     """One run folder.
@@ -145,6 +149,8 @@ def _read(path: Path, read: Callable[[Path], T]) -> T:
         raise UavrlError(f"{path.name} is missing: bring it back, or leave the folder out.")
     try:
         return read(path)
+    except NoEpisodes:
+        raise
     except OtherFormat as error:
         error.args = (str(error).replace(str(path), path.name),)
         raise
@@ -193,6 +199,8 @@ def _settings(config: dict[str, Any], choices: dict[str, str]) -> dict[str, Any]
 
 def _episodes(path: Path) -> list[Episode]:
     episodes = read_episodes(path)
+    if not episodes and path.stat().st_size:  # of a file with its header
+        raise NoEpisodes(f"{path.name} has no episode yet: let the run train on, or leave the folder out.")
     steps = [e.total_steps for e in episodes]
     grows = all(earlier < later for earlier, later in zip([0, *steps], [*steps, _MOST_STEPS], strict=True))
     if not (episodes and grows and all(isfinite(e.episode_return) for e in episodes)):
