@@ -103,3 +103,10 @@ def test_round_a_corner_the_waypoint_is_as_far_ahead_as_is_looked() -> None:
     assert not straight and way[point, 1] == pytest.approx(4.0, abs=0.5)
     later, _ = waypoint(way, np.array([0.0, 5.0]), NONE, ahead=4.0)
     assert later == len(way) - 1
+
+
+def test_it_forgets_what_is_far_also_where_nothing_is_seen() -> None:
+    known, east = EpisodeMap(reach=10.0), np.array([1.0, 0.0])
+    known.look(np.array([[1.0, 0.1]]), np.zeros(2), east)
+    known.look(NONE, np.array([12.0, 0.0]), east)
+    assert not len(known.occupied)

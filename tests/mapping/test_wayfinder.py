@@ -113,3 +113,18 @@ def test_led_by_it_a_vehicle_that_avoids_nothing_gets_out_of_a_dead_end() -> Non
     assert np.linalg.norm(goal - place[:2]) < 1
     assert flown[:, 0].min() < 0.0 and np.abs(flown[:, 1]).max() > 2.5  # out of its mouth, around an arm
     assert np.linalg.norm(flown[:, None] - points, axis=-1).min() > 0.1  # to keep off walls is the policy's part
+
+
+@pytest.mark.parametrize("broken", range(4))
+def test_one_that_does_not_know_itself_turns_nowhere_and_goes_on_afterwards(broken: int) -> None:
+    """Velocity, attitude, altitude or heading are no numbers for a while, also at the beginning."""
+    cloud = scanned(wall((2.0, 3.0), (2.0, -1.0)), np.zeros(3), STILL[0])
+    finder, whole = Wayfinder(1), [STILL, STILL, np.array([ALTITUDE]), np.zeros(1)]
+    torn = [value * np.nan if place == broken else value for place, value in enumerate(whole)]
+    for told in (torn, whole, torn):
+        turn = finder.look(cloud, *told)[0]
+        assert (turn == 0) == (told is torn)
+    for _ in range(EVERY + 1):
+        assert finder.look(cloud, *whole)[0] < 0
+    finder.reset(np.array([True]))
+    assert finder.look(cloud, *whole)[0] < 0

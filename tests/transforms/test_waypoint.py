@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Composite, ReplayBuffer, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv, check_env_specs
+from torchrl.envs import Compose, EnvBase, TransformedEnv, check_env_specs
 
 import uavrl
 from tests.helpers.commands import in_process
@@ -21,6 +21,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationState, Waypoint
+from uavrl.transforms.guidance import GUIDE_ACTION, Guidance
 
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
 
@@ -123,3 +124,19 @@ def test_a_trained_policy_can_be_given_a_memory(tmp_path: Path) -> None:
 def test_a_policy_that_reads_the_goal_itself_is_refused_a_memory(capsys: pytest.CaptureFixture[str]) -> None:
     assert in_process(evaluate_command.main, "policy=mppi", "perception.memory=12", "episodes=1") == 1
     assert "policy=mppi reads that to the goal itself: leave perception.memory out." in capsys.readouterr().err
+
+
+def test_a_scripted_controller_beside_the_policy_is_led_as_it_is() -> None:
+    env = TransformedEnv(BeforeAWall(), Compose(Waypoint(), Guidance(_heads, ["heading_deg"], 1)))
+    data = env.rollout(2)["next"]
+    assert torch.equal(data[GUIDE_ACTION], data["waypoint_deg"]) and not data["heading_deg"].any()
+
+
+def _heads(seen: TensorDictBase) -> TensorDictBase:
+    return seen.set("action", seen["heading_deg"])
+
+
+def test_a_policy_that_sees_motion_may_remember_farther_than_it_looked() -> None:
+    env = uavrl.load_policy("best_dynamic").make_env("perception.memory=20", "env.world.obstacles=5")
+    assert env.base_env._lidar_config.far_range == 20.0
+    env.close()

@@ -126,6 +126,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
         return None
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
     if Waypoint in parts:
+        log.warning("No contract.json is written: what flies a vehicle keeps no map of its episode, perception.memory.")
         return None
     seen = parts.get(MovingObjects)
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))

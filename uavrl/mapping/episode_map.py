@@ -51,8 +51,8 @@ class EpisodeMap:
             self._guess = place + GUESS * bearing
         if len(points):
             self.occupied = _distinct(np.concatenate([self.occupied, np.floor(points / self.cell).astype(np.int64)]))
-            near = np.abs((self.occupied + 0.5) * self.cell - place).max(1) < self.reach
-            self.occupied = self.occupied[near]
+        near = np.abs((self.occupied + 0.5) * self.cell - place).max(1) < self.reach
+        self.occupied = self.occupied[near]
 
     def middles(self) -> np.ndarray:
         """The middles of the cells in which something was seen, ``[K, 2]`` m since the episode's start."""

@@ -64,7 +64,7 @@ class Wayfinder:
         """Forgets all that some vehicles have seen, ``bool [N]``; their next scan is their first."""
         for one in np.flatnonzero(which).tolist():
             self._maps[one], self._ways[one] = EpisodeMap(self.cell, self.reach), None
-        self._ages[which] = 0
+        self._ages[which], self._places[which] = 0, 0.0
 
     def look(
         self,
@@ -77,7 +77,8 @@ class Wayfinder:
     ) -> np.ndarray:
         """Takes in another scan and returns how far off the goal's direction the way leads: ``[N]`` rad, left positive.
 
-        It is 0 where the way leads straight on to the goal, and where the map leaves none.
+        It is 0 where the way leads straight on to the goal, where the map leaves none, and for a vehicle whose pose or
+        velocity is not finite: it has not looked then, and its place stays where it was.
 
         Args:
             clouds: ``[N, P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
@@ -88,7 +89,8 @@ class Wayfinder:
             which: ``bool [N]``, which have a new scan; what is returned of the others is 0. None: all.
         """
         which = np.ones(len(self._ages), bool) if which is None else which
-        flown = np.where((self._ages > 0)[:, None], self.period * (velocities + self._velocities) / 2, -self._places)
+        which = which & np.isfinite(np.column_stack([velocities, attitudes, altitudes, headings])).all(1)
+        flown = np.where((self._ages > 0)[:, None], self.period * (velocities + self._velocities) / 2, 0.0)
         self._places[which] += flown[which]
         self._velocities[which] = velocities[which]
         turns, rotations = np.zeros(len(which)), body_to_world(attitudes)

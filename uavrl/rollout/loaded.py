@@ -56,7 +56,7 @@ class LoadedPolicy(TensorDictModuleBase):
 
         Args:
             *changes: as ``uavrl-evaluate`` takes them: ``"env=dynamic"``, ``"randomize=none"``,
-                ``"env.world.obstacles=90"``, ``"perception.lidar.range_noise=0.02"``, ``"perception.memory=40"``.
+                ``"env.world.obstacles=90"``, ``"perception.lidar.range_noise=0.02"``, ``"perception.memory=12"``.
             num_uavs: number of vehicles, the environment's batch size.
             valleys: seeds of the valleys, each built when a task needs it; by default 100, which no packaged policy
                 was trained in.

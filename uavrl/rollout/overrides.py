@@ -39,6 +39,8 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     for key in keys:
         if key.startswith(("env.", *OF_SENSOR)):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
+    if "perception.memory" in keys and "perception.lidar.far_range" not in keys and "lidar" in result.perception:
+        result.perception.lidar.far_range = None  # as far as perception now looks, whatever the run wrote down
     return result
 
 

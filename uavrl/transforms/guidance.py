@@ -14,7 +14,7 @@ Acts = Callable[[TensorDictBase], TensorDictBase]
 
 
 class Guidance(Transform):
-    """Writes what a scripted controller would do beside each observation.
+    """Writes what a scripted controller would do beside each observation, led as the policy is.
 
     Args:
         guide: writes ``action`` into a TensorDict with the environment's observations.
@@ -27,7 +27,7 @@ class Guidance(Transform):
         self.guide, self.actions = guide, actions
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set(GUIDE_ACTION, self.guide(next_tensordict.copy())["action"])
+        return next_tensordict.set(GUIDE_ACTION, self.guide(led(next_tensordict.copy()))["action"])
 
     forward = _call
 
@@ -39,6 +39,12 @@ class Guidance(Transform):
         assert isinstance(observation_spec, Composite)
         observation_spec[GUIDE_ACTION] = Unbounded((*observation_spec.shape, self.actions))
         return observation_spec
+
+
+def led(seen: TensorDictBase) -> TensorDictBase:
+    """Puts the heading to the :class:`~uavrl.transforms.Waypoint`, where there is one, in place of that to the goal."""
+    waypoint = seen.get("waypoint_deg", None)
+    return seen if waypoint is None else seen.set("heading_deg", waypoint)
 
 
 class GuidedEnv(TransformedEnv):

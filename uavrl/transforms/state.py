@@ -86,7 +86,7 @@ class NavigationState(Compose):
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
         motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
-        memory: Annotated[float, Field(gt=0, le=100)] | None = None,
+        memory: Annotated[float, Field(gt=0, le=40)] | None = None,
     ) -> None:
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")

@@ -19,14 +19,16 @@ class Waypoint(Transform):
     """Writes the heading to the next point of the quickest way to the goal, through all that was seen in the episode.
 
     See :class:`uavrl.mapping.Wayfinder` for how. Read in place of the heading to the goal it gives any policy a memory:
-    one that only avoids what it sees then finds out of dead ends. Where nothing known is in the way, both are the same.
-    It needs what an autopilot knows of itself, velocity and attitude. Ways are found while episodes run, on the CPU,
-    and not in stored data.
+    one that only avoids what it sees then finds out of dead ends. Where nothing known stands within a metre of the
+    straight line to the goal, both are the same; how far the goal is it only guesses at first, so what stands behind
+    it may turn the heading, too. It needs what an autopilot knows of itself, velocity and attitude. Ways are found
+    while episodes run, on the CPU, and not in stored data.
 
     Args:
         sight: how far returns count, m.
         reach: m from the vehicle, beyond which it forgets.
         flight_level: m, the altitude of the map.
+        period: time between two scans, s.
         in_keys: point clouds ``[*B, P, 3]`` (m, sensor frame), velocities ``[*B, 3]`` (m/s, world axes), attitudes
             ``[*B, 3]`` (roll, pitch and yaw in rad), altitudes ``[*B, 1]`` (m) and headings ``[*B, 1]`` (to the goal,
             left positive, degrees).
@@ -52,6 +54,7 @@ class Waypoint(Transform):
         reach: Annotated[float, Field(ge=5, le=100)] = 40.0,
         flight_level: Positive = 3.5,
         *,
+        period: Positive = 0.1,
         in_keys: Sequence[NestedKey] = ("point_cloud", "velocity", "attitude", "altitude", "heading_deg"),
         out_keys: Sequence[NestedKey] = ("waypoint_deg",),
     ) -> None:
@@ -61,7 +64,7 @@ class Waypoint(Transform):
                 f"{list(in_keys)} and {list(out_keys)}."
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
-        self.sight, self.reach, self.flight_level = sight, reach, flight_level
+        self.sight, self.reach, self.flight_level, self.period = sight, reach, flight_level, period
         self._finder: Wayfinder | None = None
         self._last = np.zeros(0)  # rad, of each vehicle, off its goal's direction
 
@@ -88,7 +91,7 @@ class Waypoint(Transform):
         velocity, attitude = (each.reshape(count, 3).double().numpy() for each in told[1:3])
         altitude, heading = (each.reshape(count).double().numpy() for each in told[3:])
         if self._finder is None or len(self._last) != count:
-            self._finder = Wayfinder(count, self.sight, self.reach, self.flight_level)
+            self._finder = Wayfinder(count, self.sight, self.reach, self.flight_level, period=self.period)
             self._last = np.zeros(count)
         which = np.broadcast_to(True if fresh is None else fresh, count)
         if fresh is not None:
@@ -97,7 +100,8 @@ class Waypoint(Transform):
         self._last[which] = turns[which]
         straight = data.get(self.in_keys[-1])
         turned = torch.from_numpy(np.rad2deg(self._last)).to(straight).reshape(straight.shape)
-        return data.set(self.out_keys[0], torch.where(turned == 0, straight, (straight + turned).remainder(360)))
+        around = (straight + turned).remainder(360).remainder(360)  # of -1e-6 the first makes 360 in float32
+        return data.set(self.out_keys[0], torch.where(turned == 0, straight, around))
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the spec of the headings."""
