@@ -37,7 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_each_page_with_python_is_run_here() -> None:
     assert {page for page in PAGES if blocks(page, "python")} == {
-        *("gpu", "lidar", "moving_obstacles", "onnx", "shield", "vehicle")
+        *("gpu", "lidar", "memory", "moving_obstacles", "onnx", "shield", "vehicle")
     }
 
 
@@ -70,6 +70,12 @@ def test_moving_obstacles(run: Any) -> None:
     names = run("moving_obstacles")
     assert names["env"].plane_poses().shape == (5, 4) and names["env"].plane_paths(10).shape == (10, 5, 4)
     names["env"].close()
+
+
+def test_a_memory(run: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    env = run("memory")["env"]
+    assert env.rollout(2)["next", "waypoint_deg"].shape == (1, 2, 1)
+    assert "tensor([[" in capsys.readouterr().out
 
 
 def test_a_shield(run: Any) -> None:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
 from uavrl.mapping.lines import Obstacles
 
@@ -40,6 +37,11 @@ def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float
         >>> bool(way[:, 1].min() < -1.0), bool(way[:, 1].max() < 0.5)
         (True, True)
     """
+    # here, since what learns imports the transforms and needs no SciPy
+    from scipy.ndimage import distance_transform_edt
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
     ends = np.floor(np.stack([start, goal]) / cell).astype(np.int64)
     known = np.concatenate([occupied, ends])
     low = known.min(0) - round(EDGE / cell)
