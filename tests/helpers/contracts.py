@@ -15,6 +15,8 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.envs import Compose, EnvBase, SerialEnv, Transform, TransformedEnv, check_env_specs
 from torchrl.objectives import SoftUpdate, ValueEstimators
 
+from uavrl.errors import UavrlError
+
 NESTINGS: dict[str, Callable[[Callable[[], EnvBase], Callable[[], Transform]], EnvBase]] = {
     "single": lambda env, transform: TransformedEnv(env(), transform()),
     "composed": lambda env, transform: TransformedEnv(env(), Compose(transform())),
@@ -90,6 +92,24 @@ class TransformContract:
 def _seeded(contract: type[LossContract], settings: tuple[tuple[str, object], ...]) -> torch.nn.Module:
     torch.manual_seed(0)
     return contract().make_loss(**dict(settings))
+
+
+class ThroughTimeContract(TransformContract):
+    """Of a transform that follows scans through time."""
+
+    def apply(self, transform: Transform, data: TensorDictBase) -> torch.Tensor:
+        """As an environment would."""
+        return transform._call(data)[transform.out_keys[0]]
+
+    def test_as_a_module_in_a_model(self) -> None:
+        with pytest.raises(UavrlError, match="append it to an environment"):
+            torch.nn.Sequential(self.make_transform())(self.make_data(4))
+
+    def test_in_a_replay_buffer(self) -> None:
+        buffer = ReplayBuffer(batch_size=4, transform=self.make_transform())
+        with pytest.raises(UavrlError, match="follows scans through time"):
+            buffer.extend(self.make_data(8))
+            buffer.sample()
 
 
 class LossContract:

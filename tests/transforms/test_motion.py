@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.data import ReplayBuffer
 from torchrl.envs import TransformedEnv, check_env_specs
 
-from tests.helpers.contracts import TransformContract
+from tests.helpers.contracts import ThroughTimeContract
 from tests.helpers.flights import small_env
 from tests.helpers.moving import BODY, ScanEnv, Vehicle, straight, valley
 from uavrl.config import compose, validate_run
@@ -95,7 +94,7 @@ def test_a_scan_whose_other_rays_are_cut_shows_the_same_objects() -> None:
     assert np.array_equal(Vehicle().seen(full, way), Vehicle().seen(cut, way))
 
 
-class TestMovingObjects(TransformContract):
+class TestMovingObjects(ThroughTimeContract):
     def make_transform(self) -> MovingObjects:
         return MovingObjects()
 
@@ -108,20 +107,6 @@ class TestMovingObjects(TransformContract):
         return TensorDict(
             {"point_cloud": cloud, "velocity": torch.zeros(*batch, 3), "attitude": torch.zeros(*batch, 3)}, batch
         )
-
-    def apply(self, transform: MovingObjects, data: TensorDict) -> torch.Tensor:
-        """As an environment would."""
-        return transform._call(data)["moving_objects"]
-
-    def test_as_a_module_in_a_model(self) -> None:
-        with pytest.raises(UavrlError, match="append it to an environment"):
-            torch.nn.Sequential(self.make_transform())(self.make_data(4))
-
-    def test_in_a_replay_buffer(self) -> None:
-        buffer = ReplayBuffer(batch_size=4, transform=self.make_transform())
-        with pytest.raises(UavrlError, match="follows scans through time"):
-            buffer.extend(self.make_data(8))
-            buffer.sample()
 
     def test_objects_are_reported_and_a_reset_forgets_those_of_one_vehicle_alone(self) -> None:
         env = TransformedEnv(ScanEnv(), MovingObjects())

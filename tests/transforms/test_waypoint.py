@@ -9,17 +9,22 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Composite, ReplayBuffer, Unbounded
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import Compose, EnvBase, TransformedEnv, check_env_specs
 
 import uavrl
 from tests.helpers.commands import in_process
-from tests.helpers.contracts import TransformContract
+from tests.helpers.contracts import ThroughTimeContract
 from tests.helpers.flights import small_env
 from uavrl.cli import evaluate as evaluate_command
+from uavrl.config import compose, validate
+from uavrl.config.settings import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.errors import UavrlError
+from uavrl.rollout.led import Led
+from uavrl.rollout.overrides import with_overrides
+from uavrl.rollout.policies import choose
 from uavrl.transforms import NavigationState, Waypoint
 from uavrl.transforms.guidance import GUIDE_ACTION, Guidance
 
@@ -53,7 +58,7 @@ class BeforeAWall(EnvBase):
         pass
 
 
-class TestWaypoint(TransformContract):
+class TestWaypoint(ThroughTimeContract):
     def make_transform(self) -> Waypoint:
         return Waypoint()
 
@@ -66,20 +71,6 @@ class TestWaypoint(TransformContract):
         told = {"velocity": torch.zeros(*batch, 3), "attitude": torch.zeros(*batch, 3)}
         told |= {"altitude": torch.full((*batch, 1), 3.5), "heading_deg": torch.full((*batch, 1), 200.0)}
         return TensorDict({"point_cloud": cloud, **told}, batch)
-
-    def apply(self, transform: Waypoint, data: TensorDict) -> torch.Tensor:
-        """As an environment would."""
-        return transform._call(data)["waypoint_deg"]
-
-    def test_as_a_module_in_a_model(self) -> None:
-        with pytest.raises(UavrlError, match="append it to an environment"):
-            torch.nn.Sequential(self.make_transform())(self.make_data(4))
-
-    def test_in_a_replay_buffer(self) -> None:
-        buffer = ReplayBuffer(batch_size=4, transform=self.make_transform())
-        with pytest.raises(UavrlError, match="follows scans through time"):
-            buffer.extend(self.make_data(8))
-            buffer.sample()
 
     def test_five_keys_lead_to_one(self) -> None:
         with pytest.raises(ValueError, match="five in_keys"):
@@ -121,9 +112,27 @@ def test_a_trained_policy_can_be_given_a_memory(tmp_path: Path) -> None:
     assert {"waypoint_deg", "heading_deg"} <= set(env.reset().keys())
 
 
-def test_a_policy_that_reads_the_goal_itself_is_refused_a_memory(capsys: pytest.CaptureFixture[str]) -> None:
-    assert in_process(evaluate_command.main, "policy=mppi", "perception.memory=12", "episodes=1") == 1
-    assert "policy=mppi reads that to the goal itself: leave perception.memory out." in capsys.readouterr().err
+@pytest.mark.parametrize("policy", ["vfh", "mppi"])
+def test_a_policy_that_reads_the_goal_itself_is_shown_the_waypoint(policy: str) -> None:
+    chosen = [f"policy={policy}", "perception=range_image", "perception.memory=12"]
+    config = compose(*chosen, name="evaluate")
+    setup = choose(validate(config, EvaluateConfig), config, chosen, None, torch.device("cpu"))
+    assert isinstance(setup.policy, Led) and {"waypoint_deg", "heading_deg"} <= set(setup.policy.in_keys)
+
+
+def test_a_memory_for_somebody_elses_perception_is_refused() -> None:
+    run = compose("perception=none")
+    composed = compose("perception.memory=12", name="evaluate")
+    with pytest.raises(UavrlError, match=r"the policy's perception is none: leave perception\.memory out"):
+        with_overrides(run, composed, ["perception.memory=12"])
+
+
+@pytest.mark.parametrize(("stored", "given", "reaches"), [(12, 20, None), (30, 20, 30), (None, 20, None)])
+def test_a_run_that_looked_farther_keeps_its_sensor(stored: float | None, given: float, reaches: float | None) -> None:
+    run = compose(f"perception.lidar.far_range={'null' if stored is None else stored}")
+    told = f"perception.memory={given}"
+    changed = with_overrides(run, compose(told, name="evaluate"), [told])
+    assert changed.perception.lidar.far_range == reaches
 
 
 def test_a_scripted_controller_beside_the_policy_is_led_as_it_is() -> None:

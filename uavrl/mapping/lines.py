@@ -6,7 +6,7 @@ import numpy as np
 
 
 def clearances(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """How near each of ``points [P, 3]`` is to each straight line from ``starts [S, 3]`` to ``ends``: ``[S, P]`` m.
+    """How near each of ``points [P, D]`` is to each straight line from ``starts [S, D]`` to ``ends``: ``[S, P]`` m.
 
     Examples:
         >>> clearances(np.array([[1.0, 0.5, 0.0], [3.0, 0.0, 0.0]]), np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]]))
@@ -20,13 +20,13 @@ def clearances(points: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.n
 
 
 class Obstacles:
-    """What stands around one vehicle, in heights that are stretched until the hull is as high as wide.
+    """What stands around one vehicle, on a plane or in space, where the hull is a ball.
 
     What is already nearer to ``start`` than is kept is not to come nearer, so that a way out is found.
 
     Args:
-        points: ``[P, 3]``, m.
-        start: where ways begin, ``[3]`` m.
+        points: ``[P, D]``, m.
+        start: where ways begin, ``[D]`` m.
         kept: between the hull's middle and a point, m.
     """
 
@@ -35,5 +35,5 @@ class Obstacles:
         self.kept = np.minimum(kept, 0.99 * np.sqrt(((points - start) ** 2).sum(1)))
 
     def free(self, starts: np.ndarray, ends: np.ndarray, share: float = 1.0) -> np.ndarray:
-        """Which straight lines ``[S, 3]`` keep so great a share of the distance to all: ``bool [S]``."""
+        """Which straight lines ``[S, D]`` keep so great a share of the distance to all: ``bool [S]``."""
         return (clearances(self.points, starts, ends) > share * self.kept).all(1)

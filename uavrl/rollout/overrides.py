@@ -36,12 +36,26 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
         require_valley(result.env, result.choices, "randomize")
         result.env.randomize = composed.env.randomize
     require_sensor_alone(keys, ("perception", "reward"), "run")
+    if "perception.memory" in keys:
+        _require_room_for_memory(result)
     for key in keys:
         if key.startswith(("env.", *OF_SENSOR)):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
-    if "perception.memory" in keys and "perception.lidar.far_range" not in keys and "lidar" in result.perception:
-        result.perception.lidar.far_range = None  # as far as perception now looks, whatever the run wrote down
+    if "perception.memory" in keys and "perception.lidar.far_range" not in keys:
+        lidar, memory = result.perception.lidar, result.perception.memory or 0.0
+        if (lidar.get("far_range") or memory) < memory:
+            lidar.far_range = None  # what the run wrote down is too near: as far as perception looks
     return result
+
+
+def _require_room_for_memory(run: DictConfig) -> None:
+    """Refuses to lead a policy whose perception has no memory."""
+    target = run.perception[TARGET]
+    if not target or "memory" not in arguments(find_class(str(target), object, run.packages)):
+        raise UavrlError(
+            f"perception.memory leads what reads uavrl's own observation, and the policy's perception is "
+            f"{run.choices.perception}: leave perception.memory out."
+        )
 
 
 def require_sensor_alone(keys: Iterable[str], groups: Collection[str], owner: str) -> None:

@@ -79,17 +79,17 @@ def choose(
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
-    _require_led(chosen)
+    chosen = _led(chosen)
     return _shielded(chosen) if settings.shield else chosen
 
 
-def _require_led(chosen: PolicySetup) -> None:
-    """Refuses to lead a policy along a remembered way that reads the goal's direction itself."""
-    if chosen.perception.get("memory") is not None and "heading_deg" in getattr(chosen.policy, "in_keys", ()):
-        raise UavrlError(
-            f"perception.memory changes the heading in an observation, and policy={chosen.source.get('policy')} reads "
-            f"that to the goal itself: leave perception.memory out."
-        )
+def _led(chosen: PolicySetup) -> PolicySetup:
+    """The same along the way that its perception remembers; what reads the observation alone is led by that."""
+    if chosen.perception.get("memory") is None or "heading_deg" not in getattr(chosen.policy, "in_keys", ()):
+        return chosen
+    from uavrl.rollout.led import Led
+
+    return replace(chosen, policy=Led(chosen.policy))
 
 
 def _shielded(chosen: PolicySetup) -> PolicySetup:

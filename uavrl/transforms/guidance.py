@@ -8,6 +8,8 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Transform
 
+from uavrl.transforms.waypoint import heading_to_waypoint
+
 GUIDE_ACTION = "guide_action"
 
 Acts = Callable[[TensorDictBase], TensorDictBase]
@@ -27,7 +29,7 @@ class Guidance(Transform):
         self.guide, self.actions = guide, actions
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set(GUIDE_ACTION, self.guide(led(next_tensordict.copy()))["action"])
+        return next_tensordict.set(GUIDE_ACTION, self.guide(heading_to_waypoint(next_tensordict.copy()))["action"])
 
     forward = _call
 
@@ -39,12 +41,6 @@ class Guidance(Transform):
         assert isinstance(observation_spec, Composite)
         observation_spec[GUIDE_ACTION] = Unbounded((*observation_spec.shape, self.actions))
         return observation_spec
-
-
-def led(seen: TensorDictBase) -> TensorDictBase:
-    """Puts the heading to the :class:`~uavrl.transforms.Waypoint`, where there is one, in place of that to the goal."""
-    waypoint = seen.get("waypoint_deg", None)
-    return seen if waypoint is None else seen.set("heading_deg", waypoint)
 
 
 class GuidedEnv(TransformedEnv):

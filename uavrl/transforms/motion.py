@@ -8,16 +8,15 @@ import torch
 from pydantic import Field
 from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
-from torchrl.envs.transforms import Transform
 
 from uavrl.cells import LASERS
-from uavrl.errors import UavrlError
 from uavrl.motion import OBJECT, MotionSight
+from uavrl.transforms.through_time import ThroughTime
 
 __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
 
 
-class MovingObjects(Transform):
+class MovingObjects(ThroughTime):
     """Writes where the nearest moving objects are and how they fly, by what the last scans saw through.
 
     See :class:`MotionSight` for how. It needs what an autopilot knows of itself: velocity and attitude. The objects are
@@ -46,7 +45,7 @@ class MovingObjects(Transform):
         torch.Size([2, 3, 21])
     """
 
-    invertible = False
+    alone = "MotionSight"
 
     def __init__(
         self,
@@ -70,25 +69,10 @@ class MovingObjects(Transform):
         self._sight: MotionSight | None = None
         self._last = np.zeros((0, objects, len(OBJECT)), np.float32)
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Refuses: stored data does not say which scan follows which."""
-        raise UavrlError(
-            "MovingObjects follows scans through time: append it to an environment, or give the scans of one sensor "
-            "after another to a MotionSight."
-        )
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._look(next_tensordict, None)
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        return self._look(tensordict_reset, True if mask is None else mask.reshape(-1).cpu().numpy())
-
-    def _look(self, data: TensorDictBase, fresh: np.ndarray | bool | None) -> TensorDictBase:
-        """Lets all sensors look, or those alone whose episodes begin; the others keep what they have seen."""
+    def look(self, data: TensorDictBase, count: int, which: np.ndarray, begins: bool) -> TensorDictBase:
+        """Writes the objects that each sensor sees."""
         cloud, velocity, attitude = (data.get(key) for key in self.in_keys)
         batch = cloud.shape[:-2]
-        count = batch.numel()
         if self._sight is None or len(self._last) != count:
             self._sight = MotionSight(count, self.max_range, self.objects, self.period)
             self._last = np.zeros((count, self.objects, len(OBJECT)), np.float32)
@@ -96,8 +80,7 @@ class MovingObjects(Transform):
         if self.every > 1:
             points = points.unflatten(-2, (-1, LASERS))[:, :: self.every].flatten(1, 2)
         speeds, angles = (values.detach().reshape(count, 3).cpu().double().numpy() for values in (velocity, attitude))
-        which = np.broadcast_to(True if fresh is None else fresh, count)
-        if fresh is not None:
+        if begins:
             self._sight.reset(which)
         self._last[which] = self._sight.look(points.cpu().numpy(), speeds, angles, which)[which]
         seen = torch.from_numpy(self._last.reshape(*batch, -1).copy())

@@ -8,14 +8,13 @@ import torch
 from pydantic import Field
 from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
-from torchrl.envs.transforms import Transform
 
-from uavrl.errors import UavrlError
 from uavrl.mapping import Wayfinder
 from uavrl.ranges import Positive
+from uavrl.transforms.through_time import ThroughTime
 
 
-class Waypoint(Transform):
+class Waypoint(ThroughTime):
     """Writes the heading to the next point of the quickest way to the goal, through all that was seen in the episode.
 
     See :class:`uavrl.mapping.Wayfinder` for how. Read in place of the heading to the goal it gives any policy a memory:
@@ -46,7 +45,7 @@ class Waypoint(Transform):
         torch.Size([2, 3, 1])
     """
 
-    invertible = False
+    alone = "Wayfinder"
 
     def __init__(
         self,
@@ -68,36 +67,18 @@ class Waypoint(Transform):
         self._finder: Wayfinder | None = None
         self._last = np.zeros(0)  # rad, of each vehicle, off its goal's direction
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Refuses: stored data does not say which scan follows which."""
-        raise UavrlError(
-            "Waypoint follows scans through time: append it to an environment, or give the scans of one vehicle after "
-            "another to a Wayfinder."
-        )
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._look(next_tensordict, None)
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        return self._look(tensordict_reset, True if mask is None else mask.reshape(-1).cpu().numpy())
-
-    def _look(self, data: TensorDictBase, fresh: np.ndarray | bool | None) -> TensorDictBase:
-        """Lets all vehicles look, or those alone whose episodes begin; the others keep the way that they have."""
-        told = [data.get(key).detach().cpu() for key in self.in_keys]
-        batch = told[0].shape[:-2]
-        count = batch.numel()
-        cloud = told[0].reshape(count, *told[0].shape[-2:]).numpy()
-        velocity, attitude = (each.reshape(count, 3).double().numpy() for each in told[1:3])
-        altitude, heading = (each.reshape(count).double().numpy() for each in told[3:])
+    def look(self, data: TensorDictBase, count: int, which: np.ndarray, begins: bool) -> TensorDictBase:
+        """Writes the headings to the waypoints."""
+        cloud, *told = (data.get(key).detach().cpu() for key in self.in_keys)
+        velocity, attitude = (each.reshape(count, 3).double().numpy() for each in told[:2])
+        altitude, heading = (each.reshape(count).double().numpy() for each in told[2:])
         if self._finder is None or len(self._last) != count:
             self._finder = Wayfinder(count, self.sight, self.reach, self.flight_level, period=self.period)
             self._last = np.zeros(count)
-        which = np.broadcast_to(True if fresh is None else fresh, count)
-        if fresh is not None:
+        if begins:
             self._finder.reset(which)
-        turns = self._finder.look(cloud, velocity, attitude, altitude, np.deg2rad(heading), which)
-        self._last[which] = turns[which]
+        points = cloud.reshape(count, *cloud.shape[-2:]).numpy()
+        self._last[which] = self._finder.look(points, velocity, attitude, altitude, np.deg2rad(heading), which)[which]
         straight = data.get(self.in_keys[-1])
         turned = torch.from_numpy(np.rad2deg(self._last)).to(straight).reshape(straight.shape)
         around = (straight + turned).remainder(360).remainder(360)  # of -1e-6 the first makes 360 in float32
@@ -109,3 +90,9 @@ class Waypoint(Transform):
         heading = observation_spec[self.in_keys[-1]]
         observation_spec[self.out_keys[0]] = Unbounded(heading.shape, heading.device, heading.dtype)
         return observation_spec
+
+
+def heading_to_waypoint(seen: TensorDictBase) -> TensorDictBase:
+    """Puts the heading to the waypoint, where there is one, in place of that to the goal, into what a policy reads."""
+    waypoint = seen.get("waypoint_deg", None)
+    return seen if waypoint is None else seen.set("heading_deg", waypoint)

@@ -1,0 +1,45 @@
+"""What transforms have in common that follow scans through time."""
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from tensordict import TensorDictBase
+from torchrl.envs.transforms import Transform
+
+from uavrl.errors import UavrlError
+
+
+class ThroughTime(Transform):
+    """Sees each sensor's scans one after another while episodes run; ``look`` says what it makes of them."""
+
+    invertible = False
+    alone: ClassVar[str]  # what does the same for scans without an environment
+
+    @abstractmethod
+    def look(self, data: TensorDictBase, count: int, which: np.ndarray, begins: bool) -> TensorDictBase:
+        """Writes what is seen into ``data`` of ``count`` sensors.
+
+        Args:
+            data: the observations; ``in_keys[0]`` is the clouds, ``[*B, P, 3]``.
+            count: of all sensors.
+            which: ``bool [count]``, which have a new scan; of the others the last output stays.
+            begins: whether the episodes of these begin.
+        """
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Refuses: stored data does not say which scan follows which."""
+        raise UavrlError(
+            f"{type(self).__name__} follows scans through time: append it to an environment, or give the scans of one "
+            f"sensor after another to a {self.alone}."
+        )
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        count = next_tensordict.get(self.in_keys[0]).shape[:-2].numel()
+        return self.look(next_tensordict, count, np.ones(count, bool), begins=False)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        count = tensordict_reset.get(self.in_keys[0]).shape[:-2].numel()
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        which = np.ones(count, bool) if mask is None else mask.reshape(-1).cpu().numpy()
+        return self.look(tensordict_reset, count, which, begins=True)
