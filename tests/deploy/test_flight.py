@@ -26,6 +26,7 @@ from uavrl.deploy.stages import FlightCycle
 from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
+from uavrl.mapping import Navigator
 from uavrl.shield import Shield
 
 GOAL = (20.0, 0.0, 2.5)
@@ -113,6 +114,21 @@ def test_a_shield_slows_the_policy_before_what_the_scan_shows_near() -> None:
     assert flown[0] < 0.6 and flown[3] == 0.25
     free = rig.scan(np.full((1, 3), np.nan)).action
     assert free is not None and free.tolist() == [1.0, 0.5, 0.0, 0.25]
+
+
+def test_with_a_memory_the_policy_reads_the_heading_to_the_way_around_what_was_seen() -> None:
+    """A wall of 4 m stands 2 m ahead; the goal is 20 m ahead, and once the wall is out of sight it is remembered."""
+    wall = np.stack(np.broadcast_arrays(2.0, np.linspace(-1.0, 3.0, 40), -0.1), -1)
+    rig, without = Rig(memory=Navigator()), Rig()
+    for each in (rig, without):
+        each.link.pose = lambda now=each: Pose(now.now, (0.0, 0.0, 3.5), (0.0, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
+        each.scan(wall)
+        each.airborne()
+        each.scan(np.full((1, 3), np.nan))
+    heading = rig.policy.seen[-1][2]
+    assert 290.0 < heading < 340.0, "to the right of the wall"
+    assert without.policy.seen[-1][2] == 0.0
+    assert rig.policy.seen[-1][3] == without.policy.seen[-1][3], "the elevation is the goal's"
 
 
 def test_a_shield_without_the_vehicles_velocity_lets_nothing_pass(caplog: pytest.LogCaptureFixture) -> None:

@@ -61,7 +61,7 @@ def same(found: FlightCycle, written: FlightCycle) -> None:
         assert (found.pose.position, found.pose.velocity) == (written.pose.position, written.pose.velocity)
         for angle in ("yaw", "roll", "pitch"):
             assert getattr(found.pose, angle) == pytest.approx(getattr(written.pose, angle), abs=1e-12)
-    for name in ("distance", "control", "status", "latency", "arrived"):
+    for name in ("distance", "control", "status", "latency", "arrived", "turn"):
         assert getattr(found, name) == getattr(written, name), name
 
 

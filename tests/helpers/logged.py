@@ -74,6 +74,7 @@ def cycles(count: int = 60) -> Iterator[FlightCycle]:
             status=layer.step(Cycle(now, action, scanned, *known, control.control is Control.IN_CONTROL)),
             latency=None if scan is None else 0.012,
             arrived=number >= 50,
+            turn=None if scan is None else -0.01 * number,
         )
 
 

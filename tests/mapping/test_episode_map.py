@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl.mapping import EpisodeMap
+from uavrl.mapping import EpisodeMap, GoalFinder
 from uavrl.mapping.route import HULL, SEEN_AROUND, route, waypoint
 
 CELL = 0.25
@@ -58,20 +58,19 @@ def test_closed_in_there_is_no_way() -> None:
 
 
 def test_the_goal_is_where_its_directions_meet_and_before_that_far_ahead() -> None:
-    known = EpisodeMap()
-    known.look(NONE, np.zeros(2), np.array([1.0, 0.0]))
-    assert known.goal() == pytest.approx([15.0, 0.0])
+    finder = GoalFinder()
+    assert finder.look(np.zeros(2), np.array([1.0, 0.0])) == pytest.approx([15.0, 0.0])
     for left in np.linspace(0, 4, 40):
         place = np.array([0.0, left])
-        known.look(NONE, place, (GOAL - place) / np.linalg.norm(GOAL - place))
-    assert known.goal() == pytest.approx(GOAL, abs=0.2)
+        found = finder.look(place, (GOAL - place) / np.linalg.norm(GOAL - place))
+    assert found == pytest.approx(GOAL, abs=0.2)
 
 
 def test_what_is_farther_than_its_reach_is_forgotten() -> None:
-    known, east = EpisodeMap(reach=10.0), np.array([1.0, 0.0])
-    known.look(np.array([[1.0, 0.1], [1.1, 0.2], [5.0, 0.0]]), np.zeros(2), east)
+    known = EpisodeMap(reach=10.0)
+    known.look(np.array([[1.0, 0.1], [1.1, 0.2], [5.0, 0.0]]), np.zeros(2))
     assert known.occupied.tolist() == [[4, 0], [20, 0]]
-    known.look(np.array([[13.0, 0.0]]), np.array([12.0, 0.0]), east)
+    known.look(np.array([[13.0, 0.0]]), np.array([12.0, 0.0]))
     assert known.occupied.tolist() == [[20, 0], [52, 0]]
 
 
@@ -81,10 +80,10 @@ def test_a_start_and_a_goal_in_one_cell_are_the_way() -> None:
 
 
 def test_a_cell_is_entered_once_whatever_its_signs() -> None:
-    known, east = EpisodeMap(), np.array([1.0, 0.0])
+    known = EpisodeMap()
     points = np.array([[-3.1, -0.1], [-3.1, 0.1], [3.1, -0.1], [0.1, 0.1]])
     for _ in range(2):
-        known.look(points, np.zeros(2), east)
+        known.look(points, np.zeros(2))
     assert known.occupied.tolist() == [[-13, -1], [-13, 0], [0, 0], [12, -1]]
     np.testing.assert_allclose(np.abs(known.middles()[:, 1]), CELL / 2)
 
@@ -106,7 +105,7 @@ def test_round_a_corner_the_waypoint_is_as_far_ahead_as_is_looked() -> None:
 
 
 def test_it_forgets_what_is_far_also_where_nothing_is_seen() -> None:
-    known, east = EpisodeMap(reach=10.0), np.array([1.0, 0.0])
-    known.look(np.array([[1.0, 0.1]]), np.zeros(2), east)
-    known.look(NONE, np.array([12.0, 0.0]), east)
+    known = EpisodeMap(reach=10.0)
+    known.look(np.array([[1.0, 0.1]]), np.zeros(2))
+    known.look(NONE, np.array([12.0, 0.0]))
     assert not len(known.occupied)

@@ -7,7 +7,7 @@ import pytest
 
 from uavrl.attitude import body_to_world
 from uavrl.mapping import Wayfinder
-from uavrl.mapping.wayfinder import EVERY, LIDAR_ABOVE
+from uavrl.mapping.navigator import EVERY, LIDAR_ABOVE
 
 ALTITUDE = 3.5
 STILL = np.zeros((1, 3))

@@ -90,4 +90,5 @@ def test_the_map_does_not_turn_with_the_vehicle() -> None:
     rival(seen(scan(grid(2.0, (-0.9, 0.9))), fresh=True, attitude=torch.tensor([[0.0, 0.0, np.pi / 2]])))
     places = (rival._maps[0].occupied + 0.5) * CELL
     assert np.abs(places[:, 1] - 2.0).max() < 0.2 and len(places) > 4
-    assert rival._maps[0].goal() == pytest.approx([0.0, 15.0], abs=1e-3)
+    goal = rival._goals[0].look(np.zeros(2), np.array([0.0, 1.0]))
+    assert goal == pytest.approx([0.0, 15.0], abs=1e-3)

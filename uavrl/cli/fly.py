@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import numpy as np
 from omegaconf import DictConfig
@@ -36,11 +36,13 @@ from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.stages import FlightCycle, VehicleLink
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import Stopped, UavrlError
+from uavrl.mapping import Navigator
 from uavrl.ranges import Folder, NonNegative, Positive, Text
 from uavrl.runs.files import replacing, writable
 from uavrl.shield import Shield
 
 if TYPE_CHECKING:
+    from uavrl.deploy.contract import Contract
     from uavrl.deploy.ros2 import Ros2Scans
 
 ROS2 = "ros2:"  # how addresses of ROS 2 begin
@@ -87,6 +89,7 @@ class FlyConfig(LidarKeys):
     json: Folder | None = None
     progress: bool = True
     ros2: Ros2Config = field(default_factory=Ros2Config)
+    memory: Annotated[float, Field(gt=0, le=100)] | None = None
     shield: ShieldConfig = field(default_factory=ShieldConfig)
     safety: SafetyLimits = field(default_factory=SafetyLimits)
 
@@ -128,8 +131,9 @@ def main(config: DictConfig) -> None:
             opened.enter_context(beside())
         link = opened.enter_context(closing(_link(settings)))
         assert settings.goal is not None
-        layer, shield = SafetyLayer(settings.safety), _shield(settings)
-        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=settings.box, shield=shield)
+        stages: dict[str, Any] = {"shield": _shield(settings), "memory": _memory(settings, policy.contract)}
+        layer, box = SafetyLayer(settings.safety), settings.box
+        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, **stages)
         log = _log(settings, policy)
         if log is not None:
             opened.callback(_told, log.close)
@@ -171,6 +175,7 @@ def _log(settings: FlyConfig, policy: Policy) -> FlightLog | None:
         return None
     assert settings.goal is not None
     about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(_shield(settings))}
+    about |= {"memory": str(settings.memory)}
     return FlightLog(
         settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
     )
@@ -188,6 +193,14 @@ def _shield(settings: FlyConfig) -> Shield | None:
     """A shield for the hull that the command line tells of."""
     told = {key: value for key, value in asdict(settings.shield).items() if value is not None}
     return Shield(**told, limit=settings.safety.velocity) if settings.shield.radius is not None else None
+
+
+def _memory(settings: FlyConfig, contract: Contract) -> Navigator | None:
+    """What keeps a map of the flight, at the level and with the sensor of the policy's training."""
+    if settings.memory is None:
+        return None
+    sensor = contract.cloud.sensor_position
+    return Navigator(settings.memory, flight_level=contract.flight_level, sensor_position=sensor)
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:
@@ -250,6 +263,8 @@ def _line(cycle: FlightCycle, summary: FlightSummary) -> str:
         told.append(f"nearest {np.sqrt((points**2).sum(-1)).min():.2f} m" if len(points) else "nothing near")
     if cycle.distance is not None:
         told.append(f"goal {cycle.distance:.1f} m")
+    if cycle.turn:
+        told.append(f"way {abs(np.degrees(cycle.turn)):.0f}° {'left' if cycle.turn > 0 else 'right'} of it")
     if cycle.status.setpoint is not None:
         forward, left, up, turn = cycle.status.setpoint
         told.append(f"forward {forward:+.2f} left {left:+.2f} up {up:+.2f} m/s turn {turn:+.2f} rad/s")

@@ -19,6 +19,7 @@ from uavrl.deploy.sources import without_vehicle
 from uavrl.deploy.stages import FlightCycle, ScanFeed, VehicleLink
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import UavrlError
+from uavrl.mapping import Navigator
 from uavrl.motion.threats import to_yaw
 from uavrl.shield import Shield
 
@@ -49,6 +50,7 @@ class Flight:
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
         box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
         shield: what bends the policy's velocities away from what the scan shows near; None: nothing.
+        memory: a map of the flight: the policy is led along the quickest way through it; None: straight to the goal.
 
     Attributes:
         arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
@@ -64,6 +66,7 @@ class Flight:
         radius: float = 1.0,
         box: tuple[np.ndarray, np.ndarray] | None = None,
         shield: Shield | None = None,
+        memory: Navigator | None = None,
     ) -> None:
         if len(goal) != 3 or not np.isfinite(goal).all():
             raise UavrlError(f"goal must be three finite numbers x, y, z in metres, got {goal!r}.")
@@ -71,10 +74,11 @@ class Flight:
         self.arrived: float | None = None
         self.period = 1.0 / policy.contract.rate_hz
         self._policy, self._link, self._layer = policy, link, layer
-        self._radius, self._box, self._shield = radius, box, shield
+        self._radius, self._box, self._shield, self._memory = radius, box, shield, memory
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
+        self._turn: float | None = None  # of the latest scan, where a memory leads
         self._acted = -math.inf  # when the policy last gave one
         self._state = State.SILENT
         self._control: Control | None = None  # who flew in the cycle before
@@ -116,16 +120,22 @@ class Flight:
         if self.arrived is None and there and status.state in _FLIES:
             self.arrived = now
         cells = None if scan is None else self._policy.cells
-        return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, self.arrived is not None)
+        arrived, turn = self.arrived is not None, None if scan is None else self._turn
+        return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, arrived, turn)
 
     def _act(self, scan: Scan, pose: Pose | None, now: float) -> np.ndarray | None:
         """The policy's action, or ``None`` where it can give none."""
         if self._state not in _FLIES or now - self._acted > _FORGOTTEN * self.period:
             self._policy.reset()
             self._read_stamp = None
+        self._turn = None
         if pose is None or not np.isfinite([*pose.position, pose.yaw]).all():
             return None
         read = to_goal(pose, self.goal)
+        if self._memory is not None:
+            place, goal = np.array(pose.position), np.array(self.goal[:2])
+            self._turn = self._memory.look(scan.points, np.array(pose.attitude), place, goal)
+            read["heading_deg"] = (read["heading_deg"] + math.degrees(self._turn)) % 360.0
         elapsed = None if self._read_stamp is None or scan.stamp <= self._read_stamp else scan.stamp - self._read_stamp
         told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
         try:

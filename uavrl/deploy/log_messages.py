@@ -118,6 +118,7 @@ class FlightMessages:
             status=SafetyStatus(**safety),
             latency=told["latency"],
             arrived=bool(told["arrived"]),
+            turn=None if told.get("turn") is None else float(told["turn"]),  # older logs do not tell
         )
 
     # What messages are made of.
@@ -215,6 +216,7 @@ def _status_text(cycle: FlightCycle) -> str:
         "distance": cycle.distance,
         "latency": cycle.latency,
         "arrived": cycle.arrived,
+        "turn": cycle.turn,
     }
     return json.dumps(_plain(told), allow_nan=False)
 

@@ -67,3 +67,4 @@ class FlightCycle:
     status: SafetyStatus
     latency: float | None  #: from the scan's last packet to the set-point, s; ``None`` without a new scan
     arrived: bool = False  #: whether the vehicle is, or has been, at the goal
+    turn: float | None = None  #: how far off the goal's direction the memory led the policy, rad; ``None`` for not

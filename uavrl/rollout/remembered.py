@@ -11,8 +11,8 @@ from torch import Tensor
 from uavrl.attitude import body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY
+from uavrl.mapping.navigator import LIDAR_ABOVE
 from uavrl.mapping.route import HULL
-from uavrl.mapping.wayfinder import LIDAR_ABOVE
 from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl.motion.threats import to_yaw
 from uavrl.transforms.state import ACTION_LIMIT

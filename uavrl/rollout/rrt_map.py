@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from uavrl.mapping import EpisodeMap
+from uavrl.mapping import EpisodeMap, GoalFinder
+from uavrl.mapping.navigator import LEVEL
 from uavrl.mapping.route import waypoint
-from uavrl.mapping.wayfinder import LEVEL
 from uavrl.ranges import Positive, Seed
 from uavrl.rollout.remembered import Surroundings
 from uavrl.rollout.rrt_connect import RRTConnect, RRTConnectWeights
@@ -65,15 +65,18 @@ class RRTMap(RRTConnect):
         super().__init__(flight_level, radius, seconds=seconds, tries=tries, seed=seed, costs=costs)
         self.cell, self.reach = cell, reach
         self._maps: list[EpisodeMap] = []
+        self._goals: list[GoalFinder] = []
         self._routes: list[np.ndarray | None] = []
 
     def aim(self, one: int, seen: Surroundings, plans: bool) -> tuple[np.ndarray, float]:
         """The direction of a point of the route, and how far it is: at most as far as is planned."""
         if len(self._maps) != len(seen.fresh):
             self._maps = [EpisodeMap(self.cell, self.reach) for _ in seen.fresh]
+            self._goals = [GoalFinder(self.reach) for _ in seen.fresh]
             self._routes = [None for _ in seen.fresh]
         if seen.fresh[one, 0]:
             self._maps[one], self._routes[one] = EpisodeMap(self.cell, self.reach), None
+            self._goals[one] = GoalFinder(self.reach)
         yaw, place = float(seen.yaw[one]), seen.place[one].double().numpy()[:2]
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
         goal, points = seen.goal[one].double().numpy(), np.zeros((0, 2))
@@ -81,10 +84,10 @@ class RRTMap(RRTConnect):
             cloud = seen.cloud[one].double().numpy()
             points = cloud[np.abs(cloud[:, 2] + float(seen.altitude[one]) - self.flight_level) < LEVEL, :2]
             points = points @ turn.T + place
-        known = self._maps[one]
-        known.look(points, place, turn @ goal[:2])
+        known, there = self._maps[one], self._goals[one].look(place, turn @ goal[:2])
+        known.look(points, place)
         if plans:
-            self._routes[one] = known.route()
+            self._routes[one] = known.route(place, there)
         way = self._routes[one]
         if way is None:
             return goal, self.costs.ahead

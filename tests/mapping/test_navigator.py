@@ -1,0 +1,64 @@
+"""A vehicle that knows its place and its goal, led by what it has seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.mapping.test_wayfinder import ALTITUDE, STILL, scanned, wall
+from uavrl.mapping import Navigator
+from uavrl.mapping.navigator import ELSEWHERE, EVERY
+
+GOAL, NOTHING = np.array([105.0, 50.0]), np.full((1, 3), np.nan)
+START = np.array([100.0, 50.0, ALTITUDE])  # anywhere in the world's axes
+
+
+def looked(navigator: Navigator, points: np.ndarray, place: np.ndarray = START, goal: np.ndarray = GOAL) -> float:
+    """The turn after a scan of points given from the start on."""
+    return navigator.look(scanned(points, place - START, STILL[0])[0], STILL[0], place, goal)
+
+
+def test_what_stands_behind_the_goal_is_not_in_the_way() -> None:
+    behind = wall((7.0, 3.0), (7.0, -1.0))
+    assert looked(Navigator(), behind) == 0.0
+    assert looked(Navigator(), behind, goal=GOAL + np.array([5.0, 0.0])) < -0.1
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0, -2.5])
+def test_the_turn_is_from_the_goals_direction_whatever_the_head(yaw: float) -> None:
+    attitude, points = np.array([0.0, 0.0, yaw]), wall((2.0, 3.0), (2.0, -1.0))
+    turn = Navigator().look(scanned(points, np.zeros(3), attitude)[0], attitude, START, GOAL)
+    assert turn == pytest.approx(looked(Navigator(), points), abs=0.1)
+    assert -1.2 < turn < -0.4
+
+
+def test_it_remembers_what_it_no_longer_sees() -> None:
+    navigator = Navigator()
+    turn = looked(navigator, wall((2.0, 3.0), (2.0, -1.0)))
+    for _ in range(2 * EVERY):
+        assert looked(navigator, NOTHING) == pytest.approx(turn, abs=1e-9)
+
+
+def test_where_its_axes_have_moved_it_begins_a_new_map() -> None:
+    navigator, points = Navigator(), wall((2.0, 3.0), (2.0, -1.0))
+    first = looked(navigator, points)
+    near, far = (START + np.array([0.0, share * ELSEWHERE, 0.0]) for share in (0.9, 2.0))
+    assert looked(navigator, NOTHING, near) != 0.0 != first
+    assert looked(navigator, NOTHING, far) == 0.0 and not len(navigator.known.occupied)
+
+
+@pytest.mark.parametrize(("height", "stands"), [(0.1, True), (0.7, False)])
+def test_the_sensor_is_where_it_is_told_to_be(height: float, stands: bool) -> None:
+    """Points in the sensor's plane: at the flight level, or over it."""
+    cloud = wall((2.0, 3.0), (2.0, -1.0)) * [1.0, 1.0, 0.0]
+    navigator = Navigator(sensor_position=(0.0, 0.0, height))
+    assert (navigator.look(cloud, STILL[0], START, GOAL) != 0.0) is stands
+
+
+@pytest.mark.parametrize("broken", ["attitude", "place"])
+def test_one_that_does_not_know_where_it_is_turns_nowhere_and_remembers(broken: str) -> None:
+    navigator, points = Navigator(), wall((2.0, 3.0), (2.0, -1.0))
+    turn = looked(navigator, points)
+    told = {"attitude": STILL[0], "place": START} | {broken: np.full(3, np.nan)}
+    assert navigator.look(NOTHING, told["attitude"], told["place"], GOAL) == 0.0
+    assert looked(navigator, NOTHING) == pytest.approx(turn, abs=1e-9)

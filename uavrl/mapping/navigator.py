@@ -1,0 +1,103 @@
+"""One vehicle's map, fed with its scans, and how far off the goal's direction the way through it leads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from uavrl.attitude import body_to_world
+from uavrl.cells import NEAREST_RETURN
+from uavrl.mapping.episode_map import EpisodeMap
+from uavrl.mapping.route import waypoint
+
+LIDAR_ABOVE = 0.1  # m, of the sensor over the hull's middle
+LEVEL = 0.4  # m over and under the flight level, within which what is seen is in the way
+ELSEWHERE = 2.0  # m between two scans, after which the map is no longer of where the vehicle is
+EVERY = 5  # scans between two that are entered, after which the way is found anew: 2 Hz
+AHEAD = 4.0  # m, how far along the way a vehicle looks
+
+
+class Navigator:
+    """Leads a vehicle that knows its place and its goal along the quickest way through what it has seen.
+
+    Twice a second what a scan shows at the flight level enters a map of cells, and the quickest way through it to the
+    goal is found (:func:`uavrl.mapping.route.route`), in which what was not seen is free. So a vehicle looks into a
+    dead end and flies out again. What moves stays in the map where it was; what lies over or under the flight level is
+    not in it. A vehicle that is 2 m elsewhere from one scan to the next begins a new map: its axes have moved.
+
+    Args:
+        sight: how far returns count, m.
+        reach: m from the vehicle, beyond which its map forgets.
+        flight_level: m, the altitude of the map.
+        cell: edge of the map's cells, m.
+        sensor_position: of the LiDAR in body axes, m.
+
+    Examples:
+        A wall of 4 m stands 2 m ahead, a little to the left: the way leads past its right end.
+
+        >>> side = np.linspace(-1.0, 3.0, 40)
+        >>> wall = np.stack(np.broadcast_arrays(2.0, side, -0.1), -1)
+        >>> navigator, level = Navigator(), np.zeros(3)
+        >>> turn = navigator.look(wall, level, place=np.array([0.0, 0.0, 3.5]), goal=np.array([15.0, 0.0]))
+        >>> -1.2 < turn < -0.4
+        True
+    """
+
+    def __init__(
+        self,
+        sight: float = 12.0,
+        reach: float = 40.0,
+        flight_level: float = 3.5,
+        cell: float = 0.25,
+        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
+    ) -> None:
+        self.sight, self.flight_level = sight, flight_level
+        self._size, self._sensor = (cell, reach), np.array(sensor_position, np.float64)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets all that was seen."""
+        self.known = EpisodeMap(*self._size)
+        self._way: np.ndarray | None = None
+        self._last: np.ndarray | None = None  # place
+        self._scans = 0
+
+    def look(self, cloud: np.ndarray, attitude: np.ndarray, place: np.ndarray, goal: np.ndarray) -> float:
+        """Takes in another scan; returns how far off the goal's direction the way leads, in [-π, π] rad.
+
+        It is left positive, and 0 where the way leads straight on to the goal, where the map leaves none, and where
+        attitude or place is not finite: then nothing was looked at.
+
+        Args:
+            cloud: ``[P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
+            attitude: ``[3]``, the vehicle's roll, pitch and yaw in rad.
+            place: ``[3]``, of the vehicle in m, in axes whose z is the altitude.
+            goal: ``[2]`` m, in the same axes.
+        """
+        if not np.isfinite([*attitude, *place]).all():
+            return 0.0
+        level = place[:2]
+        if self._last is not None and np.linalg.norm(level - self._last) > ELSEWHERE:
+            self.reset()
+        due = self._scans % EVERY == 0
+        self._last, self._scans = level, self._scans + 1
+        if due:
+            self.known.look(self._seen(cloud, attitude, place[2]) + level, level)
+            self._way = self.known.route(level, goal)
+        if self._way is None:
+            return 0.0
+        point, straight = waypoint(self._way, level, self.known.middles(), AHEAD)
+        if straight and point == len(self._way) - 1:
+            return 0.0
+        (x, y), (goal_x, goal_y) = self._way[point] - level, goal - level
+        return float((np.arctan2(y, x) - np.arctan2(goal_y, goal_x) + np.pi) % (2 * np.pi) - np.pi)
+
+    def _seen(self, cloud: np.ndarray, attitude: np.ndarray, altitude: float) -> np.ndarray:
+        """What a scan shows at the flight level, ``[K, 2]`` m from the vehicle, world axes."""
+        rotation = body_to_world(attitude[None])[0]
+        with np.errstate(invalid="ignore", over="ignore"):
+            squared = np.einsum("pi,pi->p", cloud, cloud)
+            near = cloud[(squared > NEAREST_RETURN**2) & (squared < self.sight**2)]
+        points = near @ rotation.T + rotation @ self._sensor
+        return points[np.abs(points[:, 2] + altitude - self.flight_level) < LEVEL, :2]
