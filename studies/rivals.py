@@ -27,7 +27,7 @@ from run_statistics import paired_difference
 from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.errors import UavrlError
-from uavrl.mapping import episode_map, lines, route
+from uavrl.mapping import episode_map, goal_finder, lines, route
 from uavrl.rollout import baselines, remembered, rrt_connect, ways
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import named_policy
@@ -121,7 +121,7 @@ def main() -> None:
         kind = baselines.BASELINES[name]
         own = [sys.modules[kind.__module__]] + [remembered] * issubclass(kind, remembered.Planner)
         own += [ways, lines] * issubclass(kind, rrt_connect.RRTConnect)
-        own += [rrt_connect, episode_map, route] * (name == "rrt_map")
+        own += [rrt_connect, episode_map, goal_finder, route] * (name == "rrt_map")
         times = ", ".join(f"{milliseconds(name, vehicles):.1f}" for vehicles in (1, 16))
         print(f"| `policy={name}` | {' | '.join(cells)} | {times} | {lines_of(*own)} |", flush=True)
     if args.json:

@@ -107,6 +107,19 @@ def test_what_is_seen_to_move_is_kept_where_a_plane_flies() -> None:
     assert np.median((flies * seen[:, 3:6]).sum(-1)[moved] / lengths[moved]) > 0.8, "it is said to fly where it flies"
 
 
+def test_where_a_memory_leads_is_kept() -> None:
+    """Nothing is on the way yet at the beginning: it leads straight to the goal."""
+    env = flying_env(0, None, 1, 60, "perception.memory=12")
+    try:
+        flight = record_flight(env, lambda state: state.set("action", torch.zeros(1, 4)), 1, seed=SEED, max_points=50)
+    finally:
+        env.close()
+    (x, y), bearing = (flight.goal - flight.positions[0])[:2], flight.bearings[0]
+    assert [np.cos(bearing), np.sin(bearing)] == pytest.approx(np.array([x, y]) / np.hypot(x, y), abs=1e-4)
+    assert flight.bearings.shape == flight.times.shape and np.isfinite(flight.bearings).all()
+    assert small_recording().flights[0].bearings.shape == (0,)
+
+
 def test_without_sight_of_motion_nothing_is_seen_to_move() -> None:
     assert small_recording().flights[0].objects.shape == (small_recording().flights[0].summary.steps + 1, 0, 7)
 

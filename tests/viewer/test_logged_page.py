@@ -57,8 +57,18 @@ def test_the_numbers_in_the_page_are_those_of_the_log(
     assert told == [(c.status.state, c.status.reason, c.status.sentence, c.control.sentence) for c in shown]
     assert set(data["states"]) >= {state for state, *_ in told} >= {"silent", "standby", "flying", "holding"}
     assert flight["facts"]["time"] == "5.6 s" and flight["facts"]["at the goal after"] == "4.7 s"
+    towards = np.subtract(GOAL[:2], [c.pose.position[:2] for c in shown if c.pose])
+    led = np.arctan2(towards[:, 1], towards[:, 0]) + [c.turn or 0.0 for c in shown]
+    np.testing.assert_allclose(unpack(flight["bearings"]), led, rtol=1e-6)
     for name in ("rewards", "clearances", "planes", "whereabouts", "path_efficiency"):
         assert name not in flight, "no log knows it"
+
+
+def test_without_a_memory_the_page_tells_of_none(tmp_path: Path) -> None:
+    with FlightLog(tmp_path / "f.mcap", contract(), GOAL, clock=lambda: START) as log:
+        for cycle in cycles(10):
+            log.write(replace(cycle, turn=None))
+    assert "bearings" not in logged_page_data(LoggedFlight(log.path))["flights"][0]
 
 
 def test_cells_and_points_are_shown_while_the_scan_is_one_to_fly_by(

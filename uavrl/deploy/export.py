@@ -114,7 +114,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
 
     They hold for a :class:`~uavrl.transforms.NavigationState` in a :class:`~uavrl.envs.NavigationEnv`; what somebody
     else's perception or environment means, nobody here can say. There is none either for a policy that was trained with
-    a map of its episode (``perception.memory``), which what flies a vehicle does not keep.
+    a map of its episode (``perception.memory``): a contract cannot say that it reads the heading to a waypoint.
 
     Args:
         settings: the validated configuration of the run.
@@ -126,7 +126,9 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
         return None
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
     if Waypoint in parts:
-        log.warning("No contract.json is written: what flies a vehicle keeps no map of its episode, perception.memory.")
+        log.warning(
+            "No contract.json is written: it cannot say that a policy has learned with a map, perception.memory."
+        )
         return None
     seen = parts.get(MovingObjects)
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))

@@ -98,6 +98,7 @@ def record_flight(
         points=np.concatenate([moment["points"] for moment in moments]).astype(np.float32),
         point_ends=np.cumsum([len(moment["points"]) for moment in moments]),
         objects=np.stack([moment["objects"] for moment in moments]) - np.append(origin, np.zeros(4)),
+        bearings=np.array([moment["bearing"] for moment in moments if moment["bearing"] is not None]),
     )
 
 
@@ -124,6 +125,7 @@ def _moment(
     """One moment in one valley, in the world's frame."""
     cloud = state[reduction.in_keys[0]][0].numpy()
     planes = base.world.config.planes
+    yaw, led = state["attitude"][0, 2].item(), "waypoint_deg" in state
     seen = state["moving_objects"][0].unflatten(-1, (-1, len(OBJECT))).numpy() if "moving_objects" in state else NONE
     return {
         "state": state.select(*_KEPT)[0].clone(),
@@ -131,7 +133,8 @@ def _moment(
         "attitude": Rotation.from_matrix(base.simulation.rotation[0]).as_quat(),
         "planes": base.plane_poses()[valley * planes : (valley + 1) * planes],
         "points": thinned(cloud[np.isfinite(cloud).all(-1)], max_points),
-        "objects": to_world(seen, base.simulation.lidar_position[0], state["attitude"][0, 2].item()),
+        "objects": to_world(seen, base.simulation.lidar_position[0], yaw),
+        "bearing": yaw + np.deg2rad(state["waypoint_deg"].item()) if led else None,
     }
 
 

@@ -43,6 +43,8 @@ class RecordedFlight:
     #: ``[T + 1, M, 7]``, what the vehicle sees to move: places in m, velocities in m/s (world axes), sizes in m, which
     #: are 0 where there is none; M is 0 where it does not look for any
     objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 7)))
+    #: ``[T + 1]``, where a memory leads, from east to the left in rad; ``[0]`` without one
+    bearings: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def cloud(self, moment: int) -> np.ndarray:
         """Returns the points ``[M, 3]`` of one scan in m, in the sensor's frame."""
@@ -158,6 +160,8 @@ def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> 
     flight = RecordedFlight(**plain, **_of(arrays, name))
     if flight.objects.shape[1:] != (0, 7) and flight.objects.shape != (len(flight.times), flight.objects.shape[1], 7):
         raise ValueError(f"what moves has the shape {flight.objects.shape}")
+    if flight.bearings.shape not in ((0,), flight.times.shape):
+        raise ValueError(f"where it was led has the shape {flight.bearings.shape}")
     return flight
 
 

@@ -16,6 +16,7 @@ from uavrl.viewer.flight_shapes import (
     ENDED,
     GOAL,
     KINDS,
+    LED,
     OTHER_KIND,
     OUTCOMES,
     PLANE,
@@ -47,7 +48,7 @@ def page_data(recording: Recording) -> dict[str, Any]:
 def drawn_parts(shape: Shell) -> dict[str, Any]:
     """What every page draws: the vehicle, the cells around it, and the colours."""
     return {
-        "colours": {**OUTCOMES, "ended": ENDED, "body": BODY, "plane": PLANE, "goal": GOAL, "seen": SEEN},
+        "colours": {**OUTCOMES, "ended": ENDED, "body": BODY, "plane": PLANE, "goal": GOAL, "seen": SEEN, "led": LED},
         "vehicle": [
             {"vertices": pack(mesh.vertices), "triangles": pack(mesh.faces), "colour": colour}
             for mesh, colour in vehicle()

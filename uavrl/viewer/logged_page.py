@@ -149,6 +149,8 @@ def _flight(moments: LoggedMoments) -> dict[str, Any]:
         "faces": np.stack(moments.cells),
         "told_at": np.array([index[tuple(each)] for each in told]),
     }
+    if any(cycle.turn is not None for cycle in cycles):
+        arrays["bearings"] = _bearings(moments)
     return {
         **{name: pack(values) for name, values in arrays.items()},
         **packed_points(moments.clouds, max(POINT_BYTES // (6 * count), 20)),
@@ -159,6 +161,12 @@ def _flight(moments: LoggedMoments) -> dict[str, Any]:
         "facts": facts(moments),
         "notes": _missing(flight),
     }
+
+
+def _bearings(moments: LoggedMoments) -> np.ndarray:
+    """Where a memory led, from east to the left in rad; straight to the goal where it was not asked."""
+    x, y = (np.array(moments.flight.goal[:2]) - np.array(moments.positions)[:, :2]).T
+    return np.arctan2(y, x) + np.array([cycle.turn or 0.0 for cycle in moments.cycles])
 
 
 def facts(moments: LoggedMoments) -> dict[str, str]:

@@ -4,7 +4,7 @@
 const TERM_COLOURS = { progress: "#0072B2", altitude: "#E69F00", heading: "#009E73", elevation: "#CC79A7",
   reward: "#0072B2" };
 const EVENTS = ["arrival", "collision"];
-const { body: BODY, plane: PLANE, goal: GOAL, seen: SEEN } = data.colours, CELLS = "#fdc066";
+const { body: BODY, plane: PLANE, goal: GOAL, seen: SEEN, led: LED } = data.colours, CELLS = "#fdc066";
 const OUTCOMES = Object.fromEntries([["arrived", data.states ? "arrived" : "success"], ["collided", "collision"],
   ["timed_out", "time-out"], ["ended", "ended"]].map(([key, name]) => [key, [name, data.colours[key]]]));
 
@@ -56,9 +56,9 @@ function goalShape([x, y, z], [radius, height]) {
 }
 
 // Index of each trace; those from FLOWN on move.
-const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, OBJECTS, VEHICLE, MARK,
-  POINTS, EDGES, FACES] = Array(17).keys();
-const LAYERS = [["planes", [PLANES], PLANE], ["seen to move", [OBJECTS], SEEN],
+const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, OBJECTS, LEAD, VEHICLE, MARK,
+  POINTS, EDGES, FACES] = Array(18).keys();
+const LAYERS = [["planes", [PLANES], PLANE], ["seen to move", [OBJECTS], SEEN], ["memory's way", [LEAD], LED],
   ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], CELLS],
   [data.states ? "all scans" : "obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
@@ -91,6 +91,7 @@ function traces(flight) {
   all[PLANES] = mesh({ x: [0], y: [0], z: [0], ...(flight.planeCount ? manyPlanes(place, flight.planeCount) : corners([])), color: PLANE, flatshading: true,
     lighting: { ...light, ambient: 0.9, diffuse: 0.4 } });
   all[OBJECTS] = line({ x: [], y: [], z: [], line: { width: 6, color: SEEN } });
+  all[LEAD] = line({ x: [], y: [], z: [], line: { width: 6, color: LED } });
   all[VEHICLE] = vehicleTrace();
   all[MARK] = { type: "scatter3d", mode: "markers", ...still, x: [], y: [], z: [],
     marker: { size: 9, symbol: "circle-open", color: BODY, line: { width: 2 } } };
@@ -128,6 +129,15 @@ function movingObjects({ objects, objectCount }, moment) {
   return out.x.length ? out : { x: [null], y: [null], z: [null] };
 }
 
+// Where a memory leads at a moment: an arrow.
+function memoryArrow({ bearings, positions }, moment) {
+  if (!bearings?.length) return { x: [null], y: [null], z: [null] };
+  const [x, y, z] = row(positions, moment), bearing = bearings[moment], long = 2.5, barb = 0.5;
+  const ends = [[0, 0], [long, 0], [long - barb, barb / 2], [long, 0], [long - barb, -barb / 2]];
+  const cos = Math.cos(bearing), sin = Math.sin(bearing);
+  return { x: ends.map(([a, b]) => x + cos * a - sin * b), y: ends.map(([a, b]) => y + sin * a + cos * b), z: ends.map(() => z) };
+}
+
 // What changes at a moment, by trace.
 function changes(flight, moment) {
   const place = sceneries[flight.world_seed], position = row(flight.positions, moment);
@@ -148,6 +158,7 @@ function changes(flight, moment) {
     [DROP]: { x: [x, x], y: [y, y], z: [z, below] },
     [PLANES]: flight.planeCount ? fleet : { x: [0], y: [0], z: [0] },
     [OBJECTS]: movingObjects(flight, moment),
+    [LEAD]: memoryArrow(flight, moment),
     [VEHICLE]: placed(vehicle.vertices, turn, position),
     [MARK]: { x: [x], y: [y], z: [z] },
     [POINTS]: range.length ? { ...placed(cloud, turn, position, place.sensor), colour: range } : nowhere,
@@ -369,6 +380,7 @@ function start() {
   for (const [name, which, colour] of LAYERS) {
     if (name === "planes" && flights.every((item) => !item.planeCount)) continue;
     if (name === "seen to move" && flights.every((item) => !item.objectCount)) continue;
+    if (name === "memory's way" && flights.every((item) => !item.bearings?.length)) continue;
     if (name === "other flights" && flights.length < 2) continue;
     const button = element("button", { class: "on" }, $("layers"));
     if (colour) element("i", { style: `background:${colour === OTHERS ? othersColours() : colour}` }, button);
