@@ -55,6 +55,7 @@ class Navigator:
         self.sight, self.flight_level = sight, flight_level
         self._size, self._sensor = (cell, reach), np.array(sensor_position, np.float64)
         self.reset()
+        self.known.route(np.zeros(2), np.zeros(2))  # which loads SciPy: that takes longer than a vehicle can wait
 
     def reset(self) -> None:
         """Forgets all that was seen."""
