@@ -7,7 +7,7 @@ from tests.helpers.scenes import box, terrain
 from uavrl.attitude import body_to_world
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.world import World, WorldConfig
-from uavrl.motion.occlusion import Grid, find_returns
+from uavrl.motion.occlusion import Grid, find_returns, range_images
 from uavrl.motion.registration import (
     LEAST_COMPARED,
     Alignment,
@@ -79,3 +79,12 @@ def test_rotations_about_vectors_and_without_rounding() -> None:
     assert np.allclose(yaw, body_to_world(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]])))
     mended = orthonormal(yaw * (1 + 1e-4))
     assert np.allclose(mended @ mended.transpose(0, 2, 1), np.eye(3), atol=1e-7)
+
+
+def test_images_hold_the_least_range_where_returns_share_a_cell() -> None:
+    rng, grid = np.random.default_rng(0), Grid(rows=4, columns=9)
+    seen = find_returns((rng.normal(size=(2, 500, 3)) * [3.0, 3.0, 0.3]).astype(np.float32), 12.0)
+    expected = np.full(2 * 4 * 9, np.inf, np.float32)
+    inside, at = seen.in_cells(grid)
+    np.minimum.at(expected, at, seen.ranges[inside])
+    np.testing.assert_array_equal(range_images(seen, 2, grid).ravel(), expected)

@@ -128,6 +128,7 @@ class Lidar:
         self._reach = np.full(NUM_RAYS, self.config.max_range, np.float32)
         self._farthest = max(self.config.max_range, self.config.far_range or 0.0)
         self._reach.reshape(AZIMUTH_STEPS, -1)[::FAR_EVERY] = self._farthest
+        self._far_rays = np.flatnonzero(self._reach > self.config.max_range)
         self._culler: RayCuller | None = None
         # In a long scan all rays are candidates, and a moving sensor sweeps more: culling would not pay.
         if self._meshes and self.config.max_range <= _CULLED_RANGE and not self.config.motion_distortion:
@@ -209,7 +210,8 @@ class Lidar:
                 speed = float(np.linalg.norm(velocities[vehicle]))
             if self._static_scene is not None:
                 passing = every if near is None else np.flatnonzero(near[vehicle].ravel()[first:last]) + first
-                _cast(self._static_scene, origins, directions, passing, ranges[vehicle], self._reach)
+                towards = _of_rays(passing, origins), _of_rays(passing, directions)
+                _cast(self._static_scene, *towards, passing, ranges[vehicle], self._reach)
             reached = self._farthest + self._moving_radius + speed * FIRING_TIMES[-1]
             within = np.linalg.norm(poses[vehicle, :, :3] - position, axis=1) < reached
             for pose in poses[vehicle, within]:
@@ -237,14 +239,21 @@ class Lidar:
         """Shortens the ranges of one vehicle's rays that hit one moving body, in the body's frame."""
         offset, radius = pose[:3] - position, self._moving_radius + speed * FIRING_TIMES[-1]
         gap = float(np.linalg.norm(offset))
-        rays = None
+        rays = self._far_rays if gap > self.config.max_range + radius else None
+        directions = _of_rays(rays, directions)
         if gap > radius:
-            rays = np.flatnonzero(offset.astype(np.float32) @ directions > math.sqrt(gap**2 - radius**2))
+            met = np.flatnonzero(offset.astype(np.float32) @ directions > math.sqrt(gap**2 - radius**2))
+            directions, rays = _of_rays(met, directions), met if rays is None else rays[met]
         cos, sin = math.cos(pose[3]), math.sin(pose[3])
         to_body = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
+        from_body = to_body @ (_of_rays(rays, origins) - pose[:3, None].astype(np.float32))
         assert self._moving_scene is not None
-        from_body = to_body @ (origins - pose[:3, None].astype(np.float32))
         _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
+
+
+def _of_rays(rays: np.ndarray | None, columns: np.ndarray) -> np.ndarray:
+    """What some ``rays`` (None: all) have of ``columns [3, R]``, or of the one that stands for all ``[3, 1]``."""
+    return columns if rays is None or columns.shape[1] == 1 else columns.take(rays, axis=1)
 
 
 def _cast(
@@ -257,13 +266,10 @@ def _cast(
 ) -> None:
     """Shortens ``ranges [R]`` (NaN: nothing hit) of some ``rays`` (None: all) to what they hit within ``reach [R]``.
 
-    ``origins`` are ``[3, R]``, or ``[3, 1]`` if all rays start in one place; ``directions`` are ``[3, R]``.
+    ``origins`` and ``directions`` are those of these rays, ``[3, M]``; one origin ``[3, 1]`` may stand for all.
     """
     reach = reach if rays is None else reach.take(rays)
     lengths = np.fmin(ranges if rays is None else ranges.take(rays), reach)
-    if rays is not None:
-        directions = directions.take(rays, axis=1)
-        origins = origins.take(rays, axis=1) if origins.shape[1] > 1 else origins
     if lengths.size:
         scene.run(np.broadcast_to(origins, directions.shape).T, directions.T, lengths, query="DISTANCE")
     ranges[slice(None) if rays is None else rays] = np.where(lengths < reach, lengths, np.float32(np.nan))

@@ -31,7 +31,10 @@ class Grid(NamedTuple):
         rise = (self.highest - self.lowest) / (self.rows - 1)
         row = (np.arcsin(np.minimum(np.maximum(z / ranges, -1), 1)) - np.float32(self.lowest)) / np.float32(rise)
         column = np.rint(np.arctan2(-y, x) * np.float32(self.columns / (2 * np.pi))).astype(np.int64)
-        return row, column % self.columns
+        return row, np.where(column < 0, column + self.columns, column)
+
+
+Cells = tuple[np.ndarray, np.ndarray]  # which returns lie in a grid, and in which of the cells of all clouds in turn
 
 
 class Returns(NamedTuple):
@@ -40,6 +43,13 @@ class Returns(NamedTuple):
     points: np.ndarray
     ranges: np.ndarray
     clouds: np.ndarray
+
+    def in_cells(self, grid: Grid) -> Cells:
+        """Which of them lie in ``grid``, and in which of all its cells, those of each cloud in turn."""
+        row, column = grid.cells(self.points, self.ranges)
+        rows = np.rint(row).astype(np.int64)
+        inside = np.flatnonzero((rows >= 0) & (rows < grid.rows))
+        return inside, ((self.clouds * grid.rows + rows) * grid.columns + column).take(inside)
 
 
 def find_returns(clouds: np.ndarray, max_range: float) -> Returns:
@@ -56,14 +66,17 @@ def find_returns(clouds: np.ndarray, max_range: float) -> Returns:
     return Returns(points, np.sqrt(squared.take(kept)), kept // max(x.size // max(len(clouds), 1), 1))
 
 
-def range_images(seen: Returns, count: int, grid: Grid) -> np.ndarray:
-    """The least range in each cell of ``count`` clouds: ``[count, rows, columns]`` in m, infinite without a return."""
-    row, column = grid.cells(seen.points, seen.ranges)
-    rows = np.rint(row).astype(np.int64)
-    inside = np.flatnonzero((rows >= 0) & (rows < grid.rows))
-    at = ((seen.clouds * grid.rows + rows) * grid.columns + column).take(inside)
-    images = np.full(count * grid.rows * grid.columns, np.inf, np.float32)
-    np.minimum.at(images, at, seen.ranges.take(inside))
+def range_images(seen: Returns, count: int, grid: Grid, cells: Cells | None = None) -> np.ndarray:
+    """The least range in each cell of ``count`` clouds: ``[count, rows, columns]`` in m, infinite without a return.
+
+    ``cells`` are those of ``seen`` in ``grid``, if they are known.
+    """
+    inside, at = cells or seen.in_cells(grid)
+    images, ranges = np.full(count * grid.rows * grid.columns, np.inf, np.float32), seen.ranges.take(inside)
+    while len(at):  # few passes, as few returns share a cell; numpy's minimum.at takes far longer
+        images[at] = ranges
+        lower = np.flatnonzero(ranges < images.take(at))
+        at, ranges = at.take(lower), ranges.take(lower)
     return images.reshape(count, grid.rows, grid.columns)
 
 
@@ -108,16 +121,17 @@ class EarlierScans:
         """Forgets in which columns the sensors ``which``, ``bool [N]``, have had returns."""
         self.ever[which] = False
 
-    def add(self, seen: Returns, rotations: np.ndarray, positions: np.ndarray, which: np.ndarray) -> None:
+    def add(self, seen: Returns, cells: Cells, rotations: np.ndarray, positions: np.ndarray, which: np.ndarray) -> None:
         """Keeps scans as the newest of the sensors ``which``, ``bool [N]``.
 
         Args:
             seen: the returns.
+            cells: in which they lie.
             rotations: sensor to world, ``[N, 3, 3]``.
             positions: of the sensors in the world, ``[N, 3]`` in m.
             which: who has scanned.
         """
-        images = range_images(seen, self.count, self.grid)
+        images = range_images(seen, self.count, self.grid, cells)
         self.ever |= np.isfinite(images).any(1)
         images = least_around(images)
         for kept, new in ((self.least, images), (self.rotations, rotations), (self.positions, positions)):

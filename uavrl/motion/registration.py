@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavrl.motion.occlusion import Grid, Returns
+from uavrl.motion.occlusion import Cells, Grid, Returns
 
 THINNED = 5  # of the columns, one is looked at
 SAMPLES = 256  # points of a scan that are compared
@@ -46,14 +46,15 @@ class Alignment(NamedTuple):
     agreeing: np.ndarray
 
 
-def point_images(seen: Returns, count: int, grid: Grid) -> np.ndarray:
-    """The return in each cell of ``count`` clouds, ``[3, count, rows, columns]`` in m; zeros without one."""
-    row, column = grid.cells(seen.points, seen.ranges)
-    rows = np.rint(row).astype(np.int64)
-    inside = np.flatnonzero((rows >= 0) & (rows < grid.rows))
-    at = ((seen.clouds * grid.rows + rows) * grid.columns + column).take(inside)
+def point_images(seen: Returns, count: int, grid: Grid, cells: Cells | None = None) -> np.ndarray:
+    """The return in each cell of ``count`` clouds, ``[3, count, rows, columns]`` in m; zeros without one.
+
+    ``cells`` are those of ``seen`` in ``grid``, if they are known.
+    """
+    inside, at = cells or seen.in_cells(grid)
     images = np.zeros((3, count * grid.rows * grid.columns), np.float32)
-    images[:, at] = seen.points[:, inside]
+    for image, axis in zip(images, seen.points, strict=True):
+        image[at] = axis.take(inside)
     return images.reshape(3, count, grid.rows, grid.columns)
 
 
@@ -88,22 +89,30 @@ def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.nda
         rotations: as expected, from the sensor's axes to those of its earlier scan, ``[N, 3, 3]``.
         places: as expected, of the sensor in these axes, ``[N, 3]`` in m.
     """
-    found = _refine(samples, images, grid, rotations, places)
+    told = _judge(samples, images, grid, rotations.astype(np.float32), places.astype(np.float32))
+    found = Alignment(*(values.copy() for values in told))
+    off = np.flatnonzero(told.agreeing < 1)  # nothing can lie better than the others
+    refined = _refine(_of(samples, off), images[:, off], grid, rotations[off], places[off])
+    for kept, new in zip(found, refined, strict=True):
+        kept[off] = new
     for start in STARTS:  # for scans that lie farther from what was expected than one descent reaches
         if len(bad := np.flatnonzero(~found.fits & (found.compared >= LEAST_COMPARED))):
-            some, there = Samples(*(values[bad] for values in samples)), images[:, bad]
             turned = rotation_about(np.array([[0.0, 0.0, start]])) @ rotations[bad]
-            again = _refine(some, there, grid, turned, places[bad])
+            again = _refine(_of(samples, bad), images[:, bad], grid, turned, places[bad])
             better = bad[again.fits]
             for kept, new in zip(found, again, strict=True):
                 kept[better] = new[again.fits]
-    told = _judge(samples, images, grid, rotations.astype(np.float32), places.astype(np.float32))
     right = told.agreeing >= found.agreeing  # what was expected lies as well: nothing is to be corrected
     for kept, expected in zip(found, told, strict=True):
         kept[right] = expected[right]
     turned = np.arccos(np.clip((np.einsum("nij,nij->n", found.rotations, rotations) - 1) / 2, -1, 1))
     small = (turned < MOST_TURN) & (np.linalg.norm(found.places - places, axis=1) < MOST_SHIFT)
     return Alignment(found.rotations, found.places, found.compared, found.fits & small, found.agreeing)
+
+
+def _of(samples: Samples, scans: np.ndarray) -> Samples:
+    """The samples of some ``scans``."""
+    return Samples(*(values[scans] for values in samples))
 
 
 def _refine(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, expected: np.ndarray) -> Alignment:
@@ -139,7 +148,7 @@ def _compare(
     rows = np.rint(row).astype(np.int64)
     known = (samples.found > 0)[:, None] & (rows >= 0) & (rows < grid.rows)
     at = (np.arange(len(turn))[:, None] * grid.rows + rows.clip(0, grid.rows - 1)) * grid.columns + column
-    met = images.reshape(3, -1)[:, at].transpose(1, 0, 2)
+    met = images.reshape(3, -1).take(at, axis=1).transpose(1, 0, 2)
     known &= met[:, 0] != 0
     return points, normals, (normals * (met - points)).sum(1), known
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 
 from uavrl.attitude import body_to_world
-from uavrl.motion.occlusion import EarlierScans, Grid, Returns, find_returns
+from uavrl.motion.occlusion import Cells, EarlierScans, Grid, Returns, find_returns
 from uavrl.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
-from uavrl.motion.tracks import Scan, Track, follow
+from uavrl.motion.tracks import AROUND, Scan, Track, follow, squared_distances
 
 OBJECT = ("forward", "left", "up", "forward velocity", "left velocity", "up velocity", "size")
 """What is reported of one moving object, in m and m/s."""
@@ -98,14 +98,15 @@ class MotionSight:
         seen = find_returns(
             np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range
         )
-        self._move(seen, velocities, body_to_world(attitudes), which, elapsed)
+        cells = seen.in_cells(self._scans.grid)
+        self._move(seen, cells, velocities, body_to_world(attitudes), which, elapsed)
         bounds = np.searchsorted(seen.clouds, np.arange(len(which) + 1))
         world = np.empty_like(seen.points)
         for one, (first, last) in enumerate(pairwise(bounds)):
             turned = self._rotations[one].astype(np.float32) @ seen.points[:, first:last]
             world[:, first:last] = turned + self._positions[one, :, None].astype(np.float32)
         moving, fresh = self._moving(world, seen.clouds)
-        self._scans.add(seen, self._rotations, self._positions, which)
+        self._scans.add(seen, cells, self._rotations, self._positions, which)
         self._ages = np.where(which, np.minimum(self._ages + 1, DEPTH), self._ages)
         for one in np.flatnonzero(which).tolist():
             mine = slice(bounds[one], bounds[one + 1])
@@ -116,7 +117,13 @@ class MotionSight:
         return self._report(attitudes[:, 2])
 
     def _move(
-        self, seen: Returns, velocities: np.ndarray, attitudes: np.ndarray, which: np.ndarray, elapsed: float
+        self,
+        seen: Returns,
+        cells: Cells,
+        velocities: np.ndarray,
+        attitudes: np.ndarray,
+        which: np.ndarray,
+        elapsed: float,
     ) -> None:
         """Moves the sensors ``which`` to where they now scan: as they say, corrected by what stands around them.
 
@@ -127,7 +134,7 @@ class MotionSight:
         rotations = corrections @ attitudes
         moved = elapsed * (corrections @ (velocities + self._velocities)[:, :, None] / 2)[:, :, 0]
         positions = self._positions + np.where(known[:, None], moved, 0.0)
-        images = point_images(seen, len(which), self._scans.grid)
+        images = point_images(seen, len(which), self._scans.grid, cells)
         back = self._rotations.transpose(0, 2, 1)
         at = register(
             sample(images),
@@ -171,9 +178,10 @@ class MotionSight:
         masks[0, moving], masks[1, moving[fresh]] = True, True
         return masks[0], masks[1]
 
-    def _before(self, sensor: int) -> Scan:
-        """The last scan, and what of it is now seen through."""
+    def _before(self, sensor: int, place: np.ndarray) -> Scan:
+        """What was ``AROUND`` a place in the last scan, and what of it is now seen through."""
         points = self._last[sensor]
+        points = points[squared_distances(points, place) < AROUND**2]
         clouds = np.full(len(points), sensor)
         left = self._scans.beyond(points.T, clouds, np.ones_like(self._ages)) > MARGIN
         return Scan(points, left, left)

@@ -10,6 +10,7 @@ import numpy as np
 LINK = 0.6  # m, between two returns of one body: at 10 m two lasers are 0.35 m apart, and a biplane's wings 0.43 m
 REACH = 0.8  # m, around the middle of a body within which its returns are looked for
 REACH_WHOLE = 1.2  # m, likewise, within which a whole body lies
+AROUND = REACH + LINK  # m, around a place, within which lies all that is looked at there
 MOST_RETURNS = 300  # around a place, up to which a whole body is looked for
 LARGEST = 2.5  # m, diagonal of what may be a body
 MEASURED = 0.05  # m, standard deviation of the middle of a body, however many returns it has
@@ -95,6 +96,12 @@ def middle_and_size(points: np.ndarray) -> tuple[np.ndarray, float]:
     return points.mean(0), float(np.linalg.norm(np.ptp(points, 0)))
 
 
+def squared_distances(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """How far ``points [M, 3]`` are from a place ``[3]``, squared: ``[M]`` in m²."""
+    x, y, z = (axis - at for axis, at in zip(points.T, place, strict=True))
+    return x * x + y * y + z * z
+
+
 def hanging_together(points: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Which of ``points [M, 3]`` are reached from ``seeds``, ``bool [M]``, over gaps of at most ``LINK``.
 
@@ -103,10 +110,13 @@ def hanging_together(points: np.ndarray, seeds: np.ndarray) -> np.ndarray:
         >>> hanging_together(points, np.array([True, False, False, False])).tolist()
         [True, False, True, True]
     """
-    near = ((points[:, None] - points) ** 2).sum(-1) < LINK**2
-    while (wider := near[seeds].any(0)).sum() > seeds.sum():
-        seeds = wider
-    return seeds
+    reached, left, front = seeds.copy(), np.flatnonzero(~seeds), np.flatnonzero(seeds)
+    while len(front) and len(left):
+        x, y, z = (axis[left, None] - axis[front] for axis in points.T)
+        near = (x * x + y * y + z * z < LINK**2).any(1)
+        left, front = left[~near], left[near]
+        reached[front] = True
+    return reached
 
 
 def clusters(points: np.ndarray) -> Iterator[np.ndarray]:
@@ -129,22 +139,25 @@ def body_around(place: np.ndarray, points: np.ndarray, moving: np.ndarray) -> np
     A body in free air is all that hangs together with these, also what lies where the body itself was before. Where
     that is too much, as beside a wall, it is these alone.
     """
-    squared = ((points - place) ** 2).sum(-1)
-    seeds = np.flatnonzero(moving & (squared < REACH**2))
-    near = np.flatnonzero(squared < (REACH + LINK) ** 2)
-    if len(seeds) < 2 or len(near) > MOST_RETURNS:
-        return seeds if len(seeds) > 1 else seeds[:0]
+    seeds = np.flatnonzero(moving)
+    seeds = seeds[squared_distances(points[seeds], place) < REACH**2]
+    if len(seeds) < 2:
+        return seeds[:0]
+    squared = squared_distances(points, place)
+    near = np.flatnonzero(squared < AROUND**2)
+    if len(near) > MOST_RETURNS:
+        return seeds
     whole = near[hanging_together(points[near], moving[near] & (squared[near] < REACH**2))]
     return whole if squared[whole].max() < REACH_WHOLE**2 else seeds
 
 
-def follow(tracks: list[Track], scan: Scan, before: Callable[[], Scan], dt: float) -> list[Track]:
+def follow(tracks: list[Track], scan: Scan, before: Callable[[np.ndarray], Scan], dt: float) -> list[Track]:
     """The bodies after another scan: those that are still seen or believed in, and new ones.
 
     Args:
         tracks: those after the last scan, which are changed.
         scan: what is seen now.
-        before: gives the last scan, of which what is now seen through is moving.
+        before: gives the last scan ``AROUND`` a place ``[3]``, of which what is now seen through is moving.
         dt: s, since then.
     """
     free = np.ones(len(scan.points), bool)
@@ -160,20 +173,22 @@ def follow(tracks: list[Track], scan: Scan, before: Callable[[], Scan], dt: floa
     return kept + list(islice(_new(scan, before, free, dt), max(MOST_TRACKS - len(kept), 0)))
 
 
-def _new(scan: Scan, before: Callable[[], Scan], free: np.ndarray, dt: float) -> Iterator[Track]:
+def _new(scan: Scan, before: Callable[[np.ndarray], Scan], free: np.ndarray, dt: float) -> Iterator[Track]:
     """The bodies that begin with fresh returns, and with where they were in the last scan if that is seen."""
     fresh = np.flatnonzero(scan.fresh & free)
     if len(fresh) < LEAST_RETURNS:
         return
     for cluster in clusters(scan.points[fresh]):
+        if len(cluster) < LEAST_RETURNS:
+            continue
         body = body_around(scan.points[fresh[cluster]].mean(0), scan.points, scan.moving & free)
-        if len(cluster) < LEAST_RETURNS or not len(body):
+        if not len(body):
             continue
         free[body] = False
         middle, size = middle_and_size(scan.points[body])
         if size >= LARGEST:
             continue
-        last = before()
+        last = before(middle)
         earlier = body_around(middle, last.points, last.moving)
         track = Track(middle, size, len(body))
         if len(earlier) and (was := middle_and_size(last.points[earlier]))[1] < LARGEST:
