@@ -78,4 +78,4 @@ def test_one_shot_learning_is_counted_beside(run: Path) -> None:
 def test_progress_bars_are_shown_if_asked_for(run: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert in_process(command.main, f"run={run}", *SMALL_PRETRAINING, "progress=true") == 0
     err = capfd.readouterr().err
-    assert all(name in err for name in ("autoencoder, epochs", "k-means, values of k", "classifier, epochs"))
+    assert all(name in err for name in ("epochs of the autoencoder |", "values of k |", "epochs of the classifier |"))

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from uavrl.errors import UavrlError
+from uavrl.progress_line import ProgressLine
 
 log = logging.getLogger(__name__)
 
@@ -60,10 +60,11 @@ def cluster(features: Tensor, k: int, *, batch_size: int = 4096, iterations: int
 def cluster_each(features: Tensor, ks: Sequence[int], *, progress: bool = False, **options: int) -> dict[int, Clusters]:
     """:func:`cluster` for each number of clusters."""
     found = {}
-    bar = tqdm(ks, desc="k-means, values of k", disable=not progress, dynamic_ncols=True)
-    for k in bar:
-        bar.set_postfix_str(f"k = {k}")
-        found[k] = cluster(features, k, **options)
+    with ProgressLine(len(ks), "values of k", enabled=progress) as line:
+        for k in ks:
+            line.add(0, f"k = {k}")
+            found[k] = cluster(features, k, **options)
+            line.add()
     return found
 
 

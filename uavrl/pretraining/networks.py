@@ -10,12 +10,12 @@ import torch
 import torch.nn.functional as F
 from tensordict import TensorDict
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from uavrl.errors import UavrlError
 from uavrl.losses import PSAELoss
 from uavrl.models import PSAE
 from uavrl.pretraining.settings import PretrainRecipe
+from uavrl.progress_line import ProgressLine
 
 
 def train_psae(
@@ -75,21 +75,21 @@ def _train(
     optimizer = torch.optim.Adam(module.parameters(), lr)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
     means: dict[str, float] = {}
-    bar = tqdm(range(epochs), desc=f"{name}, epochs", disable=not progress, dynamic_ncols=True)
-    for _ in bar:
-        batches = torch.randperm(samples, generator=generator).split(batch_size)
-        sums = torch.zeros(())
-        for index in batches:
-            values = step(index)
-            optimizer.zero_grad()
-            values["loss"].backward()
-            optimizer.step()
-            sums = sums + torch.stack([value.detach() for value in values.values()])
-        schedule.step()
-        means = dict(zip(values, (sums / len(batches)).tolist(), strict=True))
-        if not isfinite(means["loss"]):
-            raise UavrlError(f"The {name}'s loss became {means['loss']}: lower pretrain.{part}_lr.")
-        bar.set_postfix_str(f"loss {means['loss']:.4f}")
+    with ProgressLine(epochs, f"epochs of the {name}", enabled=progress) as line:
+        for _ in range(epochs):
+            batches = torch.randperm(samples, generator=generator).split(batch_size)
+            sums = torch.zeros(())
+            for index in batches:
+                values = step(index)
+                optimizer.zero_grad()
+                values["loss"].backward()
+                optimizer.step()
+                sums = sums + torch.stack([value.detach() for value in values.values()])
+            schedule.step()
+            means = dict(zip(values, (sums / len(batches)).tolist(), strict=True))
+            if not isfinite(means["loss"]):
+                raise UavrlError(f"The {name}'s loss became {means['loss']}: lower pretrain.{part}_lr.")
+            line.add(1, f"loss {means['loss']:.4f}")
     return means
 
 

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
-from tqdm import tqdm
 
 from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
@@ -17,6 +16,7 @@ from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.motion import OBJECT
+from uavrl.progress_line import ProgressLine
 from uavrl.rollout.position_stats import PositionStats
 from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.rollout.rollout import FlightMeter, Policy, rollout
@@ -163,8 +163,12 @@ def record_flights(
     """Rolls out several tasks, each as :func:`record_flight` does."""
     if not tasks:
         raise ValueError("Expected at least one task, got none.")
-    shown = tqdm(tasks, disable=not progress, unit="ep")
-    flights = tuple(record_flight(env, policy, task, seed=seed, risk=risk, max_points=max_points) for task in shown)
+    recorded = []
+    with ProgressLine(len(tasks), "episodes", enabled=progress) as line:
+        for task in tasks:
+            recorded.append(record_flight(env, policy, task, seed=seed, risk=risk, max_points=max_points))
+            line.add()
+    flights = tuple(recorded)
     world, sensor = env.base_env.world, env.base_env.airframe.lidar_position
     seen = {flight.summary.world_seed for flight in flights}
     sceneries = {

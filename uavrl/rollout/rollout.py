@@ -8,8 +8,8 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, step_mdp
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from tqdm import tqdm
 
+from uavrl.progress_line import ProgressLine
 from uavrl.rollout.smoothness import action_change, yaw_reversals
 from uavrl.runs.episodes import outcome
 from uavrl.transforms.state import ACTION_LIMIT
@@ -128,14 +128,14 @@ def fly(
     state = env.reset()
     if state["task"].min() != 0:
         raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
-    with tqdm(total=episodes, disable=not progress, unit="ep") as bar:
+    with ProgressLine(episodes, "episodes", enabled=progress) as line:
         for stepped in rollout(env, policy, state):
             if watch is not None:
                 after = stepped["next"]
                 watch(after["position"][after["task"][:, 0] < episodes].numpy())
             ended = [flight for flight in meter.step(stepped) if flight.task < episodes]
             flights |= {flight.task: flight for flight in ended}
-            bar.update(len(ended))
+            line.add(len(ended))
             if len(flights) == episodes:
                 break
     return [flights[task] for task in range(episodes)]

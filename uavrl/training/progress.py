@@ -2,7 +2,6 @@
 
 import logging
 import math
-import sys
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -10,6 +9,7 @@ from collections.abc import Mapping
 from tqdm import tqdm
 
 from uavrl.config.settings import TrainConfig
+from uavrl.progress_line import ProgressLine
 
 log = logging.getLogger(__name__)
 SPAN = 60.0  # s that the speed is measured over
@@ -61,27 +61,19 @@ class Progress:
         self._before = (done, steps)
         self._total = episodes if last_step is None else last_step
         unit = "steps" if self._by_steps else "episodes"
-        self._bar = tqdm(
-            total=self._total,
-            initial=self._gone(done, steps),
-            disable=not enabled,
-            dynamic_ncols=True,
-            mininterval=0.5 if sys.stderr.isatty() else 30.0,
-            bar_format=f"{{n:,}}/{{total:,}} {unit} |{{bar:12}}| {{elapsed}} gone{{postfix}}",
-        )
+        self._bar = ProgressLine(self._total, unit, done=self._gone(done, steps), enabled=enabled)
 
     def update(self, episodes: int, steps: int, rates: Mapping[str, float], mean_return: float) -> None:
         """Shows the state after ``episodes`` episodes and ``steps`` steps."""
         beside = f"{episodes:,} episodes" if self._by_steps else f"{steps:,} steps"
         left, speed = self._left(episodes, steps), self._speed()
         beside += "" if speed is None else f", {speed:.0f} steps/s"
-        self._bar.set_postfix_str(
+        self._bar.set(
+            self._gone(episodes, steps),
             f"{left} | {beside} | "
             f"last {min(self._window, max(episodes, 1))}: success {rates['arrived']:.1%}{self._goal}, "
             f"collision {rates['collided']:.1%}, time-out {rates['timed_out']:.1%}, return {mean_return:.1f}",
-            refresh=False,
         )
-        self._bar.update(self._gone(episodes, steps) - self._bar.n)
 
     def _gone(self, episodes: int, steps: int) -> int:
         """What the bar fills with; tqdm forgets a total that is passed, as the last episode passes the last step."""

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
-from tqdm.contrib.logging import logging_redirect_tqdm
 
 from uavrl.collectors.stall_notice import StallNotice
 from uavrl.command_line import command_line
@@ -142,8 +141,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
             more = "trainer.episodes, trainer.steps or trainer.until_success must ask for more"
             log.info("%s has ended: %s.", run_dir, more)
         else:
-            with logging_redirect_tqdm():  # what is logged meanwhile stands above the line, not in it
-                trainer.train()
+            trainer.train()
         return _summarize(trainer, settings, run_dir)
     finally:
         stop.shutting_down()

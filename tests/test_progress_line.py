@@ -1,0 +1,87 @@
+"""What a long piece of work shows: a bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import io
+import logging
+
+import pytest
+
+from uavrl import progress_line
+from uavrl.progress_line import ProgressLine
+
+log = logging.getLogger(__name__)
+
+
+class Terminal(io.StringIO):
+    """Keeps what a terminal would show."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [0.0]
+    monkeypatch.setattr(progress_line.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_a_file_gets_plain_lines_every_ten_seconds(capsys: pytest.CaptureFixture[str], clock: list[float]) -> None:
+    with ProgressLine(100, "episodes") as line:
+        for _ in range(100):
+            clock[0] += 0.25
+            line.add()
+    assert capsys.readouterr().err.splitlines() == [
+        "40/100 episodes | 00:10 gone, 00:15 left",
+        "80/100 episodes | 00:20 gone, 00:05 left",
+        "100/100 episodes | 00:25 gone",
+    ]
+
+
+def test_work_that_stops_says_how_far_it_was(capsys: pytest.CaptureFixture[str], clock: list[float]) -> None:
+    with pytest.raises(KeyboardInterrupt), ProgressLine(1000, "steps", done=200) as line:
+        clock[0] = 3.0
+        line.set(300, "loss 0.5")
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == "300/1,000 steps | 00:03 gone, loss 0.5\n"
+
+
+@pytest.mark.parametrize("options", [{"enabled": False}, {"done": 10}])
+def test_nothing_is_written_where_nothing_was_asked_for_or_done(
+    options: dict[str, int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ProgressLine(10, "episodes", **options) as line:
+        line.set(10)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+def test_a_message_has_a_line_of_its_own(
+    stream: type[io.StringIO], monkeypatch: pytest.MonkeyPatch, clock: list[float]
+) -> None:
+    written = stream()
+    monkeypatch.setattr(progress_line.sys, "stderr", written)
+    handler = logging.StreamHandler(written)
+    logging.root.addHandler(handler)
+    try:
+        with ProgressLine(3, "episodes") as line:
+            clock[0] = 20.0
+            line.add()
+            log.warning("Something is odd.")
+            line.add()
+    finally:
+        logging.root.removeHandler(handler)
+    shown = written.getvalue()
+    lines = [each.rsplit("\r", 1)[-1] for each in shown.split("\n")]
+    assert "Something is odd." in lines, shown
+    assert ("\r" in shown) == written.isatty()
+
+
+def test_a_terminal_has_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = Terminal()
+    monkeypatch.setattr(progress_line.sys, "stderr", written)
+    with ProgressLine(2, "episodes") as line:
+        line.add(2)
+    drawn = written.getvalue().split("\r")
+    assert drawn[-1].startswith("2/2 episodes |") and drawn[-1].endswith("| 00:00 gone\n"), drawn

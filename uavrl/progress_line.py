@@ -1,0 +1,94 @@
+"""How far a long piece of work is: a bar on a terminal, plain lines in a file or a pipe."""
+
+import sys
+import time
+from contextlib import ExitStack
+
+from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
+
+EVERY = 10.0  # s between two lines where no bar is drawn
+
+
+class ProgressLine:
+    """What is done, of how much, for how long; a context manager that closes the line.
+
+    On a terminal one line is drawn again and again, and what is logged meanwhile stands above it. Elsewhere a line is
+    written every 10 s, and a last one at the end: a log holds no control characters, and no message inside a line.
+
+    Args:
+        total: of the units.
+        unit: what is counted, in the plural.
+        done: where it begins.
+        enabled: False shows nothing.
+
+    Examples:
+        >>> with ProgressLine(8, "episodes", enabled=False) as line:
+        ...     line.add(2)
+        >>> print(line)
+        2/8 episodes | 00:00 gone, 00:00 left
+    """
+
+    def __init__(self, total: int, unit: str, *, done: int = 0, enabled: bool = True) -> None:
+        terminal = enabled and sys.stderr is not None and sys.stderr.isatty()
+        self.n, self._total, self._unit, self._text = done, total, unit, ""
+        self._first = self._written = done
+        self._writes = enabled and not terminal
+        self._began = self._last = time.monotonic()
+        self._redirected = ExitStack()
+        self._bar = tqdm(
+            total=total,
+            initial=done,
+            disable=not terminal,
+            dynamic_ncols=True,
+            mininterval=0.5,
+            bar_format=f"{{n:,}}/{{total:,}} {unit} |{{bar:12}}| {{elapsed}} gone{{postfix}}",
+        )
+        if terminal:
+            self._redirected.enter_context(logging_redirect_tqdm())
+
+    def set(self, done: int, text: str | None = None) -> None:
+        """Shows that so many units are done.
+
+        Args:
+            done: units in all.
+            text: what follows; the time left where it is None.
+        """
+        self.n = done
+        self._text = self._left() if text is None else text
+        self._bar.set_postfix_str(self._text, refresh=False)
+        self._bar.update(done - self._bar.n)
+        if self._writes and time.monotonic() - self._last >= EVERY:
+            self._write()
+
+    def add(self, more: int = 1, text: str | None = None) -> None:
+        """Shows that ``more`` units are done."""
+        self.set(self.n + more, text)
+
+    def close(self) -> None:
+        """Leaves the line as it is."""
+        if self._writes and self.n != self._written:
+            self._write()
+        self._bar.close()
+        self._redirected.close()
+
+    def __enter__(self) -> "ProgressLine":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __str__(self) -> str:
+        gone = tqdm.format_interval(time.monotonic() - self._began)
+        return f"{self.n:,}/{self._total:,} {self._unit} | {gone} gone" + (f", {self._text}" if self._text else "")
+
+    def _left(self) -> str:
+        if self.n == self._first or self.n >= self._total:
+            return ""
+        each = (time.monotonic() - self._began) / (self.n - self._first)
+        return f"{tqdm.format_interval(each * (self._total - self.n))} left"
+
+    def _write(self) -> None:
+        self._last, self._written = time.monotonic(), self.n
+        sys.stderr.write(f"{self}\n")
+        sys.stderr.flush()
