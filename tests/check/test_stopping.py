@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sys
+from functools import partial
 from pathlib import Path
+from subprocess import PIPE, Popen
 
 import pytest
 
@@ -134,3 +137,30 @@ def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, 
     run_dir = Path(shutil.copytree(whole, tmp_path / "run"))
     rotation(run_dir).latest().write_bytes(b"")
     assert how_to_go_on(run_dir) == f"stopped: go on with uavrl-train resume={run_dir}."
+
+
+# ---------------------------------------------------------------------- the processes of a suite
+
+SUITE = """
+import time
+from uavrl.cli.errors import command_process
+from uavrl.cli.suite import _processes
+
+if __name__ == "__main__":
+    with command_process(), _processes(2) as pool:
+        evaluations = [pool.submit(time.sleep, 600) for _ in range(4)]
+        print("begun", flush=True)
+        evaluations[0].result()
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_suite_that_is_ended_leaves_nothing_behind(number: signal.Signals, code: int, tmp_path: Path) -> None:
+    script = tmp_path / "suite.py"
+    script.write_text(SUITE, encoding="utf-8")
+    heard = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    with Popen([sys.executable, script], stdout=PIPE, stderr=PIPE, text=True, preexec_fn=heard) as process:
+        assert process.stdout is not None and process.stdout.readline() == "begun\n"
+        process.send_signal(number)
+        _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
+    assert (process.returncode, err) == (code, "uavrl: stopped.\n"), "leaked semaphores were warned of"

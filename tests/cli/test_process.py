@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -30,6 +32,22 @@ def test_processes_that_a_command_starts_import_nothing_from_the_working_folder(
     with command_process():
         assert os.environ[SAFE_PATH] == "1"
     assert os.environ.get(SAFE_PATH) == before
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_command_that_is_ended_says_so_and_cleans_up(
+    number: signal.Signals, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    passed: list[int] = []
+    before = signal.signal(number, lambda number, _: passed.append(number))
+    try:
+        with pytest.raises(SystemExit) as end, command_process():
+            os.kill(os.getpid(), number)
+            time.sleep(0.1)
+    finally:
+        signal.signal(number, before)
+    assert (end.value.code, passed) == (code, [])
+    assert capsys.readouterr().err == "uavrl: stopped.\n"
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "ascii", "utf-8"])

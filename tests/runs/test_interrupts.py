@@ -27,12 +27,17 @@ def test_signals_are_given_back_to_who_had_them() -> None:
         signal.signal(signal.SIGTERM, before)
 
 
-def test_a_checkpoint_that_is_being_written_is_finished() -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_checkpoint_that_is_being_written_is_finished(number: signal.Signals) -> None:
     done: list[str] = []
-    with pytest.raises(KeyboardInterrupt), stoppable() as stop, stop.deferred():
-        os.kill(os.getpid(), signal.SIGTERM)
-        done.append("written")
-    assert done == ["written"] and stop.signal == signal.SIGTERM
+    before = signal.signal(number, lambda *_: done.append("passed"))
+    try:
+        with pytest.raises(KeyboardInterrupt), stoppable() as stop, stop.deferred():
+            os.kill(os.getpid(), number)
+            done.append("written")
+    finally:
+        signal.signal(number, before)
+    assert done == ["written"] and stop.signal == number
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
 
 

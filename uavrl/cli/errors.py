@@ -109,7 +109,7 @@ def command_process() -> Iterator[None]:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=PLAIN)
     try:
-        with one_sentence():
+        with one_sentence(), terminable():
             _check_arguments()
             yield
             sys.stdout.flush()  # here, where somebody hears of a pipe that was closed

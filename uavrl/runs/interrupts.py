@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 HELD_BACK = {signal.SIGINT, signal.SIGTERM}
+ENDS = (*HELD_BACK, signal.SIGHUP)  # what ends a run that handles it
 PATIENCE = 10.0  # s for which a stopped run goes on at most, where its next checkpoint comes in half of them
 
 
@@ -116,12 +117,15 @@ def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def stoppable() -> Iterator[Stop]:
-    """Handles Ctrl-C and SIGTERM in the main thread, unless they are ignored, as in a shell's background jobs."""
+    """Handles Ctrl-C, SIGTERM and a terminal that closes in the main thread, unless they are ignored.
+
+    A shell ignores Ctrl-C for its background jobs, ``nohup`` ignores the terminal's end.
+    """
     stop = Stop()
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGALRM, *ENDS)}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:
             signal.signal(number, stop.handle)
