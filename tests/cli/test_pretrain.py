@@ -105,6 +105,15 @@ def test_too_few_states_or_episodes_are_refused(
     assert said in refused(command.main, f"run={tmp_path / 'few'}", *SMALL_PRETRAINING)
 
 
+def test_a_taken_folder_is_refused_before_the_states_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.setattr(pipeline, "read_states", lambda _: pytest.fail("the states were read"))
+    (tmp_path / "pretrained").mkdir()
+    (tmp_path / "pretrained" / ARTIFACT.json).write_text("{}", encoding="utf-8")
+    assert "holds an artifact already" in refused(command.main, f"run={tmp_path}", *SMALL_PRETRAINING)
+
+
 def test_an_artifact_is_not_overwritten(run: Path, refused: Callable[..., str]) -> None:
     (run / "pretrained").mkdir()
     (run / "pretrained" / "artifact.json").write_text("kept")

@@ -49,11 +49,11 @@ def pretrain(config: PretrainConfig) -> dict[str, Any]:
     if config.run is None:
         raise UavrlError("Give run=RUN_FOLDER, of a training whose states are learned from: uavrl-train makes one.")
     torch.set_num_threads(config.threads)
-    source = read_states(Path(config.run))
-    sample = draw_sample(source, config.pretrain, config.seed)
     output = Path(config.output or Path(config.run) / PRETRAINED)
     if any((output / name).exists() for name in (ARTIFACT.json, ARTIFACT.safetensors)):
         raise UavrlError(f"The folder {output} holds an artifact already: choose another with output=FOLDER.")
+    source = read_states(Path(config.run))
+    sample = draw_sample(source, config.pretrain, config.seed)
     writable(output / ARTIFACT.json, "output=FOLDER")
     with threadpool_limits(config.threads):
         about = _pretrain(source, sample, config, output)
