@@ -62,6 +62,7 @@ def test_a_message_has_a_line_of_its_own(
 ) -> None:
     written = stream()
     monkeypatch.setattr(progress_line.sys, "stderr", written)
+    monkeypatch.setattr(log, "disabled", False)  # as Hydra leaves it after a command in this process
     handler = logging.StreamHandler(written)
     logging.root.addHandler(handler)
     try:
