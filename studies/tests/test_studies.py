@@ -19,10 +19,11 @@ import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict
 
-from tests.helpers.commands import TINY, in_process
+from tests.helpers.commands import TINY, VALLEY, in_process
 from tests.helpers.configs import with_run_dir
 from tests.helpers.folders import episodes, evaluation, write_episodes
 from uavrl.buffers import backward_reward
+from uavrl.cli.export import main as export
 from uavrl.cli.train import main as train
 from uavrl.errors import UavrlError
 from uavrl.runs.provenance import commit
@@ -46,6 +47,15 @@ def test_variants_of_the_controller_are_flown_in_both_worlds(said: Said, tmp_pat
     assert len(told.splitlines()) == 2 + 4 and len(found) == 2
     fast, today = ([world["action_change"][3] for world in worlds.values()] for worlds in found.values())
     assert fast > today  # the constants of the first are those of before
+
+
+def test_an_exported_policy_flies_by_packets_and_mavlink(said: Said, tmp_path: Path) -> None:
+    folder, file = tmp_path / "best", tmp_path / "found.json"
+    assert in_process(export, "policy=best", f"output={folder}") == 0
+    small = [*VALLEY, "perception=range_image", "perception.last_action=true", "perception.lidar.max_range=6"]
+    told = said("over_mavlink", folder, "--tasks", 1, "--memory", 6, "--json", file, "--world", *small)
+    found = json.loads(file.read_text())
+    assert len(found["outcomes"]) == 1 and found["memory"] == 6 and f"task 0: {found['outcomes']} after" in told
 
 
 # ---------------------------------------------------------------------- statistics of runs
