@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.mapping.test_wayfinder import ALTITUDE, STILL, scanned, wall
-from uavrl.mapping import Navigator
+from uavrl.mapping import EpisodeMap, Navigator
 from uavrl.mapping.navigator import ELSEWHERE, EVERY
 
 GOAL, NOTHING = np.array([105.0, 50.0]), np.full((1, 3), np.nan)
@@ -48,6 +48,34 @@ def test_where_its_axes_have_moved_it_begins_a_new_map() -> None:
     near, far = (START + np.array([0.0, share * ELSEWHERE, 0.0]) for share in (0.9, 2.0))
     assert looked(navigator, NOTHING, near) != 0.0 != first
     assert looked(navigator, NOTHING, far) == 0.0 and not len(navigator.known.occupied)
+
+
+def test_a_jump_is_seen_also_of_a_place_that_is_moved_on_in_the_same_array() -> None:
+    navigator, place = Navigator(), START.copy()
+    looked(navigator, wall((2.0, 3.0), (2.0, -1.0)), place)
+    assert len(navigator.known.occupied)
+    place[0] += 2 * ELSEWHERE
+    looked(navigator, NOTHING, place)
+    assert not len(navigator.known.occupied)
+
+
+def test_a_goal_far_away_is_looked_for_within_its_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole way to a goal 500 m away would take seconds to find, in which a vehicle flies on."""
+    navigator, points, ends = Navigator(reach=20.0), wall((2.0, 3.0), (2.0, -1.0)), list[np.ndarray]()
+    find, (east, north) = EpisodeMap.route, START[:2]
+    monkeypatch.setattr(EpisodeMap, "route", lambda *known: ends.append(known[2]) or find(*known))
+    turn = looked(navigator, points, goal=np.array([east + 500.0, north]))
+    assert turn == looked(Navigator(), points, goal=np.array([east + 20.0, north]))
+    assert -1.2 < turn < -0.4
+    assert ends[0] == pytest.approx([east + 20.0, north])
+
+
+@pytest.mark.parametrize("far", [1e9, 1e30])
+def test_a_place_where_no_vehicle_is_leads_nowhere(far: float) -> None:
+    navigator, points = Navigator(), wall((2.0, 3.0), (2.0, -1.0))
+    turn = looked(navigator, points)
+    assert navigator.look(scanned(points, START * 0, STILL[0])[0], STILL[0], np.array([far, 0.0, 3.5]), GOAL) == 0.0
+    assert looked(navigator, NOTHING) == turn
 
 
 @pytest.mark.parametrize(("height", "stands"), [(0.1, True), (0.7, False)])

@@ -16,6 +16,7 @@ LEVEL = 0.4  # m over and under the flight level, within which what is seen is i
 ELSEWHERE = 2.0  # m between two scans, after which the map is no longer of where the vehicle is
 EVERY = 5  # scans between two that are entered, after which the way is found anew: 2 Hz
 AHEAD = 4.0  # m, how far along the way a vehicle looks
+FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are counted in 32 bits
 
 
 class Navigator:
@@ -28,7 +29,7 @@ class Navigator:
 
     Args:
         sight: how far returns count, m.
-        reach: m from the vehicle, beyond which its map forgets.
+        reach: m from the vehicle, beyond which its map forgets; of a goal that is farther it heads for the direction.
         flight_level: m, the altitude of the map.
         cell: edge of the map's cells, m.
         sensor_position: of the LiDAR in body axes, m.
@@ -68,7 +69,7 @@ class Navigator:
         """Takes in another scan; returns how far off the goal's direction the way leads, in [-π, π] rad.
 
         It is left positive, and 0 where the way leads straight on to the goal, where the map leaves none, and where
-        attitude or place is not finite: then nothing was looked at.
+        attitude or place is not finite, or the place is no vehicle's (over 1e8 m): then nothing was looked at.
 
         Args:
             cloud: ``[P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
@@ -76,9 +77,11 @@ class Navigator:
             place: ``[3]``, of the vehicle in m, in axes whose z is the altitude.
             goal: ``[2]`` m, in the same axes.
         """
-        if not np.isfinite([*attitude, *place]).all():
+        if not np.isfinite([*attitude, *place]).all() or np.abs(place).max() > FARTHEST:
             return 0.0
-        level = place[:2]
+        level = np.array(place[:2], np.float64)  # its own: a caller may move its place on in the same array
+        if (far := float(np.linalg.norm(goal - level))) > (reach := self._size[1]):
+            goal = level + reach / far * (goal - level)  # beyond it nothing is known, and the search would take seconds
         if self._last is not None and np.linalg.norm(level - self._last) > ELSEWHERE:
             self.reset()
         due = self._scans % EVERY == 0
