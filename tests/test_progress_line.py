@@ -56,6 +56,17 @@ def test_nothing_is_written_where_nothing_was_asked_for_or_done(
     assert capsys.readouterr() == ("", "")
 
 
+def test_without_a_standard_error_it_counts_and_writes_nothing(
+    clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Python has none that is begun with ``2>&-``."""
+    monkeypatch.setattr("sys.stderr", None)
+    with ProgressLine(10, "episodes") as line:
+        clock[0] = 20.0
+        line.add()
+    assert line.n == 1
+
+
 @pytest.mark.parametrize("stream", [io.StringIO, Terminal])
 def test_a_message_has_a_line_of_its_own(
     stream: type[io.StringIO], monkeypatch: pytest.MonkeyPatch, clock: list[float]

@@ -30,7 +30,8 @@ class ProgressLine:
     """
 
     def __init__(self, total: int, unit: str, *, done: int = 0, enabled: bool = True) -> None:
-        terminal = enabled and sys.stderr is not None and sys.stderr.isatty()
+        enabled = enabled and sys.stderr is not None  # None: it was closed before Python began
+        terminal = enabled and sys.stderr.isatty()
         self.n, self._total, self._unit, self._text = done, total, unit, ""
         self._first = self._written = done
         self._writes = enabled and not terminal

@@ -164,3 +164,35 @@ def test_a_suite_that_is_ended_leaves_nothing_behind(number: signal.Signals, cod
         process.send_signal(number)
         _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
     assert (process.returncode, err) == (code, "uavrl: stopped.\n"), "leaked semaphores were warned of"
+
+
+# ---------------------------------------------------------------------- a terminal that is closed
+
+ON_A_TERMINAL = """
+import fcntl, sys, termios
+from uavrl.cli.errors import command_process
+
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+with command_process():
+    try:
+        print("begun", flush=True)
+        sys.stdin.read()
+    finally:
+        open("cleaned", "w").close()
+        AT_THE_END
+"""
+
+
+@pytest.mark.parametrize("at_the_end", ["pass", "print('what it has', flush=True)"])
+def test_a_command_whose_terminal_is_closed_cleans_up_and_exits_with_129(at_the_end: str, tmp_path: Path) -> None:
+    script, (ours, theirs) = tmp_path / "command.py", os.openpty()
+    script.write_text(ON_A_TERMINAL.replace("AT_THE_END", at_the_end), encoding="utf-8")
+    terminal = {"stdin": theirs, "stdout": theirs, "stderr": theirs, "start_new_session": True}
+    with Popen([sys.executable, script], cwd=tmp_path, **terminal) as process:
+        os.close(theirs)
+        shown = b""
+        while b"begun" not in shown:
+            shown += os.read(ours, 1000)
+        os.close(ours)
+        assert process.wait(60) == 128 + signal.SIGHUP
+    assert (tmp_path / "cleaned").exists()

@@ -1,6 +1,7 @@
 """How a command's process begins and ends: its log, its terminal, its arguments, and errors in one sentence."""
 
 import codecs
+import errno
 import io
 import logging
 import os
@@ -10,12 +11,13 @@ import sys
 import threading
 import unicodedata
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from uavrl.errors import Stopped, UavrlError, was_interrupted
 
 SAFE_PATH = "PYTHONSAFEPATH"  # with it set no Python that starts imports from the working folder
 PLAIN = "uavrl.plain"  # the name of :func:`_plain` among Python's handlers of what cannot be encoded
+_LEFT = {errno.EPIPE: signal.SIGPIPE, errno.EIO: signal.SIGHUP}  # by what writing to it answers
 _PLAINER = {"–": "-", "—": "-", "→": "->", "×": "x", "’": "'"}  # where Unicode knows no plainer form
 
 
@@ -25,38 +27,46 @@ def sentence(error: BaseException | None) -> str:
     return f"{error}. Check the folder and the space left on its disk." if of_a_disk else str(error)
 
 
-def _reader_left(error: BaseException) -> bool:
-    """Whether nobody reads on what is printed: ``uavrl-evaluate … | head``. Another pipe may have broken as well."""
-    if not isinstance(error, BrokenPipeError):
-        return False
+def _reader_left(error: BaseException) -> signal.Signals | None:
+    """What ends a command whose output nobody reads on: ``uavrl-evaluate … | head``, or a terminal that was closed.
+
+    None: somebody does; another pipe may have broken as well.
+    """
+    number = _LEFT.get(error.errno or 0) if isinstance(error, OSError) else None
+    if number is None:
+        return None
     out = sys.stdout.fileno()
     asked = select.poll()
     asked.register(out, 0)
-    left = any(event & (select.POLLERR | select.POLLHUP) for _, event in asked.poll(0))
-    if left:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, out)  # for what Python flushes at its end
-        os.close(nowhere)
-    return left
+    if not any(event & (select.POLLERR | select.POLLHUP) for _, event in asked.poll(0)):
+        return None
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, out)  # for what Python flushes at its end
+    os.close(nowhere)
+    return number
 
 
 @contextmanager
 def one_sentence() -> Iterator[None]:
-    """Prints what the user can mend, without a traceback, and exits with 1; Ctrl-C exits with 130, SIGTERM with 143."""
+    """Prints what the user can mend, without a traceback, and exits with 1.
+
+    Ctrl-C exits with 130, SIGTERM with 143, a terminal that was closed with 129.
+    """
     try:
         yield
     except SystemExit:  # told by one inside of this
         raise
     except (UavrlError, OSError) as error:
-        if _reader_left(error):
-            raise SystemExit(128 + signal.SIGPIPE) from error
+        if (number := _reader_left(error)) is not None:
+            raise SystemExit(128 + number) from error
         print(f"uavrl: {sentence(error)}", file=sys.stderr)
         raise SystemExit(1) from error
     except BaseException as error:
         if not was_interrupted(error):
             raise
         stopped = error if isinstance(error, Stopped) else Stopped()
-        print(f"uavrl: {stopped}", file=sys.stderr)
+        with suppress(OSError):  # of a terminal that was closed
+            print(f"uavrl: {stopped}", file=sys.stderr, flush=True)
         raise SystemExit(stopped.exit_code) from stopped
 
 
