@@ -345,6 +345,8 @@ def test_damaged_bytes_end_in_what_is_whole_or_in_a_sentence(
         {"cells": np.zeros(7, np.float32)},
         {"distance": "far"},
         {"latency": [1]},
+        {"turn": "0.5"},
+        {"turn": True},
         {"control": VehicleStatus(Control.LOST, "gone", armed="perhaps")},  # type: ignore[arg-type]
     ],
 )

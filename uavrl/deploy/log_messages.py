@@ -118,7 +118,7 @@ class FlightMessages:
             status=SafetyStatus(**safety),
             latency=told["latency"],
             arrived=bool(told["arrived"]),
-            turn=None if told.get("turn") is None else float(told["turn"]),  # older logs do not tell
+            turn=told.get("turn"),  # older logs do not tell
         )
 
     # What messages are made of.

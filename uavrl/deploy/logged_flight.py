@@ -108,7 +108,7 @@ class LoggedFlight:
             cycle = self._messages.decode(log_time, messages)
             _STATUS.validate_python(asdict(cycle.status))
             _CONTROL.validate_python(asdict(cycle.control))
-            for number in (cycle.distance, cycle.latency):
+            for number in (cycle.distance, cycle.latency, cycle.turn):
                 _NUMBER.validate_python(number, strict=True)
             if cycle.cells is not None and cycle.cells.shape != (self.contract.cells.count,):
                 raise ValueError(f"{len(cycle.cells)} cells")

@@ -43,6 +43,7 @@ class LoggedMoments:
         self.clouds: list[np.ndarray] = []
         self.cells: list[np.ndarray] = []
         self.nearest: list[float] = []
+        self.turns: list[float] = []  # off the goal's direction, rad
         self._world = [np.zeros((0, 3))]
         for cycle in flight:
             self._add(cycle)
@@ -63,6 +64,7 @@ class LoggedMoments:
             return  # nobody knows yet where it is
         cloud, age = np.zeros((0, 3), np.float32), cycle.status.scan_age
         cells, nearest = np.zeros(self.flight.contract.cells.count, np.float32), np.nan
+        turn = cycle.turn or 0.0
         if cycle.scan is not None:
             returns = cycle.scan.points[is_return(cycle.scan.points)]
             far = np.linalg.norm(returns, axis=1)
@@ -70,13 +72,14 @@ class LoggedMoments:
             cells = cells if cycle.cells is None else cycle.cells
             self._see(thinned(returns[far < NEAR], 1500), position, attitude)
         elif self.clouds and age is not None and age <= FRESH:
-            cloud, cells, nearest = self.clouds[-1], self.cells[-1], self.nearest[-1]
+            cloud, cells, nearest, turn = self.clouds[-1], self.cells[-1], self.nearest[-1], self.turns[-1]
         self.cycles.append(replace(cycle, scan=None, cells=None))
         self.positions.append(position)
         self.attitudes.append(attitude)
         self.clouds.append(cloud)
         self.cells.append(cells)
         self.nearest.append(nearest)
+        self.turns.append(turn)
         self._kept += len(cloud)
         if self._kept > MOST_POINTS and self._most > 20:
             self._most //= 2
@@ -164,9 +167,9 @@ def _flight(moments: LoggedMoments) -> dict[str, Any]:
 
 
 def _bearings(moments: LoggedMoments) -> np.ndarray:
-    """Where a memory led, from east to the left in rad; straight to the goal where it was not asked."""
+    """Where a memory led, from east to the left in rad; straight to the goal without a scan to fly by."""
     x, y = (np.array(moments.flight.goal[:2]) - np.array(moments.positions)[:, :2]).T
-    return np.arctan2(y, x) + np.array([cycle.turn or 0.0 for cycle in moments.cycles])
+    return np.arctan2(y, x) + np.array(moments.turns)
 
 
 def facts(moments: LoggedMoments) -> dict[str, str]:
