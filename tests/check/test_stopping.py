@@ -187,8 +187,8 @@ with command_process():
 def test_a_command_whose_terminal_is_closed_cleans_up_and_exits_with_129(at_the_end: str, tmp_path: Path) -> None:
     script, (ours, theirs) = tmp_path / "command.py", os.openpty()
     script.write_text(ON_A_TERMINAL.replace("AT_THE_END", at_the_end), encoding="utf-8")
-    terminal = {"stdin": theirs, "stdout": theirs, "stderr": theirs, "start_new_session": True}
-    with Popen([sys.executable, script], cwd=tmp_path, **terminal) as process:
+    begun = partial(Popen[bytes], [sys.executable, script], cwd=tmp_path, start_new_session=True)
+    with begun(stdin=theirs, stdout=theirs, stderr=theirs) as process:
         os.close(theirs)
         shown = b""
         while b"begun" not in shown:

@@ -63,7 +63,12 @@ def test_a_goal_far_away_is_looked_for_within_its_reach(monkeypatch: pytest.Monk
     """The whole way to a goal 500 m away would take seconds to find, in which a vehicle flies on."""
     navigator, points, ends = Navigator(reach=20.0), wall((2.0, 3.0), (2.0, -1.0)), list[np.ndarray]()
     find, (east, north) = EpisodeMap.route, START[:2]
-    monkeypatch.setattr(EpisodeMap, "route", lambda *known: ends.append(known[2]) or find(*known))
+
+    def noted(known: EpisodeMap, place: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+        ends.append(goal)
+        return find(known, place, goal)
+
+    monkeypatch.setattr(EpisodeMap, "route", noted)
     turn = looked(navigator, points, goal=np.array([east + 500.0, north]))
     assert turn == looked(Navigator(), points, goal=np.array([east + 20.0, north]))
     assert -1.2 < turn < -0.4
