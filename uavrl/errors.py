@@ -39,7 +39,7 @@ class FlyingEnded(UavrlError):
 
 
 class Stopped(KeyboardInterrupt):
-    """A command that Ctrl-C or SIGTERM has ended: how to go on, and the exit code that shells expect."""
+    """A command that a signal has ended: how to go on, and the exit code that shells expect."""
 
     def __init__(self, how_to_go_on: str = "stopped.", number: int = signal.SIGINT) -> None:
         super().__init__(how_to_go_on)

@@ -153,7 +153,7 @@ class Slow(Breaking):
         super().__init__()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_does_not_wait_for_a_world_that_is_being_built(number: int) -> None:
     begun, others = time.monotonic(), active_children()
     before = signal.signal(number, signal.default_int_handler)

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while a run trains."""
+"""Ctrl-C, SIGTERM and a terminal that closes while a run trains."""
 
 import signal
 import socket
@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-HELD_BACK = {signal.SIGINT, signal.SIGTERM}
-ENDS = (*HELD_BACK, signal.SIGHUP)  # what ends a run that handles it
+ENDS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}  # a run, unless they are ignored
 PATIENCE = 10.0  # s for which a stopped run goes on at most, where its next checkpoint comes in half of them
 
 
@@ -64,8 +63,8 @@ class Stop:
 
 @contextmanager
 def interrupts_held_back() -> Iterator[None]:
-    """Blocks Ctrl-C and SIGTERM meanwhile: processes that are started inherit this, and this one handles both later."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, HELD_BACK)
+    """Blocks these signals meanwhile: processes that are started inherit this, and this one handles them later."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
     try:
         yield
     finally:
@@ -74,7 +73,7 @@ def interrupts_held_back() -> Iterator[None]:
 
 @contextmanager
 def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
-    """As :func:`interrupts_held_back`, but a Ctrl-C or SIGTERM calls ``processes``, again and again until all is over.
+    """As :func:`interrupts_held_back`, but one of these signals calls ``processes``, again and again until all is over.
 
     It ends the processes for which the main thread waits in a library, which then raises; the signal is handled next.
     """
@@ -84,12 +83,12 @@ def interrupts_end(processes: Callable[[], None]) -> Iterator[None]:
         return
     over, came, (told, teller) = threading.Event(), list[int](), socket.socketpair()
     teller.setblocking(False)
-    handlers = {number: signal.getsignal(number) for number in HELD_BACK}
+    handlers = {number: signal.getsignal(number) for number in ENDS}
     handlers = {number: each for number, each in handlers.items() if each not in (signal.SIG_IGN, None)}
 
     def watch() -> None:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, HELD_BACK)  # this thread hears them, wherever the main one is
-        while not HELD_BACK & set(told.recv(64)) and not over.is_set():
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDS)  # this thread hears them, wherever the main one is
+        while not ENDS & set(told.recv(64)) and not over.is_set():
             pass
         while not over.wait(0.2):
             processes()
@@ -126,9 +125,9 @@ def stoppable() -> Iterator[Stop]:
         yield stop
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGALRM, *ENDS)}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, stop.handle)
+    before = {number: each for number, each in before.items() if each not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, stop.handle)
     try:
         yield stop
     finally:
