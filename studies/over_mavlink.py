@@ -19,6 +19,7 @@ from pathlib import Path
 import torch
 
 from tests.helpers.wire import Wire
+from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.deploy.contract import read_contract
 from uavrl.mapping import Navigator
@@ -76,4 +77,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()
