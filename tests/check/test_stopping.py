@@ -154,12 +154,17 @@ if __name__ == "__main__":
 """
 
 
+def _hears() -> None:
+    """Lets a process hear what shells and ``nohup`` ignore for theirs."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_suite_that_is_ended_leaves_nothing_behind(number: signal.Signals, code: int, tmp_path: Path) -> None:
     script = tmp_path / "suite.py"
     script.write_text(SUITE, encoding="utf-8")
-    heard = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    with Popen([sys.executable, script], stdout=PIPE, stderr=PIPE, text=True, preexec_fn=heard) as process:
+    with Popen([sys.executable, script], stdout=PIPE, stderr=PIPE, text=True, preexec_fn=_hears) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
         process.send_signal(number)
         _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
@@ -187,7 +192,7 @@ with command_process():
 def test_a_command_whose_terminal_is_closed_cleans_up_and_exits_with_129(at_the_end: str, tmp_path: Path) -> None:
     script, (ours, theirs) = tmp_path / "command.py", os.openpty()
     script.write_text(ON_A_TERMINAL.replace("AT_THE_END", at_the_end), encoding="utf-8")
-    begun = partial(Popen[bytes], [sys.executable, script], cwd=tmp_path, start_new_session=True)
+    begun = partial(Popen[bytes], [sys.executable, script], cwd=tmp_path, start_new_session=True, preexec_fn=_hears)
     with begun(stdin=theirs, stdout=theirs, stderr=theirs) as process:
         os.close(theirs)
         shown = b""
