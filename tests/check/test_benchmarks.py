@@ -44,6 +44,13 @@ def test_the_environment_benchmark_writes_its_profile(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_motion_benchmark_writes_its_rows(tmp_path: Path) -> None:
+    numbers = written_by("motion.py", tmp_path, "--uavs", "2", "--repeats", "1", "--steps", "16")
+    plain, *others = numbers["ms_per_uav_step"].values()
+    assert len(others) == 3 and 0 < plain < min(others)
+
+
+@pytest.mark.slow
 def test_the_training_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     few = ["--repeats", "1", "--steps", "40", "--warm-up", "40", "--skip-async"]
     numbers = written_by("train.py", tmp_path, *few)

@@ -33,7 +33,7 @@ def test_the_packaged_policy_among_traps(memory: str, least: int, most: int, tmp
 
 
 def test_the_exported_policy_over_packets_and_mavlink(tmp_path: Path) -> None:
-    """Of the first 60 tasks of the suite's row it solves 58 so; fewer than 4 of 6 come once in 400 times."""
+    """Of the first 60 tasks of the suite's row it solves 58 so; at 95 % fewer than 4 of 6 come once in 450 times."""
     folder, arrived = tmp_path / "best", 0
     assert in_process(export_command.main, "policy=best", f"output={folder}") == 0
     settings = validate(compose("run_dir=here", "env=static", "env.world.seeds=[200]", *AMONG, *SEEN))

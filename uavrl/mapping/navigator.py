@@ -14,7 +14,7 @@ from uavrl.mapping.route import waypoint
 LIDAR_ABOVE = 0.1  # m, of the sensor over the hull's middle
 LEVEL = 0.4  # m over and under the flight level, within which what is seen is in the way
 ELSEWHERE = 2.0  # m between two scans, after which the map is no longer of where the vehicle is
-EVERY = 5  # scans between two that are entered, after which the way is found anew: 2 Hz
+EVERY = 5  # of so many scans one is entered, and then the way is found anew: 2 Hz of 10
 AHEAD = 4.0  # m, how far along the way a vehicle looks
 FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are counted in 32 bits
 
@@ -22,10 +22,10 @@ FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are count
 class Navigator:
     """Leads a vehicle that knows its place and its goal along the quickest way through what it has seen.
 
-    Twice a second what a scan shows at the flight level enters a map of cells, and the quickest way through it to the
-    goal is found (:func:`uavrl.mapping.route.route`), in which what was not seen is free. So a vehicle looks into a
-    dead end and flies out again. What moves stays in the map where it was; what lies over or under the flight level is
-    not in it. A vehicle that is 2 m elsewhere from one scan to the next begins a new map: its axes have moved.
+    What every fifth scan shows at the flight level enters a map of cells, and the quickest way through it to the goal
+    is found (:func:`uavrl.mapping.route.route`), in which what was not seen is free. So a vehicle looks into a dead end
+    and flies out again. What moves stays in the map where it was; what lies over or under the flight level is not in
+    it. A vehicle that is 2 m elsewhere from one scan to the next begins a new map: its axes have moved.
 
     Args:
         sight: how far returns count, m.

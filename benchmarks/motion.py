@@ -1,0 +1,68 @@
+"""What it costs an environment step to look for what moves, and to keep a map of the episode.
+
+Run `python benchmarks/motion.py [--json FILE]`. All rows fly the default's eight vehicles among ten planes, with the
+same random actions, on one thread and up to what the policy reads; an episode that ends begins anew. Rows are
+interleaved and repeated; medians count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import torch
+from common import experiment, machine
+from flights import Row, measure
+
+from uavrl.cli.errors import one_sentence
+from uavrl.rollout.environment import make_env
+
+ROWS = {
+    "neither": [],
+    "perception.motion=12": ["perception.motion=12"],
+    "perception.motion=8": ["perception.motion=8"],
+    "perception.memory=12": ["perception.memory=12"],
+}
+SEEN = ["env=dynamic", "perception=range_image", "perception.last_action=true"]
+
+
+def flying(steps: int, uavs: int, overrides: list[str]) -> Row:
+    """Flies so many steps at a time; returns milliseconds per vehicle step."""
+    settings = experiment(*SEEN, *overrides)
+    env = make_env(settings.env, settings.perception, settings.reward, seed=settings.seed, num_uavs=uavs)
+    generator, state = torch.Generator().manual_seed(0), env.reset()
+
+    def fly() -> float:
+        nonlocal state
+        actions = torch.rand(steps, uavs, 4, generator=generator) * 2 - 0.5
+        begun = time.perf_counter()
+        for action in actions:
+            state = env.step_and_maybe_reset(state.set("action", action))[1]
+        return 1e3 * (time.perf_counter() - begun) / (steps * uavs)
+
+    return fly
+
+
+def main() -> None:
+    """Measures, and tells."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--uavs", type=int, default=8)
+    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--repeats", type=int, default=8)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    about = machine()
+    found = measure({name: flying(args.steps, args.uavs, told) for name, told in ROWS.items()}, args.repeats)
+    for name, value in found.items():
+        print(f"{name:22} {value:6.2f} ms per vehicle step, {value / found['neither']:.2f} times")
+    if args.json:
+        content = {"machine": about, "uavs": args.uavs, "ms_per_uav_step": found}
+        args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    with one_sentence():
+        main()
