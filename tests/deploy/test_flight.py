@@ -36,7 +36,7 @@ class Policy:
     """Answers each scan with the same action, and notes what it was given."""
 
     def __init__(self, action: Sequence[float] = (1.0, 0.5, 0.0, 0.25)) -> None:
-        self.contract = SimpleNamespace(rate_hz=10.0)
+        self.contract = SimpleNamespace(rate_hz=10.0, memory=None)
         self.cells: np.ndarray | None = None
         self.last_action = np.zeros(4, np.float32)
         self.action, self.seen, self.before = np.array(action, np.float32), list[tuple[Any, ...]](), list[list[float]]()

@@ -25,7 +25,7 @@ from uavrl.deploy.autopilot import Autopilot
 from uavrl.deploy.doubts import Doubts
 from uavrl.deploy.dry_run import DryRun
 from uavrl.deploy.feeds import UdpScans
-from uavrl.deploy.flight import Flight, fly, rehearse
+from uavrl.deploy.flight import Flight, fly, map_for, rehearse
 from uavrl.deploy.flight_summary import FlightSummary
 from uavrl.deploy.limits import SafetyLimits
 from uavrl.deploy.log import FlightLog
@@ -42,7 +42,6 @@ from uavrl.runs.files import replacing, writable
 from uavrl.shield import Shield
 
 if TYPE_CHECKING:
-    from uavrl.deploy.contract import Contract
     from uavrl.deploy.ros2 import Ros2Scans
 
 ROS2 = "ros2:"  # how addresses of ROS 2 begin
@@ -131,10 +130,11 @@ def main(config: DictConfig) -> None:
             opened.enter_context(beside())
         link = opened.enter_context(closing(_link(settings)))
         assert settings.goal is not None
-        stages: dict[str, Any] = {"shield": _shield(settings), "memory": _memory(settings, policy.contract)}
+        led = map_for(policy.contract, settings.memory)
+        stages: dict[str, Any] = {"shield": _shield(settings), "memory": led}
         layer, box = SafetyLayer(settings.safety), settings.box
         flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, **stages)
-        log = _log(settings, policy)
+        log = _log(settings, policy, led)
         if log is not None:
             opened.callback(_told, log.close)
         cycles = _cycles(settings, flight, link, opened)
@@ -170,12 +170,12 @@ def _link(settings: FlyConfig) -> VehicleLink:
     return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
 
 
-def _log(settings: FlyConfig, policy: Policy) -> FlightLog | None:
+def _log(settings: FlyConfig, policy: Policy, led: Navigator | None) -> FlightLog | None:
     if settings.log is None:
         return None
     assert settings.goal is not None
     about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(_shield(settings))}
-    about |= {"memory": str(settings.memory)}
+    about |= {"memory": "None" if led is None else str(led.sight)}
     return FlightLog(
         settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
     )
@@ -193,14 +193,6 @@ def _shield(settings: FlyConfig) -> Shield | None:
     """A shield for the hull that the command line tells of."""
     told = {key: value for key, value in asdict(settings.shield).items() if value is not None}
     return Shield(**told, limit=settings.safety.velocity) if settings.shield.radius is not None else None
-
-
-def _memory(settings: FlyConfig, contract: Contract) -> Navigator | None:
-    """What keeps a map of the flight, at the level and with the sensor of the policy's training."""
-    if settings.memory is None:
-        return None
-    sensor = contract.cloud.sensor_position
-    return Navigator(settings.memory, flight_level=contract.flight_level, sensor_position=sensor)
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:

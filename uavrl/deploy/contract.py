@@ -15,6 +15,7 @@ from uavrl.cells import LARGEST_RADIUS, NEAREST_RETURN, TOUCHING, Statistic, ret
 from uavrl.deploy.observation import Angles
 from uavrl.deploy.reduction import Reduction, directions
 from uavrl.errors import UavrlError
+from uavrl.mapping import navigator
 from uavrl.motion import OBJECT, rays, threats
 from uavrl.motion.sight import scales
 from uavrl.runs.names import CONTRACT
@@ -29,7 +30,7 @@ Divisor = float | list[float]
 Scale = tuple[float, float | None, Divisor, float]  # shift, modulo, divisor, offset
 Size = Annotated[int, Field(ge=1, le=10_000)]
 Above0 = Annotated[float, Field(gt=0)]
-Quantity = Literal["cells", "altitude", "heading", "elevation", "moving_objects", "threats", "last_action"]
+Quantity = Literal["cells", "altitude", "heading", "waypoint", "elevation", "moving_objects", "threats", "last_action"]
 # shift, modulo, divisor, offset of an angle in degrees
 ANGLES: dict[str, Scale] = {
     "folded": (180.0, 360.0, 180.0, -1.0),
@@ -144,6 +145,23 @@ class MotionTerms(_Part):
         return next((words for words, holds in wrong.items() if holds), None)
 
 
+class MemoryTerms(_Part):
+    """The map whose way a policy is led along, as :mod:`uavrl.mapping` keeps it."""
+
+    sight: Annotated[float, Field(gt=0, le=100)]
+    reach: float
+    cell: float
+    level: float
+    every: int
+    ahead: float
+
+    def contradiction(self) -> str | None:
+        """What is not as this version of uavrl does it; None for a sound part."""
+        found = [self.reach, self.cell, self.level, self.every, self.ahead]
+        known = [navigator.REACH, navigator.CELL, navigator.LEVEL, navigator.EVERY, navigator.AHEAD]
+        return None if np.allclose(found, known, rtol=1e-6, atol=0) else "memory is another map"
+
+
 class Network(_Part):
     """The file of the network."""
 
@@ -166,6 +184,7 @@ class Contract(_Part):
     state: State
     action: Action
     motion: MotionTerms | None = None  #: None for a policy that is not told what moves
+    memory: MemoryTerms | None = None  #: None for a policy that is not led by a map
     network: Network | None = None  #: None where no policy.onnx was exported
 
     @property
@@ -203,7 +222,8 @@ class Contract(_Part):
             "action.low is not below action.high": not np.less(action.low, action.high).all(),
         }
         moving = None if self.motion is None else self.motion.contradiction(self.rate_hz)
-        return next((words for words, holds in wrong.items() if holds), moving)
+        led = None if self.memory is None else self.memory.contradiction()
+        return next((words for words, holds in wrong.items() if holds), moving or led)
 
     def _entries(self) -> list[Entry]:
         """The observation that :mod:`uavrl.deploy.observation` makes with what this one says."""
@@ -211,7 +231,7 @@ class Contract(_Part):
         scales_of: dict[Quantity, tuple[int, Scale]] = {
             "cells": (self.cells.count, (0.0, None, self.cells.radius, 0.0)),
             "altitude": (1, (0.0, None, self.flight_level, -1.0)),
-            "heading": (1, angle),
+            "heading" if self.memory is None else "waypoint": (1, angle),
             "elevation": (1, angle),
         }
         if self.motion is not None:

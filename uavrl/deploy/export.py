@@ -20,9 +20,9 @@ from torchrl.envs import CatFrames, EnvBase, Transform
 from uavrl.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, return_bounds
 from uavrl.config import TrainConfig, validate_run
 from uavrl.config.build import TARGET, build, find_class
+from uavrl.deploy import memory_terms as memory
+from uavrl.deploy import motion_terms as motion
 from uavrl.deploy.contract import ACTION, ANGLES, FORMAT, VERSION, Divisor
-from uavrl.deploy.motion_terms import POSE as MOTION_POSE
-from uavrl.deploy.motion_terms import motion_terms
 from uavrl.deploy.onnx_export import INPUT, OPSET, OUTPUT, policy_onnx
 from uavrl.envs import Airframe, NavigationEnv
 from uavrl.envs.simulation import CONTROL_RATE
@@ -113,8 +113,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     """The contract of a policy that was trained with these settings; None where the valley's definitions do not hold.
 
     They hold for a :class:`~uavrl.transforms.NavigationState` in a :class:`~uavrl.envs.NavigationEnv`; what somebody
-    else's perception or environment means, nobody here can say. There is none either for a policy that was trained with
-    a map of its episode (``perception.memory``): a contract cannot say that it reads the heading to a waypoint.
+    else's perception or environment means, nobody here can say.
 
     Args:
         settings: the validated configuration of the run.
@@ -125,18 +124,16 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
         return None
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
-    if Waypoint in parts:
-        log.warning(
-            "No contract.json is written: it cannot say that a policy has learned with a map, perception.memory."
-        )
-        return None
-    seen = parts.get(MovingObjects)
+    seen, led = parts.get(MovingObjects), parts.get(Waypoint)
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))
     scaled, frames = parts[NavigationObservation], parts[CatFrames]
     observation = [
         _entry("cells", len(reduction.directions()), divisor=scaled.radius),
         _entry("altitude", 1, divisor=scaled.flight_level, offset=-1.0),
-        *(_entry(angle, 1, *ANGLES[scaled.angles]) for angle in ("heading", "elevation")),
+        *(
+            _entry(angle, 1, *ANGLES[scaled.angles])
+            for angle in ("heading" if led is None else "waypoint", "elevation")
+        ),
         *(_motion_entries(seen) if seen is not None else []),
         *([_entry("last_action", len(ACTION), divisor=ACTION_LIMIT)] if LastAction in parts else []),
     ]
@@ -148,7 +145,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
         "moment": "cloud and pose are of one moment, and the action answers them at once",
         "cloud": _cloud(reduction.radius, settings),
         "cells": _cells(reduction),
-        "pose": POSE if seen is None else POSE | MOTION_POSE,
+        "pose": POSE | ({} if seen is None else motion.POSE) | ({} if led is None else memory.POSE),
         "observation": observation,
         "scaling": SCALING if seen is None else f"{SCALING}; a list has a divisor for each number",
         "state": {
@@ -159,7 +156,8 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
             "dtype": "float32",
         },
         "action": _action(ACTION_LIMIT),
-        **({"motion": motion_terms(seen, parts[Threats])} if seen is not None else {}),
+        **({} if seen is None else {"motion": motion.motion_terms(seen, parts[Threats])}),
+        **({} if led is None else {"memory": memory.memory_terms(led)}),
         "versions": versions(),
     }
 

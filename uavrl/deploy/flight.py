@@ -24,6 +24,7 @@ from uavrl.motion.threats import to_yaw
 from uavrl.shield import Shield
 
 if TYPE_CHECKING:
+    from uavrl.deploy.contract import Contract
     from uavrl.deploy.policy import Policy
 
 _logger = logging.getLogger(__name__)
@@ -33,6 +34,20 @@ _LATE = 1.2  # of a cycle: after that it goes on without a scan
 _FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
 _TICK = 0.005  # s between two looks at what the system cannot wait for
 _FLIES = (State.FLYING, State.FENCED)
+
+
+def map_for(contract: Contract, sight: float | None = None) -> Navigator | None:
+    """A map for a policy, at the level and with the sensor of its training; None where it was trained with none.
+
+    Args:
+        contract: the policy's.
+        sight: how far returns count, m; None: as in its training.
+    """
+    if sight is None and contract.memory is not None:
+        sight = contract.memory.sight
+    if sight is None:
+        return None
+    return Navigator(sight, flight_level=contract.flight_level, sensor_position=contract.cloud.sensor_position)
 
 
 class Flight:
@@ -50,7 +65,8 @@ class Flight:
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
         box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
         shield: what bends the policy's velocities away from what the scan shows near; None: nothing.
-        memory: a map of the flight: the policy is led along the quickest way through it; None: straight to the goal.
+        memory: a map of the flight: the policy is led along the quickest way through it; None: the one that it was
+            trained with, or none, and straight to the goal.
 
     Attributes:
         arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
@@ -74,7 +90,8 @@ class Flight:
         self.arrived: float | None = None
         self.period = 1.0 / policy.contract.rate_hz
         self._policy, self._link, self._layer = policy, link, layer
-        self._radius, self._box, self._shield, self._memory = radius, box, shield, memory
+        self._radius, self._box, self._shield = radius, box, shield
+        self._memory = map_for(policy.contract) if memory is None else memory
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none

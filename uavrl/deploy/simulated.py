@@ -59,5 +59,6 @@ class ExportedPolicy:
         perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
         perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
         perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
+        perception |= {} if terms.memory is None else {"memory": terms.memory.sight}
         sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
         return {f"perception.{key}": value for key, value in perception.items()} | sensor

@@ -12,6 +12,7 @@ from uavrl.mapping.episode_map import EpisodeMap
 from uavrl.mapping.route import waypoint
 
 LIDAR_ABOVE = 0.1  # m, of the sensor over the hull's middle
+CELL, REACH = 0.25, 40.0  # m: edge of the map's cells, and from the vehicle to where they are forgotten
 LEVEL = 0.4  # m over and under the flight level, within which what is seen is in the way
 ELSEWHERE = 2.0  # m between two scans, after which the map is no longer of where the vehicle is
 EVERY = 5  # of so many scans one is entered, and then the way is found anew: 2 Hz of 10
@@ -48,9 +49,9 @@ class Navigator:
     def __init__(
         self,
         sight: float = 12.0,
-        reach: float = 40.0,
+        reach: float = REACH,
         flight_level: float = 3.5,
-        cell: float = 0.25,
+        cell: float = CELL,
         sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
     ) -> None:
         self.sight, self.flight_level = sight, flight_level
