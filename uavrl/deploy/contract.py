@@ -148,7 +148,7 @@ class MotionTerms(_Part):
 class MemoryTerms(_Part):
     """The map whose way a policy is led along, as :mod:`uavrl.mapping` keeps it."""
 
-    sight: Annotated[float, Field(gt=0, le=100)]
+    sight: Annotated[float, Field(gt=0, le=40)]
     reach: float
     cell: float
     level: float
