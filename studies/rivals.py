@@ -26,15 +26,16 @@ from run_statistics import paired_difference
 
 from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
+from uavrl.config.build import find_class
 from uavrl.errors import UavrlError
 from uavrl.mapping import episode_map, goal_finder, lines, route
-from uavrl.rollout import baselines, remembered, rrt_connect, ways
+from uavrl.rollout import remembered, rrt_connect, ways
 from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import named_policy
+from uavrl.rollout.policies import BASELINES, PACKAGED, named_policy
 from uavrl.rollout.rollout import rollout
 from uavrl.runs.episodes import wilson
 
-BEST = Path(baselines.__file__).parents[1] / "policies/best/suite.json"
+BEST = PACKAGED / "best/suite.json"
 CELLS = ["perception=range_image", "perception.last_action=true"]
 RIVALS: dict[str, list[str]] = {
     "vfh_star": [],
@@ -118,7 +119,7 @@ def main() -> None:
     print("|---" * (len(heads) + 3) + "|")
     for name in args.rivals:
         cells = [cell for row in args.rows for cell in row_of(found[name][row], told_of_best(row))]
-        kind = baselines.BASELINES[name]
+        kind = find_class(BASELINES[name], object)
         own = [sys.modules[kind.__module__]] + [remembered] * issubclass(kind, remembered.Planner)
         own += [ways, lines] * issubclass(kind, rrt_connect.RRTConnect)
         own += [rrt_connect, episode_map, goal_finder, route] * (name == "rrt_map")

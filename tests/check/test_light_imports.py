@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.helpers.folders import run_folder
 from uavrl.models.psae import packaged_artifact
 
@@ -68,6 +70,17 @@ def test_composing_needs_no_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+@pytest.mark.parametrize("command", ["evaluate", "replay"])
+def test_a_mistyped_policy_is_refused_without_torch(command: str) -> None:
+    code = (
+        f"import sys; from uavrl.cli.{command} import main\nsys.argv = ['uavrl', 'policy=vfh_sta']\n"
+        "try:\n    main()\nfinally:\n    print([name for name in ('torch', 'pybullet') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "got 'vfh_sta': did you mean vfh_star?" in done.stderr and done.returncode == 1
+    assert done.stdout.strip() == "[]"
 
 
 def test_loading_needs_neither_scikit_learn_nor_hydra() -> None:

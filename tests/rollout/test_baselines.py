@@ -7,11 +7,12 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import InitTracker, TransformedEnv
 
+from uavrl.config.build import find_class
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.baselines import BASELINES, COSTS, VectorFieldHistogram, VFHWeights
-from uavrl.rollout.policies import named_policy
+from uavrl.rollout.baselines import COSTS, VectorFieldHistogram, VFHWeights
+from uavrl.rollout.policies import BASELINES, named_policy
 from uavrl.rollout.remembered import Planner
 from uavrl.transforms import NavigationState
 from uavrl.transforms.reduction import Statistic
@@ -134,7 +135,7 @@ def test_a_class_from_elsewhere_is_told_the_flight_level_alone() -> None:
 @pytest.mark.parametrize("name", BASELINES)
 def test_torchrl_rolls_a_rule_out(name: str) -> None:
     base = NavigationEnv(2, world=WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=5.0), seed=0)
-    rule = BASELINES[name]()
+    rule = find_class(BASELINES[name], torch.nn.Module)()
     env = TransformedEnv(base, InitTracker() if isinstance(rule, Planner) else NavigationState())
     flown = env.rollout(2, rule)
     assert flown["action"].shape == (2, 2, 4)

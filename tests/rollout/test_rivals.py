@@ -13,10 +13,10 @@ from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cells import LASERS
 from uavrl.config import compose, validate
-from uavrl.rollout.baselines import BASELINES
+from uavrl.config.build import find_class
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.mppi import MPPI, STEPS, places_of
-from uavrl.rollout.policies import named_policy
+from uavrl.rollout.policies import BASELINES, named_policy
 from uavrl.rollout.potential_field import FieldWeights, PotentialField
 from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory, polar_histogram
 from uavrl.rollout.rollout import fly
@@ -26,6 +26,10 @@ Rival = Callable[[TensorDictBase], TensorDictBase]
 PLANNERS = ("vfh_star", "mppi")
 WITH_OMPL = ["rrt_connect", "rrt_map"] * bool(find_spec("ompl"))  # some machines have no wheel of it
 RIVALS = (*PLANNERS, "potential_field", *WITH_OMPL)
+
+
+def kind(name: str) -> type[torch.nn.Module]:
+    return find_class(BASELINES[name], torch.nn.Module)
 
 
 def grid(x: float, left: tuple[float, float], up: tuple[float, float] = (-0.7, 0.7)) -> torch.Tensor:
@@ -74,7 +78,7 @@ def flown(rival: Rival, obstacles: torch.Tensor, steps: int) -> np.ndarray:
 @pytest.mark.parametrize("name", RIVALS)
 def test_they_are_chosen_like_any_other_policy(name: str) -> None:
     rival = named_policy(name, {"flight_level": 3.0, "radius": 5.0, "reduction": "range_image", "frames": 3}, ())
-    assert isinstance(rival, BASELINES[name]) and isinstance(rival, Planner)
+    assert isinstance(rival, kind(name)) and isinstance(rival, Planner)
     assert {"point_cloud", "is_init"} <= set(rival.in_keys)
     assert (rival.flight_level, rival.memory.sight) == (3.0, 5.0)
 
@@ -84,7 +88,7 @@ def test_they_are_chosen_like_any_other_policy(name: str) -> None:
 def test_a_wall_with_a_gap_is_passed_through_the_gap(name: str, side: float) -> None:
     """The wall reaches 0.7 m to the gap's side of the straight way, and 4 m to the other."""
     wall = grid(2.5, (-4.0, 0.7), (-1.5, 1.5)) * torch.tensor([1.0, side, 1.0])
-    path = flown(BASELINES[name](), wall, 45)
+    path = flown(kind(name)(), wall, 45)
     assert path[-1, 0] > 3.0
     passing = path[np.abs(path[:, 0] - 2.5) < 0.35]
     assert (side * passing[:, 1] > 0.7 + 0.3).all()
@@ -92,14 +96,14 @@ def test_a_wall_with_a_gap_is_passed_through_the_gap(name: str, side: float) -> 
 
 @pytest.mark.parametrize("name", RIVALS)
 def test_it_flies_ahead_where_nothing_is_and_returns_to_the_flight_level(name: str) -> None:
-    path = flown(BASELINES[name](), torch.zeros(0, 3), 30)
+    path = flown(kind(name)(), torch.zeros(0, 3), 30)
     assert path[-1, 0] > 4.0 and np.abs(path[:, 1:]).max() < 0.6
 
 
 @pytest.mark.parametrize("name", RIVALS)
 @pytest.mark.parametrize(("altitude", "way"), [(5.0, -1), (1.5, 1)])
 def test_it_flies_back_to_the_flight_level(name: str, altitude: float, way: int) -> None:
-    rival, nothing = BASELINES[name](), scan(torch.zeros(0, 3))
+    rival, nothing = kind(name)(), scan(torch.zeros(0, 3))
     for step in range(3):
         action = rival(seen(nothing, fresh=step == 0, altitude=torch.tensor([[altitude]])))["action"]
     assert way * action[0, 2] > 0.2
@@ -110,7 +114,7 @@ def test_what_is_out_of_sight_still_repels_until_the_episode_ends(name: str) -> 
     """A sill lies ahead, below the field of view: what a vehicle has seen of it keeps it away, each its own."""
     sill = scan(grid(0.6, (-0.8, 0.8), (-0.25, -0.15)))
     nothing = torch.full_like(sill, torch.nan)
-    rival, other = (BASELINES[name](seconds=2.0) for _ in range(2))
+    rival, other = (kind(name)(seconds=2.0) for _ in range(2))
     rival(seen(sill, nothing, fresh=True))
     first, second = rival(seen(nothing, nothing))["action"]
     assert (first - second).norm() > 0.3
@@ -119,7 +123,7 @@ def test_what_is_out_of_sight_still_repels_until_the_episode_ends(name: str) -> 
     forgot, went_on = rival(state)["action"]
     other(seen(nothing, nothing, fresh=True)), other(seen(nothing, nothing))
     assert torch.allclose(went_on, other(seen(nothing, nothing))["action"][1])
-    assert torch.allclose(forgot, BASELINES[name]()(seen(nothing, fresh=True))["action"][0])
+    assert torch.allclose(forgot, kind(name)()(seen(nothing, fresh=True))["action"][0])
 
 
 @pytest.mark.parametrize("name", RIVALS)
@@ -131,7 +135,7 @@ def test_vehicles_do_not_know_of_each_other_and_stay_within_the_limits(name: str
     yaw[..., :2] *= 0.2
 
     def acts(vehicles: list[int]) -> torch.Tensor:
-        rival, actions = BASELINES[name](), []
+        rival, actions = kind(name)(), []
         for step in range(3):
             state = seen(*(scan(clouds[step, one]) for one in vehicles), attitude=yaw[step, vehicles])
             state["velocity"], state["heading_deg"] = velocity[step, vehicles], heading[step, vehicles]

@@ -11,7 +11,7 @@ from uavrl.cli.command import command, given_overrides
 from uavrl.cli.suite import evaluate_suite
 from uavrl.command_line import command_line
 from uavrl.config import EvaluateConfig, validate
-from uavrl.rollout.policies import choose, output_name, policy_folder, require_fit, result_overrides
+from uavrl.rollout.policies import choose, output_name, policy_folder, require_fit, require_policy, result_overrides
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.provenance import processor, versions
 
@@ -19,6 +19,7 @@ from uavrl.runs.provenance import processor, versions
 @command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
+    require_policy(config.policy)  # before all else: validating the environment loads torch
     settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
         evaluate_suite(settings, evaluate, given_overrides())

@@ -11,11 +11,6 @@ from torch import Tensor
 from uavrl.errors import UavrlError
 from uavrl.motion.threats import straight_on, to_yaw
 from uavrl.rollout.evasion import evade
-from uavrl.rollout.mppi import MPPI
-from uavrl.rollout.potential_field import PotentialField
-from uavrl.rollout.rrt_connect import RRTConnect
-from uavrl.rollout.rrt_map import RRTMap
-from uavrl.rollout.vfh_star import VFHStar
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
 from uavrl.transforms.threats import DIRECTIONS
@@ -192,15 +187,3 @@ class VectorFieldHistogram(TensorDictModuleBase):
         around = torch.where(right < 0, TURN_LIMIT, -TURN_LIMIT)
         turn = torch.where(right.abs() < BEHIND, around, turn)
         return torch.cat([(weight * speed).sum(-1, keepdim=True) * way, turn], -1)
-
-
-BASELINES = {
-    "straight": StraightPolicy,
-    "vfh": VectorFieldHistogram,
-    "vfh_star": VFHStar,
-    "mppi": MPPI,
-    "potential_field": PotentialField,
-    "rrt_connect": RRTConnect,
-    "rrt_map": RRTMap,
-}
-"""By the name that chooses them on the command line."""

@@ -32,6 +32,16 @@ if TYPE_CHECKING:
 PACKAGED = Path(__file__).parents[1] / "policies"  # what `policy=NAME` names, beside the baselines
 EXPORTED = "uavrl.deploy.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
 GONE = ("static", "dynamic")  # what came with uavrl 0.1.0
+BASELINES = {
+    "straight": "uavrl.rollout.baselines.StraightPolicy",
+    "vfh": "uavrl.rollout.baselines.VectorFieldHistogram",
+    "vfh_star": "uavrl.rollout.vfh_star.VFHStar",
+    "mppi": "uavrl.rollout.mppi.MPPI",
+    "potential_field": "uavrl.rollout.potential_field.PotentialField",
+    "rrt_connect": "uavrl.rollout.rrt_connect.RRTConnect",
+    "rrt_map": "uavrl.rollout.rrt_map.RRTMap",
+}
+"""The classes of the policies that learn nothing, by the name that chooses them on the command line."""
 
 # Keys of an evaluation that do not say which policy was evaluated in which tasks.
 PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
@@ -164,6 +174,16 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
     return PACKAGED / str(policy) if policy in packaged_policies() else None
 
 
+def require_policy(name: object) -> None:
+    """Refuses a name that means no policy; loads no torch."""
+    names = [*BASELINES, *packaged_policies()]
+    if isinstance(name, str) and name not in names and "." not in name and exported_folder(name) is None:
+        hint = (
+            "for your own give run=RUN_FOLDER, an exported folder, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
+        )
+        raise unknown_policy(name, names, hint)
+
+
 def load_policy(
     policy: str | Path, *, checkpoint: str | Path | None = None, device: str = "cpu", packages: Iterable[str] = ()
 ) -> LoadedPolicy:
@@ -207,9 +227,8 @@ def named_policy(
     names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
     ``stable_baselines3``. A folder is one that ``uavrl-export`` wrote.
     """
-    from uavrl.rollout.baselines import BASELINES
-
-    target = f"{BASELINES[name].__module__}.{BASELINES[name].__name__}" if name in BASELINES else name
+    require_policy(name)
+    target = BASELINES.get(name, name)
     if name.endswith(".zip"):
         from uavrl.rollout.sb3 import StableBaselinesPolicy
 
@@ -220,16 +239,12 @@ def named_policy(
     own: dict[str, Any] = {}
     if name not in BASELINES and (folder := exported_folder(name)) is not None:
         target, own = EXPORTED, {"folder": folder}
-    if "." in target:
-        context = {key: told[key] for key in CONTEXT["policy"]}
-        seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else own
-        made = build({**seen, TARGET: target}, object, packages=packages, **context)
-        if not callable(made):
-            raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
-        return made
-    names = [*BASELINES, *packaged_policies()]
-    hint = "for your own give run=RUN_FOLDER, an exported folder, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
-    raise unknown_policy(name, names, hint)
+    context = {key: told[key] for key in CONTEXT["policy"]}
+    seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else own
+    made = build({**seen, TARGET: target}, object, packages=packages, **context)
+    if not callable(made):
+        raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
+    return made
 
 
 def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
