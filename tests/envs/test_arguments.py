@@ -105,3 +105,17 @@ def test_numpys_numbers_are_taken() -> None:
 def test_what_makes_no_sense_is_refused_in_a_sentence(make: Callable[[], object], said: str) -> None:
     with pytest.raises(UavrlError, match=said):
         make()
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Airframe(mass=-1.0), r"of an airframe must be above 0, got -1.0, \("),
+        (lambda: Airframe(lidar_mass=-1.0), "lidar_mass must not be negative, got -1.0 kg"),
+        (lambda: Airframe(mass=0.1 + 0.2, max_total_thrust=1.0), r"airframe of 1.13 kg must lift its weight of 11.1 N"),
+        (lambda: Aerodynamics(air_density=-1.0), r"must not be negative, got -1.0, \("),
+    ],
+)
+def test_a_vehicle_that_cannot_be_is_told_with_its_numbers(make: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make()

@@ -101,11 +101,14 @@ class Airframe:
             )
         if min(self.mass, *self.inertia, self.arm, self.thrust_coefficient, self.motor_time_constant) <= 0:
             raise ValueError(
-                "Mass, inertia, arm, thrust coefficient and motor time constant of an airframe must be above 0."
+                f"Mass, inertia, arm, thrust coefficient and motor time constant of an airframe must be above 0, got "
+                f"{self.mass}, {self.inertia}, {self.arm}, {self.thrust_coefficient} and {self.motor_time_constant}."
             )
-        if self.lidar_mass < 0 or self.max_total_thrust <= self.total_mass * GRAVITY:
+        if self.lidar_mass < 0:
+            raise ValueError(f"lidar_mass must not be negative, got {self.lidar_mass} kg.")
+        if self.max_total_thrust <= self.total_mass * GRAVITY:
             raise ValueError(
-                f"An airframe of {self.total_mass} kg must lift its weight of {self.total_mass * GRAVITY:.1f} N, "
+                f"An airframe of {self.total_mass:.6g} kg must lift its weight of {self.total_mass * GRAVITY:.1f} N, "
                 f"but max_total_thrust is {self.max_total_thrust} N."
             )
 
@@ -176,7 +179,10 @@ class Aerodynamics:
         _require_three(self, ("force_coefficients", "moment_coefficients", "wind"))
         require_finite(self, [field.name for field in fields(self)])
         if min(self.air_density, *self.force_coefficients, *self.moment_coefficients, self.gust_intensity) < 0:
-            raise ValueError("Air density, drag coefficients and gust intensity must not be negative.")
+            raise ValueError(
+                f"Air density, drag coefficients and gust intensity must not be negative, got {self.air_density}, "
+                f"{self.force_coefficients}, {self.moment_coefficients} and {self.gust_intensity}."
+            )
         if self.gust_time_constant <= 0:
             raise ValueError(f"gust_time_constant must be above 0 s, got {self.gust_time_constant}.")
 
