@@ -289,7 +289,7 @@ def sender(host: str) -> socket.socket:
     return opened
 
 
-def test_a_sensor_on_the_network() -> None:
+def test_a_sensor_on_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
     port, _ = free_ports()
     feed = UdpScans(f"udp://127.0.0.1:{port}", "VLP16")
     assert feed.trouble().startswith("no packet arrived")
@@ -301,6 +301,10 @@ def test_a_sensor_on_the_network() -> None:
         assert scan is not None and begun <= scan.stamp <= time.monotonic()
         assert np.sqrt((scan.points**2).sum(-1)).max() == pytest.approx(3.0, abs=0.002)
         assert feed.poll(time.monotonic()) is None
+        assert "no full turn" in feed.trouble()
+        later = time.monotonic() + 5.0
+        monkeypatch.setattr(time, "monotonic", lambda: later)
+        assert feed.trouble().startswith("no packet of 127.0.0.1, which had sent before, has come for 5 s: look at")
     feed.close()
 
 

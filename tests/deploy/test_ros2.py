@@ -212,6 +212,8 @@ def test_of_two_writers_the_first_is_heard_until_it_falls_silent(
         until(lambda: first.get_matched_subscriptions() and second.get_matched_subscriptions(), "a match")
         first.write(cloud(np.ones((2, 3), np.float32), 1.0))
         until(lambda: scans.poll(0.0), "the first's cloud")
+        monkeypatch.setattr("uavrl.deploy.ros2.SILENCE", 0.0)
+        assert scans.trouble().startswith("no message has come on /points for 0 s, where there were some")
         second.write(cloud(np.ones((3, 3), np.float32), 2.0))
         time.sleep(0.05)
         assert scans.poll(0.0) is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from uavrl.deploy.packets import FLAG, PACKET_SIZE
 from uavrl.deploy.scans import Scan, ScanAssembler
 from uavrl.deploy.udp import NOTHING_CAME, UdpPackets
@@ -52,6 +54,11 @@ class UdpScans:
 
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""
+        if self._sensor is not None and (silent := time.monotonic() - self._sensor[1]) > SILENCE:
+            sender = self._sensor[0]
+            return (
+                f"no packet of {sender}, which had sent before, has come for {silent:.0f} s: look at sensor and cable."
+            )
         return self._assembler.trouble() if self._assembler.heard else NOTHING_CAME
 
     def fileno(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 
 from uavrl.deploy.ages import SenderClock
 from uavrl.deploy.bags import cloud_scan, seconds
-from uavrl.deploy.dds import Arrived, OnNode, check_topic, idl_type, topic_of
+from uavrl.deploy.dds import SILENCE, Arrived, OnNode, check_topic, idl_type, topic_of
 from uavrl.deploy.frames import Pose, check_setpoint, roll_pitch_yaw, turned
 from uavrl.deploy.messages import CLOUD, HEADER, ODOMETRY, TWIST, TWIST_STAMPED
 from uavrl.deploy.scans import Scan, Skipped
@@ -61,7 +62,7 @@ class Ros2Scans(OnNode):
     def __init__(self, source: str = "ros2:///velodyne_points") -> None:
         domain, self.topic = topic_of(source)
         self.skipped = Skipped()
-        self._stamps = Stamps()
+        self._stamps, self._heard = Stamps(), -math.inf  # when the last cloud came
         super().__init__(domain)
         self._node.reads(self.topic, CLOUD)
         self._node.start()
@@ -71,6 +72,7 @@ class Ros2Scans(OnNode):
         arrived = self._node.take(self.topic)
         if arrived is None:
             return None
+        self._heard = time.monotonic()
         stamp = self._stamps.of(seconds(arrived.message.header.stamp), arrived)
         if stamp is None:
             self.skipped.late += 1
@@ -79,6 +81,8 @@ class Ros2Scans(OnNode):
 
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""
+        if SILENCE < (silent := time.monotonic() - self._heard) < math.inf:
+            return f"no message has come on {self.topic} for {silent:.0f} s, where there were some: look at its driver."
         if self.skipped.sentences():
             return f"no cloud on {self.topic} could be taken ({'; '.join(self.skipped.sentences())})."
         return f"no message has come on {self.topic}: does a node in this domain publish {CLOUD} there, over DDS?"
