@@ -137,6 +137,14 @@ def test_a_pipe_that_nobody_reads_ends_no_flight(
         (["policy=none", GOAL, "autopilot=ros2:///odom", "arm=true"], "autopilot must be udp://:14540 with arm"),
         (["policy=none", GOAL, "autopilot=ros2:///odom", "ros2.kind=px5"], "ros2.kind must be one of"),
         (["policy=none", GOAL, "system=0"], "system must be"),
+        (
+            ["policy=none", GOAL, "shield.height=1"],
+            "shield.radius must be the hull's in m with shield.height: ",
+        ),
+        (
+            ["policy=none", GOAL, "shield=true"],
+            "shield must be the settings of ShieldConfig (radius, height, sen",
+        ),
         (["policy=none", GOAL, "json=./flight.mcap"], "json must be another file than the log and the recording"),
         (["policy=none", GOAL, *RECORDING, f"json={RECORDED}"], "json must be another file than the log"),
         (["policy=none", GOAL, "safety.speed=1"], "There is no key 'safety.speed'"),

@@ -114,7 +114,7 @@ def test_a_part_left_out_is_refused_by_name() -> None:
 
 
 def test_a_missing_value_is_refused_by_name() -> None:
-    with pytest.raises(UavrlError, match=r"algo\.gamma"):
+    with pytest.raises(UavrlError, match=r"^algo\.gamma must be given, and is not: add algo\.gamma=VALUE\.$"):
         validate(composed("config", "algo.gamma=???"))
 
 
@@ -126,7 +126,7 @@ def test_a_missing_value_is_refused_by_name() -> None:
         ("algo.batch_size", "true", "algo.batch_size must be a whole number, got True"),
         ("perception.blind", "1", "perception.blind must be true or false, got 1"),
         ("algo.hidden", "400", "algo.hidden must be a list, got 400"),
-        ("env.airframe", "3", "env.airframe must be the settings of Airframe, got 3"),
+        ("env.airframe", "3", "env.airframe must be the settings of Airframe (mass, inertia, arm, …), got 3"),
         ("reward", "null", "reward must be a part with a _target_, got None"),
         ("algo.critic", "other", "algo.critic must be a part with a _target_, got 'other'"),
         ("lifeguard.model", "5", "lifeguard.model must be one of linear, mlp, got 5"),

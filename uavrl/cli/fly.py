@@ -98,12 +98,17 @@ class FlyConfig(LidarKeys):
         require(self.policy is not None, "policy", "a folder that uavrl-export wrote", self.policy)
         goal = self.goal is not None and len(self.goal) == 3
         require(goal, "goal", "three numbers, [x,y,z] in m from the autopilot's origin", self.goal)
+        bare = ShieldConfig()
+        alone = [f"shield.{key}" for key, value in asdict(self.shield).items() if value != getattr(bare, key)]
+        shielded = self.shield.radius is not None or not alone
+        hull = f"the hull's in m with {' and '.join(alone)}: there is no shield without"
+        require(shielded, "shield.radius", hull, self.shield.radius)
         dry = self.autopilot is None or self.is_live
         require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
         asked = [key for key in ("set_mode", "arm", "system") if getattr(self, key)]
         by_ros = self.autopilot is not None and self.autopilot.startswith(ROS2)
-        alone = not (by_ros and asked)
-        require(alone, "autopilot", f"udp://:14540 with {' and '.join(asked)}: only MAVLink has that", self.autopilot)
+        able = not (by_ros and asked)
+        require(able, "autopilot", f"udp://:14540 with {' and '.join(asked)}: only MAVLink has that", self.autopilot)
 
         others = {Path(each).resolve() for each in (self.log, None if self.is_live else self.lidar) if each is not None}
         json = None if self.json is None else Path(self.json).resolve()

@@ -117,7 +117,9 @@ def _expected(error: ErrorDetails, types: list[Any], complaints: int) -> str:
     if kind == "literal_error":
         return "one of " + context["expected"].replace("'", "").replace(" or ", ", ")
     if kind == "dataclass_type":
-        return f"the settings of {context['class_name']}"
+        name = context["class_name"]
+        keys = [key for each in types if getattr(each, "__name__", "") == name for key in get_type_hints(each)]
+        return f"the settings of {name} ({', '.join(keys[:3])}{', …' * (len(keys) > 3)})"
     if kind in ("missing", "too_long"):
         return f"a list of {context.get('max_length', len(error['input']) + complaints)}"
     for annotated in (each for each in types if get_origin(each) is Annotated):

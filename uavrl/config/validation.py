@@ -5,7 +5,7 @@ from dataclasses import MISSING, fields
 from typing import Any, TypeVar, cast, get_type_hints, overload
 
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from uavrl.config.build import TARGET
 from uavrl.config.parts import PARTS, validated_parts
@@ -60,6 +60,9 @@ def _plain_values(config: DictConfig) -> dict[str, Any]:
         return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True, throw_on_missing=True))
     except UavrlError:
         raise
+    except MissingMandatoryValue as error:
+        key = error.full_key
+        raise UavrlError(f"{key} must be given, and is not: add {key}=VALUE.") from error
     except (OmegaConfBaseException, ValueError, TypeError) as error:
         place = getattr(error, "full_key", None)
         where, reason = f" at {place}" if place else "", str(error).splitlines()[0]
