@@ -88,7 +88,8 @@ def test_a_damaged_checkpoint_is_named(
     damage(newest(run_dir))
     before = content(run_dir)
     said = f"The checkpoint {newest(run_dir)} is damaged"
-    assert said in refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
+    sentence = refused(evaluate_command.main, f"run={run_dir}", *SMALL_EVALUATION)
+    assert said in sentence and "uavrl-train resume=RUN_FOLDER goes back to the one before" in sentence
     assert content(run_dir) == before
 
 

@@ -129,7 +129,8 @@ class DamagedCheckpoint(UavrlError):
     """A checkpoint that cannot be read to its end."""
 
     def __init__(self, path: Path, reason: object) -> None:
-        super().__init__(f"The checkpoint {path} is damaged ({reason}).")
+        self.fault = f"The checkpoint {path} is damaged ({reason})"
+        super().__init__(f"{self.fault}: uavrl-train resume=RUN_FOLDER goes back to the one before, if there is one.")
 
 
 def has_no_checkpoint(run_dir: Path) -> bool:
@@ -162,7 +163,7 @@ def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:
         try:
             saved = check_checkpoint(path, recorded)["episodes"]
         except DamagedCheckpoint as error:
-            passed_over[path] = str(error)
+            passed_over[path] = f"{error.fault}."
             continue
         if saved <= flown:
             for newer, reason in passed_over.items():
