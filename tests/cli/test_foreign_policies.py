@@ -254,7 +254,8 @@ def test_a_class_of_ones_own_is_evaluated_once_it_is_trusted(
     assert in_process(evaluate_command.main, *arguments, "packages=[my_policies]") == 0
     altitude = json.loads((tmp_path / "e.json").read_text())["whereabouts"]["altitude"]
     assert altitude["p95"] > altitude["p5"] + 0.05
-    assert "uavrl-replay policy=my_policies.Climber 'packages=[my_policies]'" in capfd.readouterr().out
+    told = capfd.readouterr().out
+    assert "uavrl-replay policy=my_policies.Climber 'packages=[my_policies]' env.max_steps=3\n" in told
 
 
 def test_a_policy_that_is_no_run_is_known_by_the_file_it_comes_from(

@@ -5,15 +5,26 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.cli.suite import evaluate_suite
-from uavrl.command_line import command_line
+from uavrl.command_line import command_line, override
 from uavrl.config import EvaluateConfig, validate
-from uavrl.rollout.policies import choose, output_name, policy_folder, require_fit, require_policy, result_overrides
+from uavrl.rollout.policies import (
+    PLAIN_KEYS,
+    choose,
+    output_name,
+    policy_folder,
+    require_fit,
+    require_policy,
+    result_overrides,
+)
 from uavrl.runs.files import replacing, writable
 from uavrl.runs.provenance import processor, versions
+
+NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown to it
 
 
 @command("evaluate")
@@ -31,8 +42,8 @@ def main(config: DictConfig) -> None:
     print(table(result))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
     who |= {"packages": settings.packages} if settings.packages else {}
-    who |= {"shield": True} if settings.shield else {}
-    watch, report = command_line("uavrl-replay", **who), command_line("uavrl-report", runs=settings.run)
+    watch = command_line("uavrl-replay", *(override(key, value) for key, value in who.items()), *_same_world())
+    report = command_line("uavrl-report", runs=settings.run)
     then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
     print(f"{reached(result)} Written to {output}. {then}")
 
@@ -80,6 +91,14 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     with replacing(output) as partial:
         partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result
+
+
+def _same_world() -> list[str]:
+    """What a replay is told so that it shows the same world: as it was typed, and the folder of own yaml files."""
+    hydra = HydraConfig.get()
+    own = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
+    typed = [each for each in hydra.overrides.task if each.lstrip("+~").partition("=")[0] not in NOT_OF_A_REPLAY]
+    return [*(word for folder in own for word in ("--config-dir", folder)), *typed]
 
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
