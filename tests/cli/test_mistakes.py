@@ -76,6 +76,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         (["--colour", "red"], "uavrl-train has no option --colour: values are written KEY=VALUE, and --help explains"),
         (["-q"], "uavrl-train has no option -q: values are written KEY=VALUE"),
         (["--cfg", "red"], "uavrl-train: argument --cfg/-c: invalid choice: 'red'"),
+        (["--config-dir", "none"], "none' not found: give --config-dir a folder of yaml files that is there."),
         (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -48,6 +49,16 @@ def test_a_command_that_is_ended_says_so_and_cleans_up(
         signal.signal(number, before)
     assert (end.value.code, passed) == (code, [])
     assert capsys.readouterr().err == "uavrl: stopped.\n"
+
+
+def test_nothing_of_a_torch_that_is_half_loaded_is_told() -> None:
+    code = (
+        "import logging; from uavrl.cli.errors import configure_logging; configure_logging()\n"
+        "logging.getLogger('torch._subclasses.fake_tensor').info('of caches')\n"
+        "logging.getLogger('uavrl.training').info('of a run')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == "of a run\n"
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "ascii", "utf-8"])

@@ -115,6 +115,8 @@ def explained(error: Exception, name: str) -> str:
         return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
     if isinstance(error, AssertionError):
         return "An override changes something below a key that has nothing below it: --help=all lists all keys."
+    if first.startswith("Additional config directory"):  # Hydra's words for a folder that is not there
+        return f"{first}: give --config-dir a folder of yaml files that is there."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
 

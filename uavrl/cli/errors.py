@@ -100,6 +100,7 @@ def configure_logging() -> None:
     os.environ.setdefault("RL_WARNINGS", "False")
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr, force=True)
     logging.captureWarnings(True)  # so that they keep out of a progress line as all that is logged does
+    logging.getLogger("torch").setLevel(logging.WARNING)  # if it is interrupted while it loads, it tells of its caches
     logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)  # a CUDA compiler without a GPU is no news
     for name in logging.root.manager.loggerDict:
         if name.startswith("uavrl."):
