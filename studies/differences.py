@@ -18,7 +18,7 @@ import numpy as np
 from run_statistics import FEWEST, difference, difference_of_rates
 
 from uavrl.cli.errors import one_sentence
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, reason
 from uavrl.runs.episodes import wilson
 
 
@@ -28,7 +28,7 @@ def arrivals(place: str) -> tuple[int, int]:
     try:
         worlds = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise UavrlError(f"Expected FILE.json:WORLD, got {place!r}: {error}.") from error
+        raise UavrlError(f"Expected FILE.json:WORLD, got {place!r}: {reason(error)}.") from error
     if world not in worlds:
         raise UavrlError(f"Expected a world of {path}, got {world!r}: it tells of {'; '.join(worlds)}.")
     tasks = worlds[world]["episodes"]

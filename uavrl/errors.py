@@ -46,6 +46,20 @@ class Stopped(KeyboardInterrupt):
         self.number, self.exit_code = number, 128 + number
 
 
+def reason(error: BaseException | None) -> str:
+    """What went wrong, in the words of the error; of the system's with the file, and without its number.
+
+    Examples:
+        >>> reason(OSError(28, "No space left on device", "page.html"))
+        'page.html: No space left on device'
+        >>> reason(ValueError("expected a number"))
+        'expected a number'
+    """
+    if not isinstance(error, OSError) or error.strerror is None:
+        return str(error)
+    return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+
+
 def was_interrupted(error: BaseException | None) -> bool:
     """Whether an error is Ctrl-C, or came out of its handling.
 

@@ -100,6 +100,13 @@ def test_a_tilde_is_the_home_folder(
         validate(config, EvaluateConfig)
 
 
+def test_a_full_disk_is_told_with_the_file_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit), one_sentence():
+        raise OSError(28, "No space left on device", "replay.html")
+    told = "replay.html: No space left on device. Check the folder and the space left on its disk.\n"
+    assert capsys.readouterr().err == f"uavrl: {told}"
+
+
 def test_nobody_who_reads_is_no_fault_of_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     reader, writer = os.pipe()
     os.close(reader)
@@ -108,7 +115,7 @@ def test_nobody_who_reads_is_no_fault_of_the_disk(monkeypatch: pytest.MonkeyPatc
         sys.stdout.write("told\n")
         sys.stdout.flush()
     assert ended.value.code == 141
-    assert sentence(BrokenPipeError(32, "Broken pipe")) == "[Errno 32] Broken pipe"
+    assert sentence(BrokenPipeError(32, "Broken pipe")) == "Broken pipe"
 
 
 def test_a_process_of_a_sweep_that_was_killed_says_how_to_go_on() -> None:

@@ -13,7 +13,7 @@ import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from uavrl.errors import Stopped, UavrlError, was_interrupted
+from uavrl.errors import Stopped, UavrlError, reason, was_interrupted
 
 SAFE_PATH = "PYTHONSAFEPATH"  # with it set no Python that starts imports from the working folder
 PLAIN = "uavrl.plain"  # the name of :func:`_plain` among Python's handlers of what cannot be encoded
@@ -24,7 +24,7 @@ _PLAINER = {"–": "-", "—": "-", "→": "->", "×": "x", "’": "'"}  # where
 def sentence(error: BaseException | None) -> str:
     """What the user can mend."""
     of_a_disk = isinstance(error, OSError) and not isinstance(error, ConnectionError)
-    return f"{error}. Check the folder and the space left on its disk." if of_a_disk else str(error)
+    return f"{reason(error)}. Check the folder and the space left on its disk." if of_a_disk else reason(error)
 
 
 def _reader_left(error: BaseException) -> signal.Signals | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from uavrl.cli.errors import command_process, configure_logging
 from uavrl.command_line import command_line
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, reason
 from uavrl.runs.config import read_config
 from uavrl.runs.names import SUMMARY
 
@@ -38,7 +38,7 @@ def reached(folder: Path) -> str:
             f"Look:    open {folder / 'replay.html'} in a browser"
         )
     except (OSError, ValueError, KeyError) as error:
-        raise UavrlError(f"Expected a run that has ended and was evaluated in {folder}: {error}.") from error
+        raise UavrlError(f"Expected a run that has ended and was evaluated in {folder}: {reason(error)}.") from error
 
 
 def _unseen(folder: Path, evaluation: dict[str, Any]) -> str:
