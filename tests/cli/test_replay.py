@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from tests.helpers.finished import finished_run
 from tests.helpers.flights import unpack
 from tests.helpers.logged import write_log
 from tests.helpers.pages import Page
+from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as command
 from uavrl.rollout.actor import read_policy
 from uavrl.rollout.recording import load_recording
@@ -75,6 +77,21 @@ def test_the_page_goes_into_the_run_and_its_name_tells_what_was_changed(run_dir:
     page = run_dir / "replay_task=2_env.max_steps=3.html"
     assert data_of(page)["flights"][0]["steps"] <= 3
     page.unlink()
+
+
+def test_what_an_evaluation_prints_shows_its_world_also_of_yaml_files_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "my yaml's/env").mkdir(parents=True)
+    (tmp_path / "my yaml's/env/mine.yaml").write_text("defaults: [static, _self_]\nmax_steps: 3\n")
+    monkeypatch.chdir(tmp_path)
+    told = ["--config-dir", "my yaml's", "policy=straight", "env=mine", "seed=5", *WORLD]
+    assert in_process(evaluate_command.main, *told, "episodes=1", "progress=false") == 0
+    name, *typed = shlex.split(capfd.readouterr().out.partition("Watch it fly: ")[2])
+    assert name == "uavrl-replay"
+    assert in_process(command.main, *typed, "output=page.html", *SMALL) == 0
+    shown = data_of(tmp_path / "page.html")
+    assert (shown["source"]["env"], shown["source"]["seed"], shown["flights"][0]["steps"]) == ("mine", 5, 3)
 
 
 def test_a_policy_that_sees_nothing_is_shown_without_points(run_dir: Path, tmp_path: Path) -> None:

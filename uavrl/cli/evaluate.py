@@ -42,7 +42,7 @@ def main(config: DictConfig) -> None:
     print(table(result))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
     who |= {"packages": settings.packages} if settings.packages else {}
-    watch = command_line("uavrl-replay", *(override(key, value) for key, value in who.items()), *_same_world())
+    watch = command_line("uavrl-replay", *_own_folders(), *(override(key, each) for key, each in who.items()), *_typed())
     report = command_line("uavrl-report", runs=settings.run)
     then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
     print(f"{reached(result)} Written to {output}. {then}")
@@ -93,12 +93,16 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     return result
 
 
-def _same_world() -> list[str]:
-    """What a replay is told so that it shows the same world: as it was typed, and the folder of own yaml files."""
-    hydra = HydraConfig.get()
-    own = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
-    typed = [each for each in hydra.overrides.task if each.lstrip("+~").partition("=")[0] not in NOT_OF_A_REPLAY]
-    return [*(word for folder in own for word in ("--config-dir", folder)), *typed]
+def _own_folders() -> list[str]:
+    """The option that names the folder of own yaml files; it stands before all that is KEY=VALUE."""
+    sources = HydraConfig.get().runtime.config_sources
+    return [word for each in sources if each.provider == "command-line" for word in ("--config-dir", each.path)]
+
+
+def _typed() -> list[str]:
+    """What a replay is told so that it shows the same world, as it was typed."""
+    typed = HydraConfig.get().overrides.task
+    return [each for each in typed if each.lstrip("+~").partition("=")[0] not in NOT_OF_A_REPLAY]
 
 
 def _output(settings: EvaluateConfig, overrides: list[str]) -> Path:
