@@ -18,7 +18,7 @@ from uavrl.rollout.policies import (
     output_name,
     policy_folder,
     require_fit,
-    require_policy,
+    require_named,
     result_overrides,
 )
 from uavrl.runs.files import replacing, writable
@@ -30,7 +30,7 @@ NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown 
 @command("evaluate")
 def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
-    require_policy(config.policy)  # before all else: validating the environment loads torch
+    require_named(config)  # before all else: validating the environment loads torch
     settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
         evaluate_suite(settings, evaluate, given_overrides())
@@ -42,7 +42,9 @@ def main(config: DictConfig) -> None:
     print(table(result))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
     who |= {"packages": settings.packages} if settings.packages else {}
-    watch = command_line("uavrl-replay", *_own_folders(), *(override(key, each) for key, each in who.items()), *_typed())
+    watch = command_line(
+        "uavrl-replay", *_own_folders(), *(override(key, each) for key, each in who.items()), *_typed()
+    )
     report = command_line("uavrl-report", runs=settings.run)
     then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
     print(f"{reached(result)} Written to {output}. {then}")

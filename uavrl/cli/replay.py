@@ -16,7 +16,7 @@ from uavrl.config.sentences import require
 from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count, Folder
-from uavrl.rollout.policies import choose, output_name, policy_folder, require_policy, result_overrides
+from uavrl.rollout.policies import choose, output_name, policy_folder, require_named, result_overrides
 from uavrl.runs.files import writable
 from uavrl.runs.weights import POLICY
 
@@ -65,7 +65,7 @@ class ReplayConfig(FlyingConfig):
 @command("replay")
 def main(config: DictConfig) -> None:
     """Makes one page."""
-    require_policy(config.policy)  # before all else: validating the environment loads torch
+    require_named(config)  # before all else: validating the environment loads torch
     settings, overrides = validate(config, ReplayConfig), given_overrides()
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
         raise UavrlError(

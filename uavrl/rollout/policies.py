@@ -5,11 +5,13 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.config import TrainConfig, validate, validate_run
 from uavrl.config.build import TARGET, build, find_class
@@ -182,6 +184,12 @@ def require_policy(name: object) -> None:
             "for your own give run=RUN_FOLDER, an exported folder, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
         )
         raise unknown_policy(name, names, hint)
+
+
+def require_named(config: DictConfig) -> None:
+    """The same of what a command line says; a value that cannot be read is told where all others are."""
+    with suppress(OmegaConfBaseException):
+        require_policy(config.policy)
 
 
 def load_policy(
