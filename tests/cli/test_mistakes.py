@@ -77,6 +77,10 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         (["-q"], "uavrl-train has no option -q: values are written KEY=VALUE"),
         (["--cfg", "red"], "uavrl-train: argument --cfg/-c: invalid choice: 'red'"),
         (["--config-dir", "none"], "none' not found: give --config-dir a folder of yaml files that is there."),
+        (
+            ["seed=1", *CONFIG_DIR, "env=corridor"],
+            "uavrl-train takes options before all that is KEY=VALUE: env=corridor",
+        ),
         (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
     ],
 )
@@ -93,6 +97,8 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
             "best, best_dynamic, got 'bst': did you mean best?",
         ),
         (["policy=static"], "policy=static came with uavrl 0.1.0 and is not in this version: take policy=best, which"),
+        (["policy=???"], "policy must be given, and is not: add policy=VALUE."),
+        (["policy='${oc.env:NOWHERE}'"], "The configuration does not hold together at policy"),
         (["policy=best", "suite=denze"], "got 'denze': did you mean dense?"),
         (["policy=best", "episode=3"], "did you mean episodes?"),
         (["policy=best", "num_uavs=1000000"], "num_uavs must be in [1, 512], got 1000000"),

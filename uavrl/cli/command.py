@@ -131,6 +131,8 @@ def _refuse_options(name: str) -> None:
     except argparse.ArgumentError as error:
         raise UavrlError(f"{command}: {error}.") from error
     for option in others:
+        if not option.startswith("-"):
+            raise UavrlError(f"{command} takes options before all that is KEY=VALUE: {option} stands behind one.")
         key, _, value = option.lstrip("-").partition("=")
         if key in known:
             raise UavrlError(f"{command} has no option {option}: write {key}={value or 'VALUE'}.")
