@@ -1,10 +1,19 @@
 """What the command line turns into one sentence."""
 
 import signal
+from typing import Any
 
 
 class UavrlError(ValueError):
     """A mistake that the user can mend: what was expected, what came, and what to do."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Whole out of another process: pickle would make it anew of its sentence, where other arguments are asked."""
+        return _made_again, (type(self), self.args), self.__dict__
+
+
+def _made_again(kind: type[UavrlError], args: tuple[Any, ...]) -> UavrlError:
+    return kind.__new__(kind, *args)  # which keeps them; __init__ made the sentence once
 
 
 class MissingSimulator(UavrlError, ImportError):
