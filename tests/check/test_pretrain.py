@@ -42,7 +42,7 @@ def test_from_the_checkpoint_of_a_run_with_a_given_k(tmp_path: Path) -> None:
     arguments = [f"run={tmp_path / 'run'}", *SMALL_PRETRAINING, "pretrain.k=7", "pretrain.compare_k=20"]
     assert in_process(command.main, *arguments) == 0
     about = ARTIFACT.about(tmp_path / "run" / "pretrained")
-    assert about["source"]["name"] == str(path)
+    assert about["source"]["name"] == f"run/checkpoints/{path.name}"
     assert about["k"] == 7 != about["sse"]["elbow"]
     assert list(about["class_sizes"]) == [
         "PSAE and k-means, k = 7",

@@ -112,7 +112,8 @@ def read_states(run_dir: Path) -> States:
     seen = OmegaConf.to_container(config).get("perception") or {}  # type: ignore[union-attr]
     if not isinstance(seen, dict):
         raise UavrlError(f"Expected perception in the configuration of {run_dir} to be a mapping, got {seen!r:.80}.")
-    return States(states.numpy(), episode.numpy(), outcomes, str(path), form_of_states(seen))
+    name = f"{run_dir.resolve().name}/{path.relative_to(run_dir)}"  # of no place on this machine: it is given away
+    return States(states.numpy(), episode.numpy(), outcomes, name, form_of_states(seen))
 
 
 def _in_order(storage: FrameStorage, oldest: int) -> TensorDict:
