@@ -33,7 +33,7 @@ class Straight:
     """Answers with one action whatever comes."""
 
     def __init__(self) -> None:
-        self.contract = SimpleNamespace(rate_hz=10.0)
+        self.contract = SimpleNamespace(rate_hz=10.0, memory=None)
         self.cells, self.last_action = None, np.zeros(4)
 
     def reset(self) -> None:

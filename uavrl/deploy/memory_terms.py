@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from uavrl.mapping import navigator
-from uavrl.transforms import Waypoint
+
+if TYPE_CHECKING:
+    from uavrl.transforms import Waypoint
 
 POSE = {
     "waypoint": "degrees in [0, 360), as heading: to the next point of the quickest way to the goal, see memory.found; "
