@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import runpy
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.exported import exported
+from tests.helpers.exported import exported, refusal
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.deploy.contract import read_contract
 from uavrl.deploy.dry_run import DryRun
@@ -21,7 +20,6 @@ from uavrl.deploy.flight import Flight, map_for
 from uavrl.deploy.policy import Policy
 from uavrl.deploy.safety import SafetyLayer
 from uavrl.deploy.scans import Scan
-from uavrl.errors import UavrlError
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.led import Led
 from uavrl.rollout.policies import choose
@@ -62,15 +60,16 @@ def test_in_the_simulator_it_reads_what_its_training_did(folder: Path) -> None:
     setup = choose(validate(config, EvaluateConfig), config, told, None, torch.device("cpu"))
     assert isinstance(setup.policy, Led), "which shows it the heading to the waypoint as the goal's"
     assert setup.perception["memory"] == 10.0
-    env, policies = make_env(setup.env, setup.perception, num_uavs=2, keep_cloud=True, seed=0), [Policy(folder)] * 2
+    env, policies = make_env(setup.env, setup.perception, num_uavs=2, keep_cloud=True, seed=0), [Policy(folder)]
+    policies.append(policies[0].copy())
     data, turns = env.reset(), 0.0
-    policies[1] = policies[1].copy()
     for _ in range(25):
         for number, policy in enumerate(policies):
             pose = (float(data[key][number, 0]) for key in ("altitude", "waypoint_deg", "elevation_deg"))
             seen = policy.state(data["point_cloud"][number].numpy(), *pose)
             np.testing.assert_allclose(seen, data["observation"][number].numpy(), rtol=0, atol=2e-6)
-        turns = max(turns, float((data["waypoint_deg"] - data["heading_deg"]).abs().max()))
+        apart = (data["waypoint_deg"] - data["heading_deg"] + 180) % 360 - 180
+        turns = max(turns, float(apart.abs().max()))
         data = env.step_mdp(env.step(data.set("action", torch.tensor([[2.0, 0.0, 0.0, 0.0]] * 2))))
     assert turns > 5.0, "somewhere both differ"
     env.close()
@@ -121,9 +120,4 @@ DAMAGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
 @pytest.mark.parametrize("name", DAMAGES)
 def test_a_contract_that_does_not_hold_together_is_refused(name: str, terms: dict[str, Any], tmp_path: Path) -> None:
     change, told = DAMAGES[name]
-    changed = copy.deepcopy(terms)
-    change(changed)
-    (tmp_path / "contract.json").write_text(json.dumps(changed))
-    with pytest.raises(UavrlError) as caught:
-        read_contract(tmp_path)
-    assert told in str(caught.value) and "\n" not in str(caught.value), str(caught.value)
+    assert told in refusal(tmp_path, terms, change)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 from omegaconf import OmegaConf
 
 from uavrl.config import compose, resolve, validate
 from uavrl.deploy.export import as_text, export_policy
+from uavrl.deploy.policy import Policy
+from uavrl.errors import UavrlError
 from uavrl.rollout.actor import make_actor, saved_sizes
 from uavrl.runs.weights import POLICY
 
@@ -40,6 +44,17 @@ def edit_contract(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None
     terms = json.loads((folder / "contract.json").read_text())
     change(terms)
     (folder / "contract.json").write_text(as_text(terms))
+
+
+def refusal(folder: Path, terms: dict[str, Any], change: Callable[[dict[str, Any]], Any]) -> str:
+    """The sentence with which a folder is refused whose contract is ``terms``, changed."""
+    changed = copy.deepcopy(terms)
+    change(changed)
+    (folder / "contract.json").write_text(json.dumps(changed))
+    with pytest.raises(UavrlError) as caught:
+        Policy(folder)
+    assert "\n" not in str(caught.value), str(caught.value)
+    return str(caught.value)
 
 
 def put_network(folder: Path, content: bytes) -> None:

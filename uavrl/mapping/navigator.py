@@ -30,9 +30,10 @@ class Navigator:
 
     Args:
         sight: how far returns count, m.
-        reach: m from the vehicle, beyond which its map forgets; of a goal that is farther it heads for the direction.
+        reach: m from the vehicle, 40 by default, beyond which its map forgets; of a goal that is farther it heads for
+            the direction.
         flight_level: m, the altitude of the map.
-        cell: edge of the map's cells, m.
+        cell: edge of the map's cells, m; 0.25 by default.
         sensor_position: of the LiDAR in body axes, m.
 
     Examples:
