@@ -23,6 +23,7 @@ from uavrl.deploy.scans import Scan
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.led import Led
 from uavrl.rollout.policies import choose
+from uavrl.transforms import Waypoint
 
 WALL = np.stack(np.broadcast_arrays(2.0, np.linspace(-1.0, 3.0, 40), -0.1), -1)
 LEARNED = ("algo.hidden=[16]", "perception=range_image", "perception.memory=10", "env.world.flight_level=3.0")
@@ -98,6 +99,24 @@ def test_the_map_is_of_the_policys_training(folder: Path) -> None:
     assert trained is not None and (trained.sight, trained.flight_level) == (10.0, 3.0)
     assert shorter is not None and shorter.sight == 4.0
     assert map_for(contract.model_copy(update={"memory": None})) is None
+
+
+def test_of_a_blind_policy_the_map_stays_empty(folder: Path) -> None:
+    """In its training it saw misses alone."""
+    contract = read_contract(folder)
+    blind = contract.model_copy(update={"cloud": contract.cloud.model_copy(update={"blind": True})})
+    assert map_for(blind) is None
+
+
+def test_in_training_the_lidar_is_where_the_airframe_has_it(tmp_path: Path) -> None:
+    mounted = (*LEARNED, "env.airframe.lidar_position=[0.0,0.0,-0.3]")
+    settings = validate(compose(*mounted))
+    env = make_env(settings.env, settings.perception, num_uavs=1, seed=0)
+    (led,) = (part for part in env.transform.modules() if isinstance(part, Waypoint))
+    env.close()
+    flown = map_for(read_contract(exported(tmp_path, *mounted)))
+    assert flown is not None
+    assert led.sensor_position == tuple(flown.sensor_position) == (0.0, 0.0, -0.3)
 
 
 def _set(key: str, to: Any) -> Callable[[dict[str, Any]], Any]:

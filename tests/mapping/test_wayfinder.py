@@ -53,6 +53,15 @@ def test_neither_tilt_nor_yaw_changes_the_way(attitude: tuple[float, float, floa
     assert tilted == pytest.approx(level, abs=0.1)
 
 
+@pytest.mark.parametrize(("height", "stands"), [(0.1, True), (0.7, False)])
+def test_the_sensor_is_where_it_is_told_to_be(height: float, stands: bool) -> None:
+    """Points in the sensor's plane: at the flight level, or over it."""
+    cloud = (wall((2.0, 3.0), (2.0, -1.0)) * [1.0, 1.0, 0.0])[None]
+    finder = Wayfinder(1, sensor_position=(0.0, 0.0, height))
+    turn = float(finder.look(cloud, STILL, STILL, np.array([ALTITUDE]), np.zeros(1))[0])
+    assert (turn != 0.0) is stands
+
+
 def test_what_is_over_or_under_the_flight_level_is_no_obstacle() -> None:
     points = wall((2.0, 3.0), (2.0, -1.0))
     for height in (-1.0, 1.0):

@@ -13,6 +13,7 @@ _ENHANCER = ("base", "gamma", *_NETWORK)
 # By the part's name; what each name means stands in docs/own_parts.md.
 CONTEXT: Mapping[str, tuple[str, ...]] = {
     "env": ("seed", "measure_clearance", "tasks"),
+    "perception": ("sensor_position",),
     "algo": ("actor_network", "qvalue_networks", "value_network", "action_spec"),
     "fork": _ENHANCER,
     "lifeguard": _ENHANCER,

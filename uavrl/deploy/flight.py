@@ -37,13 +37,13 @@ _FLIES = (State.FLYING, State.FENCED)
 
 
 def map_for(contract: Contract, sight: float | None = None) -> Navigator | None:
-    """A map for a policy, at the level and with the sensor of its training; None where it was trained with none.
+    """A map for a policy, at the level and with the sensor of its training; None where that had none, or was blind.
 
     Args:
         contract: the policy's.
         sight: how far returns count, m; None: as in its training.
     """
-    if sight is None and contract.memory is not None:
+    if sight is None and contract.memory is not None and not contract.cloud.blind:
         sight = contract.memory.sight
     if sight is None:
         return None

@@ -55,8 +55,8 @@ class Navigator:
         cell: float = CELL,
         sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
     ) -> None:
-        self.sight, self.flight_level = sight, flight_level
-        self._size, self._sensor = (cell, reach), np.array(sensor_position, np.float64)
+        self.sight, self.flight_level, self.sensor_position = sight, flight_level, tuple(sensor_position)
+        self._size = (cell, reach)
         self.reset()
         self.known.route(np.zeros(2), np.zeros(2))  # which loads SciPy: that takes longer than a vehicle can wait
 
@@ -105,5 +105,5 @@ class Navigator:
         with np.errstate(invalid="ignore", over="ignore"):
             squared = np.einsum("pi,pi->p", cloud, cloud)
             near = cloud[(squared > NEAREST_RETURN**2) & (squared < self.sight**2)]
-        points = near @ rotation.T + rotation @ self._sensor
+        points = near @ rotation.T + rotation @ np.array(self.sensor_position)
         return points[np.abs(points[:, 2] + altitude - self.flight_level) < LEVEL, :2]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from uavrl.mapping.goal_finder import GoalFinder
-from uavrl.mapping.navigator import Navigator
+from uavrl.mapping.navigator import LIDAR_ABOVE, Navigator
 
 
 class Wayfinder:
@@ -22,6 +24,7 @@ class Wayfinder:
         flight_level: m, the altitude of the map.
         cell: edge of the map's cells, m.
         period: time between two scans, s.
+        sensor_position: of the LiDAR in body axes, m.
 
     Examples:
         A wall of 4 m stands 2 m ahead, a little to the left: the way leads past its right end.
@@ -43,9 +46,10 @@ class Wayfinder:
         flight_level: float = 3.5,
         cell: float = 0.25,
         period: float = 0.1,
+        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
     ) -> None:
         self.reach, self.period = reach, period
-        self._navigators = [Navigator(sight, reach, flight_level, cell) for _ in range(vehicles)]
+        self._navigators = [Navigator(sight, reach, flight_level, cell, sensor_position) for _ in range(vehicles)]
         self._goals = [GoalFinder(reach) for _ in range(vehicles)]
         self._begun = np.zeros(vehicles, bool)  # whether it has had a scan in this episode
         self._places, self._velocities = np.zeros((2, vehicles, 3))

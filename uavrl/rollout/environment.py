@@ -70,7 +70,9 @@ def make_env(
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
-    state = build(perception, Transform, packages=packages)
+    airframe = env.get("airframe")
+    mounted = {} if airframe is None else {"sensor_position": airframe.lidar_position}
+    state = build(perception, Transform, packages=packages, **mounted)
     for part in state.modules() if keep_cloud and state is not None else ():
         if isinstance(part, PointCloudReduction):
             part.del_keys = False

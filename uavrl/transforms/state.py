@@ -1,6 +1,6 @@
 """From the raw scan to the policy's state, in one piece."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Literal
 
 import torch
@@ -8,6 +8,7 @@ from pydantic import Field
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
 from uavrl.cells import FAR_EVERY
+from uavrl.mapping.navigator import LIDAR_ABOVE
 from uavrl.motion.sight import scales
 from uavrl.ranges import Positive
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
@@ -64,6 +65,8 @@ class NavigationState(Compose):
         memory: how far a map of the episode looks, m, through which the next :class:`Waypoint` is found; the heading in
             an observation is then that to the waypoint, and the scan must reach as far. None: that to the goal.
         frames: observations in a state.
+        sensor_position: of the LiDAR in body axes, m, by which the map knows how high a return is; 0.1 m above the
+            hull's middle by default.
 
     Examples:
         >>> from torchrl.envs import TransformedEnv
@@ -87,12 +90,13 @@ class NavigationState(Compose):
         last_action: bool = False,
         motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
         memory: Annotated[float, Field(gt=0, le=40)] | None = None,
+        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
     ) -> None:
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         heading = "heading_deg" if memory is None else "waypoint_deg"
         super().__init__(
-            *([Waypoint(memory, flight_level=flight_level)] if memory is not None else ()),
+            *(() if memory is None else [Waypoint(memory, flight_level=flight_level, sensor_position=sensor_position)]),
             *([MovingObjects(motion, MOVING_OBJECTS, FAR_EVERY)] if motion is not None else ()),
             REDUCTIONS[reduction](radius=radius, statistic=statistic),
             NavigationObservation(

@@ -10,6 +10,7 @@ from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from uavrl.mapping import Wayfinder
+from uavrl.mapping.navigator import LIDAR_ABOVE
 from uavrl.ranges import Positive
 from uavrl.transforms.through_time import ThroughTime
 
@@ -28,6 +29,7 @@ class Waypoint(ThroughTime):
         reach: m from the vehicle, beyond which it forgets.
         flight_level: m, the altitude of the map.
         period: time between two scans, s.
+        sensor_position: of the LiDAR in body axes, m; 0.1 m above the hull's middle by default.
         in_keys: point clouds ``[*B, P, 3]`` (m, sensor frame), velocities ``[*B, 3]`` (m/s, world axes), attitudes
             ``[*B, 3]`` (roll, pitch and yaw in rad), altitudes ``[*B, 1]`` (m) and headings ``[*B, 1]`` (to the goal,
             left positive, degrees).
@@ -54,6 +56,7 @@ class Waypoint(ThroughTime):
         flight_level: Positive = 3.5,
         *,
         period: Positive = 0.1,
+        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
         in_keys: Sequence[NestedKey] = ("point_cloud", "velocity", "attitude", "altitude", "heading_deg"),
         out_keys: Sequence[NestedKey] = ("waypoint_deg",),
     ) -> None:
@@ -64,6 +67,7 @@ class Waypoint(ThroughTime):
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.sight, self.reach, self.flight_level, self.period = sight, reach, flight_level, period
+        self.sensor_position = tuple(sensor_position)
         self._finder: Wayfinder | None = None
         self._last = np.zeros(0)  # rad, of each vehicle, off its goal's direction
 
@@ -73,7 +77,14 @@ class Waypoint(ThroughTime):
         velocity, attitude = (each.reshape(count, 3).double().numpy() for each in told[:2])
         altitude, heading = (each.reshape(count).double().numpy() for each in told[2:])
         if self._finder is None or len(self._last) != count:
-            self._finder = Wayfinder(count, self.sight, self.reach, self.flight_level, period=self.period)
+            self._finder = Wayfinder(
+                count,
+                self.sight,
+                self.reach,
+                self.flight_level,
+                period=self.period,
+                sensor_position=self.sensor_position,
+            )
             self._last = np.zeros(count)
         if begins:
             self._finder.reset(which)
