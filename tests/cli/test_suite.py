@@ -100,6 +100,18 @@ def test_a_file_from_before_there_were_outcomes_is_taken_and_its_row_has_them(tm
     assert row["outcomes"] == "SC" and "flights" not in row and "versions" not in row
 
 
+def test_the_table_of_a_folder_keeps_the_policys_rows_of_earlier_commands(tmp_path: Path) -> None:
+    """Of another policy, or other tasks, it takes none."""
+    flights = [{"task": 0, "outcome": "arrived"}, {"task": 1, "outcome": "collided"}]
+    for name, policy in {"static": "straight", "dense": "straight", "held_out": "vfh"}.items():
+        told = {"overrides": [f"policy={policy}", "seed=7", *scenarios([name])[name]], "seed": 7, "flights": flights}
+        evaluation(tmp_path, 1, 2, f"{name}.json", **told)
+    for name in ("dense", "static"):
+        assert in_process(evaluate_command.main, *LITTLE, f"suite=[{name}]", f"output={tmp_path}") == 0
+    rows = json.loads((tmp_path / "suite.json").read_text())
+    assert list(rows) == ["static", "dense"] and rows["dense"]["outcomes"] == "SC"
+
+
 @pytest.mark.parametrize("more", ["env=dynamic", "valleys=[3]", "env.world.obstacles=5", "randomize=wind"])
 def test_the_suite_chooses_the_worlds(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str) -> None:
     assert in_process(evaluate_command.main, *LITTLE, more, f"output={tmp_path}") == 1

@@ -37,6 +37,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     """Evaluates the scenarios, as many at a time as there are processors, and prints their table.
 
     Each has a file of its own; one that is there already, of the same policy and tasks, is not made again.
+    ``suite.json`` has these and all others of the policy that lie beside them.
     """
     from uavrl.rollout.summary import reached, scenarios, suite_table
 
@@ -44,22 +45,24 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     for override in kept:
         if override.split("=")[0] in ("valleys", "env", "randomize") or override.startswith("env."):
             raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
-    chosen = scenarios(settings.suite or "all")
+    every, chosen = scenarios("all"), scenarios(settings.suite or "all")
     configs = {name: _config(changes) for name, changes in chosen.items()}
     own_folder = output_name("suite", result_overrides(kept))
     if settings.run is not None and settings.output is None:
         check_links(Path(settings.run), [own_folder])
     folder = Path(settings.output or (Path(settings.run or ".") / own_folder))
     writable(folder / "suite.json")
-    outputs = {name: folder / f"{name}.json" for name in chosen}
-    told = {name: [*kept, *changes] for name, changes in chosen.items()}
-    there = {name: _same(outputs[name], settings, told[name]) for name in chosen}
+    outputs = {name: folder / f"{name}.json" for name in every}
+    told = {name: [*kept, *changes] for name, changes in every.items()}
+    there = {name: _same(outputs[name], settings, told[name]) for name in every}
     flown = {name: result for name, result in there.items() if result is not None}
-    for name in flown:
-        log.info("%s is there already", outputs[name])
+    for name in chosen:
+        if name in flown:
+            log.info("%s is there already", outputs[name])
     flown |= _evaluated(evaluate, {n: (configs[n], told[n], outputs[n]) for n in chosen if n not in flown})
     results = {name: flown[name] for name in chosen}
-    known = {name: {k: value for k, value in result.items() if k != "flights"} for name, result in results.items()}
+    rows = {name: flown[name] for name in every if name in flown}
+    known = {name: {k: value for k, value in result.items() if k != "flights"} for name, result in rows.items()}
     with replacing(folder / "suite.json") as partial:
         partial.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
     print(suite_table(results))
