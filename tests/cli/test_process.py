@@ -35,6 +35,18 @@ def test_processes_that_a_command_starts_import_nothing_from_the_working_folder(
     assert os.environ.get(SAFE_PATH) == before
 
 
+@pytest.mark.parametrize(
+    ("error", "told", "code"),
+    [("KeyboardInterrupt", "uavrl: stopped.", -signal.SIGINT), ("ValueError(3)", "ValueError: 3", 1)],
+)
+def test_ctrl_c_while_modules_are_imported_is_told_in_a_sentence(error: str, told: str, code: int) -> None:
+    """What a script of this name does before it calls anything of ours; other errors keep their traceback."""
+    program = f"import signal, uavrl.cli; signal.signal(signal.SIGINT, signal.default_int_handler); raise {error}"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert (ended.returncode, ended.stderr.splitlines()[-1]) == (code, told)
+    assert ("Traceback" in ended.stderr) == (error != "KeyboardInterrupt")
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_command_that_is_ended_says_so_and_cleans_up(
     number: signal.Signals, code: int, capsys: pytest.CaptureFixture[str]
