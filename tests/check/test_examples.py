@@ -71,6 +71,16 @@ def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path
     picture = tmp_path / "worlds.png"
     said("scenarios.py", f"a rule={suites / 'vfh_turning.json'}", suites / "best.json", "--output", picture)
     assert picture.stat().st_size > 5_000
+    few = tmp_path / "few.json"
+    row = json.loads((suites / "best.json").read_text())["static"]
+    few.write_text(json.dumps({"few": {**row, "episodes": 20, "success": {"rate": 0.5, "low": 0.3, "high": 0.7}}}))
+    worlds = ["--table", "--worlds", "static", "few"]
+    printed = said("scenarios.py", f"one={suites / 'best.json'}", f"one={few}", f"other={few}", *worlds)
+    assert printed.splitlines()[0] == "| success in % | `static` | `few` |"
+    assert printed.splitlines()[2:] == [
+        "| one | 98.8 (97.4–99.4) | 50.0\\* (30.0–70.0) |",
+        "| other | – | 50.0\\* (30.0–70.0) |",
+    ]
     evaluation = tmp_path / "evaluation.json"
     evaluation.write_text(json.dumps(json.loads((suites / "best.json").read_text())["static"]))
     drawing = [sys.executable, EXAMPLES / "scenarios.py"]
