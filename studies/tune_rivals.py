@@ -4,7 +4,7 @@
 
 Settings are drawn at random around the present ones, which take part, too. All fly the same tasks in valleys 200 to
 209, which no evaluation uses, with twice the default's obstacles. The better quarter flies four times as many, and so
-on until fewer than four are left; the last round decides.
+on until fewer than two would be; the last round decides.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def main() -> None:
             told = {key: float(f"{value:.3g}") for key, value in row["setting"].items()}
             rate = f"{100 * row['rate']:5.1f} % ({100 * row['low']:.1f}-{100 * row['high']:.1f})"
             print(f"  {rate}, collided {100 * row['collided']:.1f} %, {row['steps']:.0f} steps  {told}", flush=True)
-        if len(left) < 4:
+        if len(left) < 8:
             break
         left, tasks = [row["setting"] for row in rounds[-1][: len(left) // 4]], 4 * tasks
     if args.json:
