@@ -17,7 +17,7 @@ FLOORS = [
     {"models", "transforms"},
     {"config", "runs"},
     {"mapping", "motion", "shield", "upstream"},
-    {"attitude", "errors", "ranges", "command_line", "machine", "cells", "progress_line"},
+    {"attitude", "errors", "ranges", "command_line", "machine", "cells", "counted", "progress_line"},
 ]
 
 

@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
 from uavrl.config import validate
+from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.ranges import Folder, Text
 from uavrl.rollout.policies import packaged_policies, policy_folder, unknown_policy
@@ -42,10 +43,10 @@ def main(config: DictConfig) -> None:
     from uavrl.deploy.export import export_policy
 
     about = export_policy(folder, settings.checkpoint, output, settings.packages)
-    steps = f"{about['training_steps']:,}" if "training_steps" in about else "its"
+    steps = counted(about["training_steps"], "step") if "training_steps" in about else "its steps"
     then = command_line("uavrl-evaluate", run=output)
     terms = f"What another program needs to fly it: {output / CONTRACT}. " if (output / CONTRACT).is_file() else ""
-    print(f"The policy after {steps} steps is in {output}. {terms}Its success rate: {then}")
+    print(f"The policy after {steps} is in {output}. {terms}Its success rate: {then}")
 
 
 if __name__ == "__main__":

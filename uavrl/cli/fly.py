@@ -21,6 +21,7 @@ from uavrl.cli.lidar import LidarKeys
 from uavrl.cli.telling import beside
 from uavrl.config import validate
 from uavrl.config.sentences import require
+from uavrl.counted import counted
 from uavrl.deploy.autopilot import Autopilot
 from uavrl.deploy.doubts import Doubts
 from uavrl.deploy.dry_run import DryRun
@@ -277,7 +278,7 @@ def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
     after = cast(float | None, facts["arrived_after_s"])
     ended = "it did not arrive" if after is None else f"it arrived after {after:.1f} s"
     least = f", {facts['least_distance_m']:.1f} m from the goal at the nearest" if facts["least_distance_m"] else ""
-    print(f"{facts['seconds']:.1f} s, {facts['scans']:,} scans: {ended}{least}.")
+    print(f"{facts['seconds']:.1f} s, {counted(facts['scans'], 'scan')}: {ended}{least}.")
     if (latency := facts["latency_ms"])["median"] is not None:
         print(
             f"From a scan's last packet to the set-point: {latency['median']:.1f} ms (median), "

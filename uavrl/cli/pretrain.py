@@ -7,6 +7,7 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.command_line import command_line
 from uavrl.config import validate
+from uavrl.counted import counted
 
 
 @command("pretrain")
@@ -21,13 +22,16 @@ def main(config: DictConfig) -> None:
     with matmul_backend(settings.matmul, settings.threads):
         about = pretrain(settings)
     source, learned, elbow = about["source"], about["classifier"], about["sse"]["elbow"]
-    print(f"{source['states_drawn']:,} of {source['states']:,} states in {source['episodes']:,} episodes")
-    print(f"{about['k']} classes" + (f" (elbow of the SSE curve: {elbow})" if elbow is not None else ""))
+    states, episodes = counted(source["states"], "state"), counted(source["episodes"], "episode")
+    print(f"{source['states_drawn']:,} of {states} in {episodes}")
+    print(
+        counted(about["k"], "class", "classes") + (f" (elbow of the SSE curve: {elbow})" if elbow is not None else "")
+    )
     print(f"The classifier says the right one for {learned['held_out_accuracy']:.1%} of held-out states")
     print("Class sizes")
     for name, sizes in about["class_sizes"].items():
         spread = f"mean {sizes['mean']:.2f}, largest {sizes['largest']}, SD {sizes['sd']:.2f}"
-        print(f"  {name}: {sizes['classes']} classes, {spread}")
+        print(f"  {name}: {counted(sizes['classes'], 'class', 'classes')}, {spread}")
     print(f"Artifact: {about['output']}")
     chosen = {"backward_reward": "abr_plus", "backward_reward.artifact": Path(about["output"])}
     print(f"Train with it, and with that run's perception: {command_line('uavrl-train', **chosen)}")

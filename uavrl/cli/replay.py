@@ -14,6 +14,7 @@ from uavrl.command_line import command_line
 from uavrl.config import validate
 from uavrl.config.sentences import require
 from uavrl.config.settings import FlyingConfig
+from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.ranges import Count, Folder
 from uavrl.rollout.policies import choose, output_name, policy_folder, require_named, result_overrides
@@ -91,7 +92,7 @@ def main(config: DictConfig) -> None:
         shown = loaded() if callable(loaded) else loaded
     for flight in shown.flights:
         summary = flight.summary
-        ended = f"{SAID[summary.outcome]} after {summary.steps} steps"
+        ended = f"{SAID[summary.outcome]} after {counted(summary.steps, 'step')}"
         lengths = f"path efficiency {summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
         print(f"task {summary.task}: {ended}, {lengths}")
         lines = [

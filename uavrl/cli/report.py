@@ -1,7 +1,6 @@
 """``uavrl-report``: one page and one JSON file about any number of runs."""
 
 import sys
-from collections.abc import Sized
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.config import validate
 from uavrl.config.sentences import require
+from uavrl.counted import counted
 from uavrl.ranges import Count, Folder, Share
 from uavrl.runs.files import replacing, writable
 
@@ -66,17 +66,13 @@ def main(config: DictConfig) -> None:
         with replacing(path) as partial:
             partial.write_text(text, encoding="utf-8")
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
-    print(f"{_count(report.runs, 'run')} in {_count(report.groups, 'group')} (seeds): {groups}")
+    print(f"{counted(len(report.runs), 'run')} in {counted(len(report.groups), 'group')} (seeds): {groups}")
     best = report.groups[0]
     rate, low, high = (f"{100 * best['last']['success'][name]:.1f}" for name in ("rate", "low", "high"))
     print(
         f"Best: {best['label']}, success rate {rate} % over the last episodes ({low}-{high} %). "
         f"Open {output} in a browser; {facts} holds the facts."
     )
-
-
-def _count(things: Sized, name: str) -> str:
-    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from typing import Any
 
 from uavrl.cli.errors import command_process, configure_logging
 from uavrl.command_line import command_line
+from uavrl.counted import counted
 from uavrl.errors import UavrlError, reason
 from uavrl.runs.config import read_config
 from uavrl.runs.names import SUMMARY
@@ -29,11 +30,12 @@ def reached(folder: Path) -> str:
         files = (folder / SUMMARY, evaluations[-1])
         summary, evaluation = (json.loads(path.read_text(encoding="utf-8")) for path in files)
         success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
-        tasks = f"{evaluation['episodes']} fixed tasks without noise{_unseen(folder, evaluation)}"
+        tasks = f"{counted(evaluation['episodes'], 'fixed task')} without noise{_unseen(folder, evaluation)}"
         more = f"{command_line('uavrl-evaluate', run=folder, suite='all')} evaluates it in every scenario"
         return (
             f"Reached: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %), after "
-            f"{summary['episodes']} episodes, {summary['steps']:,} steps and {summary['minutes']:.1f} minutes.\n"
+            f"{counted(summary['episodes'], 'episode')}, {counted(summary['steps'], 'step')} and "
+            f"{summary['minutes']:.1f} minutes.\n"
             f"Where:   {folder} ({more}, uavrl-export keeps the policy on its own)\n"
             f"Look:    open {folder / 'replay.html'} in a browser"
         )

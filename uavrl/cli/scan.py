@@ -18,6 +18,7 @@ from uavrl.cli.command import command
 from uavrl.cli.lidar import LidarKeys
 from uavrl.config import validate
 from uavrl.config.sentences import require
+from uavrl.counted import counted
 from uavrl.deploy.reduction import STATISTICS, Reduction
 from uavrl.deploy.scans import Scan
 from uavrl.deploy.sources import ScanSource, without_vehicle
@@ -104,7 +105,7 @@ def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
 def _print(summary: ScanSummary, source: ScanSource) -> None:
     facts = summary.facts()
     rate = "" if facts["rate_hz"] is None else f" at {facts['rate_hz']:.2f} Hz"
-    scans = f"{summary.scans:,} scan{'' if summary.scans == 1 else 's'}{rate}"
+    scans = f"{counted(summary.scans, 'scan')}{rate}"
     print(f"{source.source}: {scans}, {facts['points_median']:,.0f} points each (median), {_percent(summary)} misses")
     print("Nearest return in each direction:")
     for name, far in summary.sectors().items():

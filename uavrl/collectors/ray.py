@@ -22,6 +22,7 @@ from torchrl.collectors import Collector
 from torchrl.collectors.distributed import RayCollector as TorchRLRayCollector
 from torchrl.envs import EnvBase
 
+from uavrl.counted import counted
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.upstream import ray_job
@@ -174,8 +175,8 @@ def _connect(address: str | None, processors: int) -> bool:
         if not joined_before:
             _leave()
         raise UavrlError(
-            f"collector.workers asks for {processors} processors, and the Ray cluster has {there:.0f}: lower it, or "
-            f"add machines by ray start --address=ADDRESS."
+            f"collector.workers asks for {counted(processors, 'processor')}, and the Ray cluster has {there:.0f}: "
+            f"lower it, or add machines by ray start --address=ADDRESS."
         )
     return not joined_before
 

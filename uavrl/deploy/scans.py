@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from uavrl.cells import NEAREST_RETURN
+from uavrl.counted import counted
 from uavrl.deploy.packets import (
     DUAL,
     FLAG,
@@ -52,21 +53,22 @@ class Scan:
 class Skipped:
     """How much of a source was left out, by reason."""
 
-    other_size: int = field(default=0, metadata={"says": "packets of another size than 1,206 bytes"})
-    other_product: int = field(default=0, metadata={"says": "packets of another model"})
-    damaged: int = field(default=0, metadata={"says": "packets of 1,206 bytes that are no data packets"})
-    dual: int = field(default=0, metadata={"says": "packets with two returns per ray"})
-    lost: int = field(default=0, metadata={"says": "packets that never arrived"})
-    late: int = field(default=0, metadata={"says": "packets out of order"})
-    incomplete: int = field(default=0, metadata={"says": "turns with a gap or without an end"})
-    malformed: int = field(default=0, metadata={"says": "messages that could not be read"})
-    other_sender: int = field(default=0, metadata={"says": "packets of a second sender"})
-    position: int = field(default=0, metadata={"says": "position packets, which hold no points"})
+    other_size: int = field(default=0, metadata={"of": "packet", "says": "of another size than 1,206 bytes"})
+    other_product: int = field(default=0, metadata={"of": "packet", "says": "of another model"})
+    damaged: int = field(default=0, metadata={"of": "packet", "says": "of 1,206 bytes without a packet's data"})
+    dual: int = field(default=0, metadata={"of": "packet", "says": "with two returns per ray"})
+    lost: int = field(default=0, metadata={"of": "packet", "says": "that never arrived"})
+    late: int = field(default=0, metadata={"of": "packet", "says": "out of order"})
+    incomplete: int = field(default=0, metadata={"of": "turn", "says": "with a gap or without an end"})
+    malformed: int = field(default=0, metadata={"of": "message", "says": "that could not be read"})
+    other_sender: int = field(default=0, metadata={"of": "packet", "says": "of a second sender"})
+    position: int = field(default=0, metadata={"of": "position packet", "says": "without points"})
 
     def sentences(self) -> list[str]:
         """One line for each reason that occurred."""
-        says = {name: kind.metadata["says"] for name, kind in self.__dataclass_fields__.items()}
-        return [f"{count:,} {says[name]}" for name, count in asdict(self).items() if count]
+        about = {name: kind.metadata for name, kind in self.__dataclass_fields__.items()}
+        counts = [(count, about[name]) for name, count in asdict(self).items() if count]
+        return [f"{counted(count, of['of'])} {of['says']}" for count, of in counts]
 
 
 def check_model(model: str | None) -> str:

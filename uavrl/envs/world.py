@@ -7,6 +7,7 @@ from itertools import cycle
 
 import numpy as np
 
+from uavrl.counted import counted
 from uavrl.envs.lanes import Lane, plan_lanes
 from uavrl.envs.limits import require_finite, whole
 from uavrl.envs.mesh import MOST_FACES, Mesh
@@ -297,8 +298,8 @@ class World:
         far = np.linalg.norm(places - goal, axis=1) >= self.config.min_goal_distance
         if not (apart & far).any():
             raise UavrlError(
-                f"A start needs {keep_out} m to {len(planes)} planes, but no free place of the valley of seed "
-                f"{place.seed} has that; lower plane_keep_out or planes."
+                f"A start needs {keep_out} m to {counted(len(planes), 'plane')}, but no free place of the valley of "
+                f"seed {place.seed} has that; lower plane_keep_out or planes."
             )
         return places[rng.choice(np.flatnonzero(apart & far))]
 

@@ -15,6 +15,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
+from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.models import PSAE, OneShotClassifier, TrajectoryClassifier
 from uavrl.pretraining.clustering import Clusters, cluster, cluster_each, draw, elbow, standardization
@@ -81,7 +82,9 @@ def draw_sample(source: States, recipe: PretrainRecipe, seed: int) -> Sample:
     apart = rng.choice(episodes, min(max(round(recipe.held_out * episodes), 1), episodes - 1), replace=False)
     held_out = np.isin(source.episode[index], apart)
     if held_out.all() or not held_out.any():
-        raise UavrlError(f"Expected states in and out of {len(apart)} held-out episodes: raise pretrain.states.")
+        raise UavrlError(
+            f"Expected states in and out of {counted(len(apart), 'held-out episode')}: raise pretrain.states."
+        )
     return Sample(index, centres, torch.from_numpy(held_out))
 
 

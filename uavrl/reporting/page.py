@@ -6,6 +6,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.reporting.report import Report
 from uavrl.rollout.smoothness import change_text
@@ -170,7 +171,7 @@ def _last_success(facts: dict[str, Any]) -> str:
             hovertemplate="%{text}: %{x:.1f} %",
         )
     labels = [group["label"] for group in reversed(facts["groups"])]
-    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {facts['window']:,} training episodes")
+    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {counted(facts['window'], 'training episode')}")
     drawn.update_yaxes(tickvals=list(range(count)), ticktext=labels, range=[-0.6, count - 0.4], automargin=True)
     return _html(drawn, "last-success", 110 + 46 * count)
 

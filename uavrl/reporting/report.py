@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 import uavrl
+from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.reporting.groups import HOW_IT_RUNS, Group, below, differences, group_runs, same_task, shown
 from uavrl.reporting.learning_curves import curves, steps_to
@@ -147,9 +148,11 @@ def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any
 def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str, Any]:
     notes = list(run.notes)
     if not run.finished:
-        notes.append(f"Unfinished: {len(run.episodes):,} of {run.config['trainer']['episodes']:,} episodes.")
+        notes.append(f"Unfinished: {len(run.episodes):,} of {counted(run.config['trainer']['episodes'], 'episode')}.")
     if len(run.episodes) < window:
-        notes.append(f"It has fewer than {window:,} episodes: its rates are over all {len(run.episodes):,}.")
+        notes.append(
+            f"It has {counted(len(run.episodes), 'episode')}, fewer than {window:,}: its rates are over all of them."
+        )
     return {
         "name": run.name,
         "group": group,

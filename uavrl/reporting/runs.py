@@ -13,6 +13,7 @@ from omegaconf import OmegaConf
 from uavrl.config import learner_name
 from uavrl.config.parts import PARTS
 from uavrl.config.yaml_files import NONE
+from uavrl.counted import counted
 from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs import names
 from uavrl.runs.config import load_config
@@ -236,11 +237,12 @@ def _tasks(content: dict[str, Any]) -> str:
     """The tasks in words. With planes, which move at every step, the number of UAVs is part of them."""
     valleys = ", ".join(map(str, content.get("valleys") or []))
     changes = [str(each) for each in content.get("overrides") or [] if str(each).startswith(("env.", "perception."))]
+    uavs = content.get("num_uavs")  # of a file from anywhere: it need not be a number
     parts = [
         str(content.get("env")),
         f"valleys {valleys}" if valleys else "",
-        f"{content['episodes']} tasks of seed {content.get('seed')}",
-        f"{content.get('num_uavs')} UAVs at a time" if content.get("planes") else "",
+        f"{counted(int(content['episodes']), 'task')} of seed {content.get('seed')}",
+        f"{uavs} UAV{'' if uavs == 1 else 's'} at a time" if content.get("planes") else "",
         *sorted(changes),
     ]
     return ", ".join(part for part in parts if part)

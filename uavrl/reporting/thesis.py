@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from uavrl.config import learner_name
+from uavrl.counted import counted
 from uavrl.reporting.groups import Group
 from uavrl.reporting.learning_curves import steps_to
 
@@ -35,7 +36,8 @@ def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
         unlike.append(f"reward={reward}, not navigation (Eq. 3.6)")
     lengths = sorted({len(run.episodes) for run in group.runs})
     if lengths != [thesis()["episodes"]]:
-        unlike.append(f"{' and '.join(f'{n:,}' for n in lengths)} episodes, not {thesis()['episodes']:,}")
+        several = [*(f"{n:,}" for n in lengths[:-1]), counted(lengths[-1], "episode")]
+        unlike.append(f"{' and '.join(several)}, not {thesis()['episodes']:,}")
     return learner, str(column), unlike
 
 

@@ -8,6 +8,7 @@ import yaml
 
 from uavrl.config.sentences import did_you_mean
 from uavrl.config.yaml_files import conf_dir
+from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.rollout.position_stats import whereabouts_lines
 from uavrl.rollout.rollout import Flight
@@ -79,20 +80,20 @@ def _number(value: float | None, form: str) -> str:
 def reached(result: Mapping[str, Any]) -> str:
     """The share of solved tasks, in a sentence."""
     success = {name: f"{100 * share:.1f}" for name, share in result["success"].items()}
-    tasks = f"{result['episodes']} fixed tasks"
+    tasks = counted(result["episodes"], "fixed task")
     return f"Solved: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %)."
 
 
 def table(result: Mapping[str, Any]) -> str:
     """A summary as text for a person."""
-    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {result['episodes']} episodes"]
+    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {counted(result['episodes'], 'episode')}"]
     for name in RATES:
         rate = result[name]
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
     lines += [f"{label:<46}{_number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
     lines += smoothness_lines(result.get("action_change"), result.get("yaw_reversals"))
     for valley, success in result.get("success_by_valley", {}).items():
-        interval = f"{success['low']:.1%} – {success['high']:.1%}, {success['episodes']} episodes"
+        interval = f"{success['low']:.1%} – {success['high']:.1%}, {counted(success['episodes'], 'episode')}"
         lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
     return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from uavrl.counted import counted
 from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs.files import naming, replacing
 
@@ -212,8 +213,8 @@ class EpisodeLog:
         episodes = read_episodes(self.path)
         if len(episodes) < state_dict["count"]:
             raise UavrlError(
-                f"Expected at least {state_dict['count']} episodes in {self.path} and found {len(episodes)}: "
-                f"the file does not belong to the checkpoint."
+                f"Expected at least {counted(state_dict['count'], 'episode')} in {self.path} and found "
+                f"{len(episodes)}: the file does not belong to the checkpoint."
             )
         episodes = episodes[: state_dict["count"]]
         self._rewrite(episodes, list(episodes[0].terms) if episodes else [])

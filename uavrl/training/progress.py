@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from tqdm import tqdm
 
 from uavrl.config.settings import TrainConfig
+from uavrl.counted import counted
 from uavrl.progress_line import ProgressLine
 
 log = logging.getLogger(__name__)
@@ -65,7 +66,7 @@ class Progress:
 
     def update(self, episodes: int, steps: int, rates: Mapping[str, float], mean_return: float) -> None:
         """Shows the state after ``episodes`` episodes and ``steps`` steps."""
-        beside = f"{episodes:,} episodes" if self._by_steps else f"{steps:,} steps"
+        beside = counted(episodes, "episode") if self._by_steps else counted(steps, "step")
         left, speed = self._left(episodes, steps), self._speed()
         beside += "" if speed is None else f", {speed:.0f} steps/s"
         self._bar.set(
@@ -133,8 +134,8 @@ def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> 
     """After the run: it ended before learning started."""
     if updates == 0:
         log.warning(
-            "Nothing was learned: the run ended after %d steps, before its algo.learning_starts=%d. Lower it, or "
+            "Nothing was learned: the run ended after %s, before its algo.learning_starts=%d. Lower it, or "
             "choose a longer run.",
-            steps,
+            counted(steps, "step"),
             settings.algo.learning_starts,
         )

@@ -18,6 +18,7 @@ from uavrl.collectors.stall_notice import StallNotice
 from uavrl.command_line import command_line
 from uavrl.config import learner_name, validate, validate_run
 from uavrl.config.settings import TrainConfig
+from uavrl.counted import counted
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import checkpoint_to_resume, has_no_checkpoint, how_to_go_on, restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
@@ -186,7 +187,8 @@ def _restore_run(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, 
     about = Checkpoint.manifest(checkpoint)["metadata"]
     trainer.seconds_before = about.get("seconds", 0.0)
     truncate_logs(trainer.log.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
-    log.info("Resumed %s after %d episodes, %d steps.", run_dir, trainer.episode_log.count, trainer.collected_frames)
+    done = f"{counted(trainer.episode_log.count, 'episode')}, {counted(trainer.collected_frames, 'step')}"
+    log.info("Resumed %s after %s.", run_dir, done)
     if about["fingerprint"] == trainer.metadata["fingerprint"]:
         trainer.barrier()
     else:  # an older one, which goes only with the machine's keys that are recorded until now

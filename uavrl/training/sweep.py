@@ -5,6 +5,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import read_episodes
@@ -33,8 +34,8 @@ def is_begun(run_dir: Path) -> bool:
         return True
     if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
         raise UavrlError(
-            f"{run_dir} holds {flown} episodes and no checkpoint to go on from: bring its checkpoints back, or "
-            f"move the folder away to train anew."
+            f"{run_dir} holds {counted(flown, 'episode')} and no checkpoint to go on from: bring its checkpoints back, "
+            f"or move the folder away to train anew."
         )
     reset_unstarted_run(run_dir)
     return False
@@ -42,8 +43,8 @@ def is_begun(run_dir: Path) -> bool:
 
 def summary_lines(run_dirs: list[Path]) -> str:
     """What stands of a sweep, a line for each run."""
-    lines = (f"\n  {run_dir}: {_flown(run_dir, 'episodes'):,} episodes" for run_dir in run_dirs)
-    return f"The sweep's {len(run_dirs)} runs:{''.join(lines)}"
+    lines = (f"\n  {run_dir}: {counted(_flown(run_dir, 'episodes'), 'episode')}" for run_dir in run_dirs)
+    return f"The sweep's {counted(len(run_dirs), 'run')}:{''.join(lines)}"
 
 
 def _flown(run_dir: Path, what: str) -> int:

@@ -15,6 +15,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from uavrl.buffers import BackwardReward
 from uavrl.collectors.base import EpisodeCollector
 from uavrl.collectors.stall_notice import StallNotice
+from uavrl.counted import counted
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
@@ -134,8 +135,8 @@ class EpisodeTrainer:
             return
         if not math.isfinite(value := losses["loss_value"].item()):
             raise UavrlError(
-                f"The critic's loss became {value} after {self.stepper.updates} updates: lower the learning rates; the "
-                f"last checkpoint is untouched."
+                f"The critic's loss became {value} after {counted(self.stepper.updates, 'update')}: lower the "
+                f"learning rates; the last checkpoint is untouched."
             )
         self.log.add({"optim_steps": self.stepper.updates, **losses}, self.collected_frames)
 

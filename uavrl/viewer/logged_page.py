@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from uavrl.counted import counted
 from uavrl.deploy.frames import Vector
 from uavrl.deploy.logged_flight import FARTHEST, LoggedFlight
 from uavrl.deploy.reduction import directions, is_return
@@ -188,7 +189,7 @@ def facts(moments: LoggedMoments) -> dict[str, str]:
 def _missing(flight: LoggedFlight) -> list[str]:
     """What the log lacks."""
     cut = [] if flight.whole else ["The log ends in the middle: what came after is not in it."]
-    left_out = f"{flight.left_out:,} cycles are missing: the disk was too slow for them."
+    left_out = f"{counted(flight.left_out, 'cycle')} left out, for which the disk was too slow."
     return [*cut, *([left_out] if flight.left_out else [])]
 
 

@@ -1,0 +1,16 @@
+"""A number and what it counts, in words."""
+
+
+def counted(number: float, thing: str, things: str | None = None) -> str:
+    """A number with its noun, in the singular for one.
+
+    Args:
+        number: how many.
+        thing: one of them.
+        things: several of them, where that is not ``thing`` with an s.
+
+    Examples:
+        >>> counted(1, "episode"), counted(1200, "episode"), counted(0, "class", "classes")
+        ('1 episode', '1,200 episodes', '0 classes')
+    """
+    return f"{number:,} {thing if number == 1 else things or f'{thing}s'}"
