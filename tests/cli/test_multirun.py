@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
+from hydra.errors import MissingConfigException
 from omegaconf import OmegaConf
 
 from tests.helpers.sweeps import runs_in, sweep
+from uavrl.cli.command import explained
 
 
 def test_each_value_of_a_sweep_gets_its_own_run(tmp_path: Path) -> None:
@@ -23,6 +25,15 @@ def test_each_value_of_a_sweep_gets_its_own_run(tmp_path: Path) -> None:
     for run in runs.values():
         assert list((run / "checkpoints").glob("checkpoint*"))
         assert len((run / "episodes.csv").read_text().splitlines()) == 1 + 4
+
+
+def test_a_launcher_that_is_not_installed_is_named_with_what_to_install() -> None:
+    for launcher in ("joblib", "submitit_slurm"):
+        error = MissingConfigException("none", f"hydra/launcher/{launcher}", ["basic"])
+        told = f"hydra/launcher={launcher} needs a plugin of Hydra's: install it by pip install 'uavrl[launchers]'."
+        assert explained(error, "config") == told
+    near = explained(MissingConfigException("none", "hydra/launcher/basics", ["basic"]), "config")
+    assert near.startswith("hydra/launcher must be one of basic, got 'basics': did you mean basic?")
 
 
 def test_resume_in_a_sweep_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

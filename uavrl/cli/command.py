@@ -9,6 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -29,25 +30,26 @@ from uavrl.errors import UavrlError
 from uavrl.runs.config import today
 
 SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
+LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
 
 
-def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
     """Makes a console command of a function that takes the configuration ``conf/NAME.yaml``, as overridden."""
     register_run_name()
 
-    def decorate(function: Callable[[DictConfig], None]) -> Callable[[], None]:
+    def decorate(function: Callable[[DictConfig], Any]) -> Callable[[], None]:
         begun = False  # whether Hydra has handed over to the command itself
 
         @wraps(function)
-        def composed(config: DictConfig) -> None:
+        def composed(config: DictConfig) -> Any:
             nonlocal begun
             begun = True
             configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
             with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
                 choices = HydraConfig.get().runtime.choices
                 check_choices(choices, _command_line()[0])
-                function(with_choices(config, choices) if "env" in config else config)
+                return function(with_choices(config, choices) if "env" in config else config)
 
         by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(composed)
 
@@ -104,6 +106,8 @@ def explained(error: Exception, name: str) -> str:
         )
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
+        if group == "hydra/launcher" and choice in LAUNCHERS:
+            return f"{group}={choice} needs a plugin of Hydra's: install it by pip install 'uavrl[launchers]'."
         folders, _ = _command_line()
         own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else "One of your own needs --config-dir FOLDER."
         near = did_you_mean(choice, error.options, ": ")

@@ -5,7 +5,6 @@ import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -13,12 +12,14 @@ from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from uavrl.cli import sweep_runs
 from uavrl.cli.command import command
-from uavrl.cli.errors import one_sentence, sentence
+from uavrl.cli.errors import configure_logging, one_sentence, sentence
 from uavrl.cli.memory import require_memory
 from uavrl.command_line import command_line
 from uavrl.config import TrainConfig, resolve, validate, validate_run
 from uavrl.config.values import to_plain
+from uavrl.counted import counted
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.episodes import RATES
 from uavrl.runs.files import made_folder
@@ -28,38 +29,39 @@ log = logging.getLogger(__name__)
 LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
 
 
-_ended: list[Path] = []  # of a sweep's runs, by this process
-_elsewhere: list[Path] = []  # those of other processes
-
-
 def main() -> None:
     """Trains one run, or a sweep: several processes may share one, and each stays until all of its runs have ended."""
-    for attempt in count():
-        _ended.clear()
-        _elsewhere.clear()
-        _command()
-        if not _elsewhere:
-            break
-        if attempt == 0:
-            log.info("Waiting for other processes to end %s of the sweep's runs, or to die.", len(_elsewhere))
+    sweep_runs.forget()
+    _command()
+    if others := sweep_runs.runs(ended=False):
+        configure_logging()  # again: Hydra has silenced it after the last run
+        waiting = counted(len(others), "run")
+        log.info("Waiting for other processes to end %s of the sweep, or to die.", waiting)
+    while others := sweep_runs.runs(ended=False):
         with one_sentence():
             time.sleep(LOOK_AGAIN)
-    if _ended:
+            from uavrl.runs.lock import is_locked
+
+            all_held = all(map(is_locked, others))
+        if not all_held:
+            _command()
+    if ended := sweep_runs.runs(ended=True):
         from uavrl.training.sweep import summary_lines
 
-        print(summary_lines(_ended))
+        with one_sentence():
+            print(summary_lines(ended), flush=True)
 
 
 @command("config")
-def _command(config: DictConfig) -> None:
+def _command(config: DictConfig) -> sweep_runs.Outcome | None:
     """Trains one run; in a sweep a run that fails does not stop the others."""
     if HydraConfig.get().mode != RunMode.MULTIRUN:
         with one_sentence():
             _train(config)
-        return
+        return None
     try:
         with one_sentence():
-            _train_in_sweep(config)
+            return _train_in_sweep(config)
     except SystemExit as end:
         if isinstance(end.__cause__, Stopped):
             raise
@@ -127,7 +129,7 @@ def _check_machine(config: DictConfig) -> None:
         chosen_matmul(config.trainer.matmul, config.trainer.threads)
 
 
-def _train_in_sweep(config: DictConfig) -> None:
+def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
     """Trains a combination, goes on with it, or leaves it alone where it is finished or another process trains it."""
     _check(validate(config))
     if config.resume is not None:
@@ -142,15 +144,16 @@ def _train_in_sweep(config: DictConfig) -> None:
 
     run_dir = run_folder(config)
     config = resolve(config)
-    if run_dir in (*_ended, *_elsewhere):
+    place = HydraConfig.get().job.num
+    if sweep_runs.has_another_place(run_dir, place):
         raise UavrlError(
             f"Two combinations of the sweep mean the same run {run_dir}: they differ in nothing that is learned from; "
             f"give each a run_dir of its own."
         )
     if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):
-        print(f"Finished: {run_dir}")
-        _ended.append(run_dir)
-        return
+        if not sweep_runs.was_ended(run_dir):  # else it was told before this process waited for others
+            print(f"Finished: {run_dir}")
+        return sweep_runs.Outcome(run_dir, place, ended=True)
     try:
         _check_machine(config)
         with explain_full_disk(run_dir), made_folder(run_dir, ANY_CHECKPOINT), run_lock(run_dir):
@@ -162,9 +165,8 @@ def _train_in_sweep(config: DictConfig) -> None:
                 _fly(config, create_run(config), resume=False)
     except FolderTaken as taken:
         log.info("%s", taken)
-        _elsewhere.append(run_dir)
-    else:
-        _ended.append(run_dir)
+        return sweep_runs.Outcome(run_dir, place, ended=False)
+    return sweep_runs.Outcome(run_dir, place, ended=True)
 
 
 def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
@@ -175,7 +177,8 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
 
     summary = train(config, run_dir, resume=resume, begun=tell)
     rates = ", ".join(f"{key.replace('_', '-')} {summary['rates'][name]:.0%}" for key, name in RATES.items())
-    print(f"{summary['episodes']:,} episodes, {summary['steps']:,} steps; over the last ones {rates}.")
+    done = f"{counted(summary['episodes'], 'episode')}, {counted(summary['steps'], 'step')}"
+    print(f"{done}; over the last ones {rates}.")
     watch = f"; watch it: {command_line('uavrl-replay', run=run_dir)}" if "world" in config.env else ""
     print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir)}{watch}")
 

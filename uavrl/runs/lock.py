@@ -47,6 +47,17 @@ def run_lock(run_dir: Path) -> Iterator[None]:
         lock.release()
 
 
+def is_locked(run_dir: Path) -> bool:
+    """Whether another process trains in a run folder."""
+    if not run_dir.is_dir():
+        return False
+    try:
+        with run_lock(run_dir):
+            return False
+    except FolderTaken:
+        return True
+
+
 def _taken(run_dir: Path) -> FolderTaken:
     holder = _holder(run_dir)
     who = f" (process {holder['pid']} on {holder['host']})" if {"pid", "host"} <= holder.keys() else ""

@@ -1,0 +1,42 @@
+"""What became of a sweep's runs, in the process of its command, whichever process a launcher trained them in."""
+
+from pathlib import Path
+from typing import Any
+
+_by_place: dict[Path, tuple[int, bool]] = {}  # of each run: which one of the sweep it is, and whether it has ended
+
+
+class Outcome:
+    """What a run's process gives back of it; it is noted where it is made, and again where it is unpickled.
+
+    Hydra's launchers hand it on to the process of the command, and Hydra then drops it.
+    """
+
+    def __init__(self, run_dir: Path, place: int, ended: bool) -> None:
+        self._about = run_dir, place, ended
+        if not was_ended(run_dir):
+            _by_place[run_dir] = place, ended
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Made anew, so that it is noted there, too."""
+        return Outcome, self._about
+
+
+def forget() -> None:
+    """Begins a sweep."""
+    _by_place.clear()
+
+
+def was_ended(run_dir: Path) -> bool:
+    """Whether a run has ended, by what this process knows."""
+    return _by_place.get(run_dir, (0, False))[1]
+
+
+def has_another_place(run_dir: Path, place: int) -> bool:
+    """Whether an earlier combination of the sweep has this folder."""
+    return _by_place.get(run_dir, (place, False))[0] != place
+
+
+def runs(*, ended: bool) -> list[Path]:
+    """Those that have ended, or those that other processes train, in the sweep's order."""
+    return [run for run, (_, has) in sorted(_by_place.items(), key=lambda item: item[1][0]) if has is ended]
