@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from tests.helpers.runs import SMALL
 from uavrl.cli import train as train_command
 from uavrl.cli.errors import one_sentence
 from uavrl.errors import FolderTaken, Stopped, UavrlError
-from uavrl.runs.files import made_folder
+from uavrl.runs.files import made_folder, writable
 
 
 @pytest.mark.parametrize("mistake", [[], ["backward_reward=abr_plus", "backward_reward.artifact=/nowhere"]])
@@ -70,3 +71,22 @@ def test_a_stop_is_told_once_however_deep(capsys: pytest.CaptureFixture[str]) ->
         raise Stopped("stopped after episode 3.", 15)
     assert end.value.code == 143
     assert capsys.readouterr().err == "uavrl: stopped after episode 3.\n"
+
+
+def test_no_file_takes_the_place_of_a_device_or_a_pipe(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for path in (pipe, Path(os.devnull)):
+        with pytest.raises(UavrlError, match=f"{path} cannot be written .it is a device or a pipe, not a file.: "):
+            writable(path)
+    assert pipe.is_fifo() and Path(os.devnull).is_char_device()
+
+
+def test_a_file_among_the_folders_of_a_path_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file/page.html", tmp_path / "file/deeper/page.html"):
+        told = f"{path} cannot be written .{tmp_path / 'file'} is a file.: choose"
+        with pytest.raises(UavrlError, match=told):
+            writable(path)
+        with pytest.raises(UavrlError, match=told), made_folder(path, "checkpoint*"):
+            pass

@@ -42,13 +42,21 @@ def writable(path: Path, option: str = "output=FILE") -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")
+        if path.exists() and not path.is_file():  # root would put a file in the place of /dev/null, for all programs
+            raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
         partial = path.with_name(path.name + ".partial")
         partial.unlink(missing_ok=True)  # it may be a link to somewhere else
         partial.touch()
         partial.unlink()
     except OSError as error:
-        raise UavrlError(f"{path} cannot be written ({error.strerror}): choose another with {option}.") from error
+        raise UavrlError(f"{path} cannot be written ({_why(error, path)}): choose another with {option}.") from error
     return path
+
+
+def _why(error: OSError, path: Path) -> str | None:
+    """What the system says, but for a file among the folders of a path, of which it says "File exists"."""
+    files = [above for above in path.parents if above.is_file()]
+    return f"{files[0]} is a file" if files else error.strerror
 
 
 def require_room(folder: Path, size: float) -> None:
@@ -73,7 +81,7 @@ def made_folder(folder: Path, holding: str, *, another: bool = False) -> Iterato
     except OSError as error:
         _remove_empty(above)
         raise UavrlError(
-            f"The run folder {folder} cannot be written ({error.strerror}): choose another with run_dir=FOLDER."
+            f"The run folder {folder} cannot be written ({_why(error, folder)}): choose another with run_dir=FOLDER."
         ) from error
     try:
         yield folder
