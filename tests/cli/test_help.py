@@ -45,3 +45,9 @@ def test_one_name_for_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert said("train", "--version") == said("--version")  # and not Hydra's
     assert said("trian", code=1) == "uavrl: There is no command 'trian': did you mean train?\n"
     assert "did you mean trainer.episodes?" in said("train", "trainer.epsodes=3", code=1)
+
+
+def test_another_help_is_refused_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(train.main, "--help=al") == 1
+    told = "uavrl: uavrl-train has no --help=al: --help shows the most used keys, --help=all all.\n"
+    assert capsys.readouterr().err == told

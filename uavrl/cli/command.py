@@ -133,6 +133,8 @@ def _refuse_options(name: str) -> None:
     try:
         others = parser.parse_known_args(sys.argv[1:])[1]
     except argparse.ArgumentError as error:
+        if wrong := next((given for given in sys.argv[1:] if given.startswith("--help=")), None):
+            raise UavrlError(f"{command} has no {wrong}: --help shows the most used keys, --help=all all.") from error
         raise UavrlError(f"{command}: {error}.") from error
     for option in others:
         if not option.startswith("-"):
