@@ -7,7 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +18,7 @@ from matplotlib.image import imread
 
 from tests.helpers.flights import small_recording
 from uavrl.envs.tasks import FlightMap, FreeSpace
+from uavrl.rollout.mppi import MPPIWeights
 from uavrl.rollout.recording import save_recording
 
 Said = Callable[..., str]
@@ -43,7 +44,7 @@ def test_a_rivals_settings_are_drawn_and_the_better_ones_fly_on(
     tune_rivals.main()
     rounds = json.loads((tmp_path / "t.json").read_text())["rounds"]
     assert [len(found) for found in rounds] == [8, 2] and flown == [4] * 8 + [16] * 2
-    assert rounds[1][0]["setting"] == settings[2] and settings[0]["temperature"] == 0.2
+    assert rounds[1][0]["setting"] == settings[2] and settings[0] == asdict(MPPIWeights()), "the present ones take part"
 
 
 def test_rivals_are_told_beside_the_packaged_policy(

@@ -15,7 +15,7 @@ from uavrl.cells import LASERS
 from uavrl.config import compose, validate
 from uavrl.config.build import find_class
 from uavrl.rollout.environment import make_env
-from uavrl.rollout.mppi import MPPI, STEPS, places_of
+from uavrl.rollout.mppi import MPPI, STEPS, MPPIWeights, places_of
 from uavrl.rollout.policies import BASELINES, named_policy
 from uavrl.rollout.potential_field import FieldWeights, PotentialField
 from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory, polar_histogram
@@ -170,13 +170,14 @@ def test_mppi_knows_where_commands_lead() -> None:
     assert (level[-1] - right[-1])[1] == pytest.approx(0.1 * (1 / 0.41 - 1) / 2.4, rel=0.1)
 
 
-def test_mppi_climbs_no_steeper_than_it_sees() -> None:
+@pytest.mark.parametrize("costs", [MPPIWeights(), MPPIWeights(speed=1.0, climb=0.4)])
+def test_mppi_flies_no_faster_than_its_samples(costs: MPPIWeights) -> None:
     post = scan(grid(1.2, (-3.0, 3.0), (-0.5, 0.3)))
-    rival = MPPI()
+    rival = MPPI(costs=costs)
     for step in range(5):
         action = rival(seen(post, fresh=step == 0))["action"][0]
-        assert action[:2].norm() <= 2.0 + 1e-5
-        assert action[2].abs() <= max(0.5 * action[:2].norm(), 0.3) + 1e-5
+        assert action[:2].norm() <= costs.speed + 1e-5 and action.abs().max() <= 2.0
+        assert action[2].abs() <= costs.speed * costs.climb + 1e-5
 
 
 def test_the_vehicles_own_speed_and_tilt_carry_it_on() -> None:
