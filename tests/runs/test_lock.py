@@ -13,7 +13,7 @@ from tests.helpers.commands import TINY, in_process
 from uavrl.cli import train as train_command
 from uavrl.errors import FolderTaken, UavrlError
 from uavrl.runs import lock as claim
-from uavrl.runs.lock import GONE, HOLDER, LOCK, run_lock
+from uavrl.runs.lock import GONE, HOLDER, LOCK, is_locked, run_lock
 
 
 def elsewhere(folder: Path, age: float) -> None:
@@ -36,6 +36,19 @@ def test_the_folder_of_a_machine_that_died_is_taken_over(tmp_path: Path) -> None
     with run_lock(tmp_path):
         assert json.loads((tmp_path / HOLDER).read_text())["pid"] == os.getpid()
     assert not (tmp_path / HOLDER).exists()
+
+
+def test_a_look_whether_a_folder_is_held_leaves_the_signs_of_its_holder(tmp_path: Path) -> None:
+    """Where a lock does not reach other machines, one of them may write its sign while this one looks."""
+    for age, held in ((GONE / 2, True), (2 * GONE, False)):
+        elsewhere(tmp_path, age=age)
+        before = (tmp_path / HOLDER).stat().st_mtime_ns
+        assert is_locked(tmp_path) is held
+        assert (tmp_path / HOLDER).stat().st_mtime_ns == before
+        assert json.loads((tmp_path / HOLDER).read_text())["pid"] == 7
+    assert not is_locked(tmp_path / "nowhere") and not (tmp_path / "nowhere").exists()
+    with run_lock(tmp_path):
+        pass
 
 
 def test_a_damaged_sign_of_a_killed_process_here_is_no_hindrance(tmp_path: Path) -> None:

@@ -25,6 +25,28 @@ def run_lock(run_dir: Path) -> Iterator[None]:
     Not every shared folder hands a file system's lock on to other machines, so its holder also touches a file there
     every ``BEAT`` seconds.
     """
+    with _locked(run_dir) as nested:
+        if nested:
+            yield
+            return
+        with _heartbeat(run_dir / HOLDER):
+            yield
+
+
+def is_locked(run_dir: Path) -> bool:
+    """Whether another process trains in a run folder; of one that begins in this moment, its sign of life is left."""
+    if not run_dir.is_dir():
+        return False
+    try:
+        with _locked(run_dir):
+            return False
+    except FolderTaken:
+        return True
+
+
+@contextmanager
+def _locked(run_dir: Path) -> Iterator[bool]:
+    """Locks a folder that nobody else holds, without a sign of life; gives whether this process held it before."""
     check_links(run_dir, (LOCK, HOLDER))  # the first that are written: callers look at the rest of the folder later
     lock = FileLock(run_dir / LOCK, blocking=False, is_singleton=True)
     try:
@@ -36,26 +58,12 @@ def run_lock(run_dir: Path) -> Iterator[None]:
             f"The folder {run_dir} cannot be written ({error.strerror}): choose another, or work on a copy."
         ) from error
     try:
-        if lock.lock_counter > 1:
-            yield
-            return
-        if _held_elsewhere(run_dir):
+        nested = lock.lock_counter > 1
+        if not nested and _held_elsewhere(run_dir):
             raise _taken(run_dir)
-        with _heartbeat(run_dir / HOLDER):
-            yield
+        yield nested
     finally:
         lock.release()
-
-
-def is_locked(run_dir: Path) -> bool:
-    """Whether another process trains in a run folder."""
-    if not run_dir.is_dir():
-        return False
-    try:
-        with run_lock(run_dir):
-            return False
-    except FolderTaken:
-        return True
 
 
 def _taken(run_dir: Path) -> FolderTaken:
