@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -80,12 +82,34 @@ def test_no_file_takes_the_place_of_a_device_or_a_pipe(tmp_path: Path) -> None:
         with pytest.raises(UavrlError, match=f"{path} cannot be written .it is a device or a pipe, not a file.: "):
             writable(path)
     assert pipe.is_fifo() and Path(os.devnull).is_char_device()
+    with pytest.raises(UavrlError, match=f"{os.devnull} is no folder"):
+        writable(Path(os.devnull, "page.html"))
+
+
+def test_no_file_takes_the_place_of_the_link_to_standard_output(tmp_path: Path) -> None:
+    """Where that goes into a file it is no device."""
+    program = "from pathlib import Path; from uavrl.runs.files import writable; writable(Path('/dev/stdout'))"
+    with (tmp_path / "out").open("w") as out:
+        ended = subprocess.run(
+            [sys.executable, "-c", program], stdout=out, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert "/dev/stdout cannot be written (it is a device or a pipe, not a file)" in ended.stderr
+    assert Path("/dev/stdout").is_symlink()
+
+
+def test_a_name_that_the_system_refuses_is_told_with_what_to_choose(tmp_path: Path) -> None:
+    """Looking for a file among its folders ends in the same error."""
+    path = tmp_path / ("x" * 300) / "page.html"
+    with pytest.raises(UavrlError, match=r"cannot be written .File name too long.: choose another with output=FILE"):
+        writable(path)
+    with pytest.raises(UavrlError, match=r"File name too long.: choose another with run_dir"), made_folder(path, "*"):
+        pass
 
 
 def test_a_file_among_the_folders_of_a_path_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for path in (tmp_path / "file/page.html", tmp_path / "file/deeper/page.html"):
-        told = f"{path} cannot be written .{tmp_path / 'file'} is a file.: choose"
+        told = f"{path} cannot be written .{tmp_path / 'file'} is no folder.: choose"
         with pytest.raises(UavrlError, match=told):
             writable(path)
         with pytest.raises(UavrlError, match=told), made_folder(path, "checkpoint*"):

@@ -42,7 +42,8 @@ def writable(path: Path, option: str = "output=FILE") -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")
-        if path.exists() and not path.is_file():  # root would put a file in the place of /dev/null, for all programs
+        # Root would put a file in the place of /dev/null, or of the link /dev/stdout, for all programs.
+        if path.exists() and (not path.is_file() or path.absolute().parent == Path("/dev")):
             raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
         partial = path.with_name(path.name + ".partial")
         partial.unlink(missing_ok=True)  # it may be a link to somewhere else
@@ -55,8 +56,10 @@ def writable(path: Path, option: str = "output=FILE") -> Path:
 
 def _why(error: OSError, path: Path) -> str | None:
     """What the system says, but for a file among the folders of a path, of which it says "File exists"."""
-    files = [above for above in path.parents if above.is_file()]
-    return f"{files[0]} is a file" if files else error.strerror
+    if not isinstance(error, FileExistsError | NotADirectoryError):  # others may also come of looking at these folders
+        return error.strerror
+    files = [above for above in path.parents if above.exists() and not above.is_dir()]
+    return f"{files[0]} is no folder" if files else error.strerror
 
 
 def require_room(folder: Path, size: float) -> None:
@@ -74,8 +77,9 @@ def made_folder(folder: Path, holding: str, *, another: bool = False) -> Iterato
     ``another`` makes one whose name ends in a number where there is one of this name; of several processes that ask in
     the same moment, each gets its own.
     """
-    above = [path for path in folder.parents if not path.exists()]
+    above: list[Path] = []
     try:
+        above += [path for path in folder.parents if not path.exists()]
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder, is_new = _made(folder, another)
     except OSError as error:
