@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,6 +16,7 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.values import to_plain
 from uavrl.errors import UavrlError
+from uavrl.rollout.policies import PACKAGED
 from uavrl.rollout.summary import scenarios
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
@@ -110,6 +112,43 @@ def test_the_table_of_a_folder_keeps_the_policys_rows_of_earlier_commands(tmp_pa
         assert in_process(evaluate_command.main, *LITTLE, f"suite=[{name}]", f"output={tmp_path}") == 0
     rows = json.loads((tmp_path / "suite.json").read_text())
     assert list(rows) == ["static", "dense"] and rows["dense"]["outcomes"] == "SC"
+
+
+def test_the_table_has_rows_that_another_command_wrote_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def row(name: str) -> dict[str, Any]:
+        told = {"overrides": ["policy=straight", "seed=7", *scenarios([name])[name]], "seed": 7, "outcomes": "SC"}
+        found: dict[str, Any] = json.loads(evaluation(tmp_path, 1, 2, f"{name}.json", **told).read_text())
+        return found
+
+    def evaluated(_: object, wanted: dict[str, Any]) -> dict[str, Any]:
+        row("dense")
+        return {name: row(name) for name in wanted}
+
+    monkeypatch.setattr("uavrl.cli.suite._evaluated", evaluated)
+    (tmp_path / "traps.json").mkdir()  # which no command could read
+    assert in_process(evaluate_command.main, *LITTLE, "suite=[static]", f"output={tmp_path}") == 0
+    assert list(json.loads((tmp_path / "suite.json").read_text())) == ["static", "dense"]
+
+
+def test_another_runs_results_in_the_same_folder_are_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which run it is stands in no override."""
+    policy = {"run": str(PACKAGED / "best"), "seed": 7, "outcomes": "SC"}
+    for name in ("static", "dense"):
+        evaluation(tmp_path, 1, 2, f"{name}.json", overrides=["seed=7", *scenarios([name])[name]], **policy)
+    evaluated: list[str] = []
+
+    def evaluate(_: object, wanted: dict[str, Any]) -> dict[str, Any]:
+        evaluated.extend(wanted)
+        return {name: json.loads((tmp_path / f"{name}.json").read_text()) for name in wanted}
+
+    monkeypatch.setattr("uavrl.cli.suite._evaluated", evaluate)
+    for run, anew in (("best", []), ("best_dynamic", ["static"])):
+        what = [f"run={PACKAGED / run}", "suite=[static]", *LITTLE[2:], f"output={tmp_path}"]
+        assert in_process(evaluate_command.main, *what) == 0
+        assert evaluated == anew
+        assert list(json.loads((tmp_path / "suite.json").read_text())) == (["static"] if anew else ["static", "dense"])
 
 
 @pytest.mark.parametrize("more", ["env=dynamic", "valleys=[3]", "env.world.obstacles=5", "randomize=wind"])

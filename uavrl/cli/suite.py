@@ -54,14 +54,14 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     writable(folder / "suite.json")
     outputs = {name: folder / f"{name}.json" for name in every}
     told = {name: [*kept, *changes] for name, changes in every.items()}
-    there = {name: _same(outputs[name], settings, told[name]) for name in every}
-    flown = {name: result for name, result in there.items() if result is not None}
-    for name in chosen:
-        if name in flown:
-            log.info("%s is there already", outputs[name])
+    flown = {name: result for name in chosen if (result := _same(outputs[name], settings, told[name])) is not None}
+    for name in flown:
+        log.info("%s is there already", outputs[name])
     flown |= _evaluated(evaluate, {n: (configs[n], told[n], outputs[n]) for n in chosen if n not in flown})
     results = {name: flown[name] for name in chosen}
-    rows = {name: flown[name] for name in every if name in flown}
+    # The others are read last: another command may have written some meanwhile.
+    found = {name: results.get(name) or _same(outputs[name], settings, told[name]) for name in every}
+    rows = {name: result for name, result in found.items() if result is not None}
     known = {name: {k: value for k, value in result.items() if k != "flights"} for name, result in rows.items()}
     with replacing(folder / "suite.json") as partial:
         partial.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
@@ -130,11 +130,18 @@ def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, 
     try:
         result = json.loads(output.read_text(encoding="utf-8"))
         wanted = {"overrides": result_overrides(told), "episodes": settings.episodes, "seed": settings.seed}
-        same = all(result[key] == value for key, value in wanted.items())
+        same = all(result[key] == value for key, value in wanted.items()) and _is_of_run(result, settings)
         result["outcomes"] = outcomes_of(result)  # which a file from before there were any tells by its flights
-    except (FileNotFoundError, ValueError, KeyError, TypeError):  # something else, or damaged: it is made again
+    except (OSError, ValueError, KeyError, TypeError):  # not there, something else, or damaged: it is made again
         return None
     return result if same and output.stat().st_mtime >= _changed(settings) else None
+
+
+def _is_of_run(result: Mapping[str, Any], settings: EvaluateConfig) -> bool:
+    """Whether a result is of the run that is named; in a run's own folder all are, wherever that has been moved."""
+    if settings.run is None or settings.output is None:
+        return True
+    return Path(result["run"]).resolve() == Path(settings.run).resolve()
 
 
 def _changed(settings: EvaluateConfig) -> float:
