@@ -12,9 +12,11 @@ import torch
 import yaml
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
+from torchrl.envs import EnvBase
 
 from tests.helpers.configs import composed
 from tests.helpers.runs import small_config
+from tests.helpers.small_env import SmallEnv
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
@@ -22,6 +24,7 @@ from uavrl.config import conf_dir, validate
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT, context_of
 from uavrl.config.parts import PARTS
+from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
 from uavrl.rollout import actor as actor_module
 from uavrl.rollout import environment
@@ -100,6 +103,25 @@ def test_how_many_are_evaluated_at_a_time_is_said_in_one_place(
     for whose in ("policy=straight", "policy=best"):
         sentence = refused(main, whose, "env.num_uavs=4")
         assert sentence == f"uavrl: env.num_uavs is set by the command itself: leave it out, {told}."
+
+
+@pytest.mark.parametrize(
+    ("airframe", "told"),
+    [(None, {}), ("somebody's", {}), (Airframe(lidar_position=(0, 0, -0.3)), {"sensor_position": (0, 0, -0.3)})],
+)
+def test_perception_is_told_where_the_lidar_is_on_an_airframe_that_has_one(
+    airframe: object, told: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handed: list[dict[str, object]] = []
+
+    def recorded(_: object, kind: type, *, packages: object, **context: object) -> object:
+        handed.append(context)
+        return SmallEnv() if kind is EnvBase else None
+
+    monkeypatch.setattr(environment, "build", recorded)
+    monkeypatch.setattr(environment, "require_keys", lambda *_: None)
+    environment.make_env({"airframe": airframe}, {})
+    assert handed == [{"key": "env"}, told]
 
 
 # ---------------------------------------------------------------------- one list, in the code and in the docs

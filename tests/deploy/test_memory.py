@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 import runpy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torchrl.envs import Transform
 
 from tests.helpers.exported import exported, refusal
 from uavrl.config import EvaluateConfig, compose, validate
+from uavrl.config.parts import Part
 from uavrl.deploy.contract import read_contract
 from uavrl.deploy.dry_run import DryRun
+from uavrl.deploy.export import contract
 from uavrl.deploy.flight import Flight, map_for
 from uavrl.deploy.policy import Policy
 from uavrl.deploy.safety import SafetyLayer
@@ -117,6 +121,18 @@ def test_in_training_the_lidar_is_where_the_airframe_has_it(tmp_path: Path) -> N
     flown = map_for(read_contract(exported(tmp_path, *mounted)))
     assert flown is not None
     assert led.sensor_position == tuple(flown.sensor_position) == (0.0, 0.0, -0.3)
+
+
+class Mounted(Transform):
+    """Somebody's perception that must be told where the LiDAR is."""
+
+    def __init__(self, sensor_position: Sequence[float]) -> None:
+        super().__init__()
+
+
+def test_perception_that_asks_where_the_lidar_is_can_be_exported() -> None:
+    own = Part(_target_=f"{__name__}.Mounted")
+    assert contract(replace(validate(compose()), perception=own, packages=["tests"]), "") is None
 
 
 def _set(key: str, to: Any) -> Callable[[dict[str, Any]], Any]:

@@ -120,7 +120,8 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
         weights_sha256: the checksum of the file of the policy's weights.
     """
     env = find_class(str(settings.env[TARGET]), EnvBase, settings.packages)
-    state = build(settings.perception, Transform, packages=settings.packages)
+    sensor = getattr(settings.env.get("airframe"), "lidar_position", Airframe().lidar_position)
+    state = build(settings.perception, Transform, packages=settings.packages, sensor_position=sensor)
     if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
         return None
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}

@@ -70,8 +70,8 @@ def make_env(
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
-    airframe = env.get("airframe")
-    mounted = {} if airframe is None else {"sensor_position": airframe.lidar_position}
+    position = getattr(env.get("airframe"), "lidar_position", None)  # somebody else's airframe may have none
+    mounted = {} if position is None else {"sensor_position": position}
     state = build(perception, Transform, packages=packages, **mounted)
     for part in state.modules() if keep_cloud and state is not None else ():
         if isinstance(part, PointCloudReduction):
