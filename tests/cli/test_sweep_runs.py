@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from uavrl.cli import sweep_runs
+from uavrl.cli import sweep_runs, train
 from uavrl.cli.sweep_runs import Outcome
 
 A, B, C = Path("a"), Path("b"), Path("c")
@@ -42,3 +42,19 @@ def test_a_folder_of_two_combinations_is_found_and_one_that_is_looked_at_again_i
     Outcome(A, 0, ended=True)
     assert sweep_runs.has_another_place(A, 1)
     assert not sweep_runs.has_another_place(A, 0) and not sweep_runs.has_another_place(B, 1)
+
+
+def test_a_folder_of_two_combinations_is_told_whichever_processes_trained_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One of the two found that another process trains there."""
+
+    def launched() -> None:
+        for place, run, ended in ((1, A, False), (0, A, True), (2, B, True)):
+            Outcome(run, place, ended)
+
+    monkeypatch.setattr(train, "_command", launched)
+    with pytest.raises(SystemExit) as end:
+        train.main()
+    assert end.value.code == 1
+    assert capsys.readouterr().err.startswith("uavrl: Two combinations of the sweep mean the same run a: they differ")

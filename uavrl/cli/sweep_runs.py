@@ -3,7 +3,10 @@
 from pathlib import Path
 from typing import Any
 
+from uavrl.errors import UavrlError
+
 _by_place: dict[Path, tuple[int, bool]] = {}  # of each run: which one of the sweep it is, and whether it has ended
+_twice: set[Path] = set()  # runs of two combinations, each of which another process trained
 
 
 class Outcome:
@@ -14,6 +17,8 @@ class Outcome:
 
     def __init__(self, run_dir: Path, place: int, ended: bool) -> None:
         self._about = run_dir, place, ended
+        if has_another_place(run_dir, place):
+            _twice.add(run_dir)
         if not was_ended(run_dir):
             _by_place[run_dir] = place, ended
 
@@ -25,6 +30,7 @@ class Outcome:
 def forget() -> None:
     """Begins a sweep."""
     _by_place.clear()
+    _twice.clear()
 
 
 def was_ended(run_dir: Path) -> bool:
@@ -35,6 +41,20 @@ def was_ended(run_dir: Path) -> bool:
 def has_another_place(run_dir: Path, place: int) -> bool:
     """Whether an earlier combination of the sweep has this folder."""
     return _by_place.get(run_dir, (place, False))[0] != place
+
+
+def same_run(run_dir: Path) -> UavrlError:
+    """What is said of two combinations that have one folder."""
+    return UavrlError(
+        f"Two combinations of the sweep mean the same run {run_dir}: they differ in nothing that is learned from; "
+        f"give each a run_dir of its own."
+    )
+
+
+def refuse_twice() -> None:
+    """Tells of one where a launcher's processes each knew of one of the two."""
+    if _twice:
+        raise same_run(min(_twice))
 
 
 def runs(*, ended: bool) -> list[Path]:

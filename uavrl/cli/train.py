@@ -33,6 +33,8 @@ def main() -> None:
     """Trains one run, or a sweep: several processes may share one, and each stays until all of its runs have ended."""
     sweep_runs.forget()
     _command()
+    with one_sentence():
+        sweep_runs.refuse_twice()
     if others := sweep_runs.runs(ended=False):
         configure_logging()  # again: Hydra has silenced it after the last run
         waiting = counted(len(others), "run")
@@ -146,10 +148,7 @@ def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
     config = resolve(config)
     place = HydraConfig.get().job.num
     if sweep_runs.has_another_place(run_dir, place):
-        raise UavrlError(
-            f"Two combinations of the sweep mean the same run {run_dir}: they differ in nothing that is learned from; "
-            f"give each a run_dir of its own."
-        )
+        raise sweep_runs.same_run(run_dir)
     if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):
         if not sweep_runs.was_ended(run_dir):  # else it was told before this process waited for others
             print(f"Finished: {run_dir}")
