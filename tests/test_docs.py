@@ -111,6 +111,29 @@ def test_what_a_policy_may_be_trusted_with_is_what_its_suite_found() -> None:
     assert example["BEGIN"] + rows + example["END"] in (ROOT / "docs/deploy.md").read_text(encoding="utf-8"), again
 
 
+PLANNERS = {
+    "`potential_field`": ["docs/data/rivals/potential_field.json"],
+    "`vfh`": ["docs/data/rivals/vfh.json", "docs/data/suite/vfh_turning.json"],
+    "`vfh_star`": ["docs/data/rivals/vfh_star.json"],
+    "`mppi`": ["docs/data/rivals/mppi.json"],
+    "`rrt_connect`": ["docs/data/rivals/rrt_connect.json"],
+    "`rrt_map`": ["docs/data/rivals/rrt_map.json"],
+    "`best`": ["uavrl/policies/best/suite.json"],
+    "`best`, shield": ["docs/data/suite/shielded.json"],
+    "`best`, map": ["docs/data/suite/best_memory.json"],
+}
+
+
+def test_the_planners_page_tells_what_they_were_found_to_do() -> None:
+    example = runpy.run_path(str(ROOT / "examples/scenarios.py"))
+    policies = [
+        (name, {world: row for file in files for world, row in example["read"](f"x={ROOT / file}")[1].items()})
+        for name, files in PLANNERS.items()
+    ]
+    rows = example["table"](policies, ["held_out", "dense", "denser", "real", "traps"])
+    assert rows in (ROOT / "docs/howto/planners.md").read_text(encoding="utf-8"), rows
+
+
 HOW_TO = sorted((ROOT / "docs/howto").glob("*.md"))
 HOW_TO_INDEX = ROOT / "docs/howto/index.md"
 
