@@ -33,7 +33,7 @@ def foreign_files(folder: Path) -> dict[str, tuple[Path, str]]:
         "gzip": (file("a.gz", gzip.compress(capture)), "is of no known kind"),
         "folder": (folder / "folder", "without metadata.yaml"),
         "yaml": (folder / "rosbag2", "is no recording of ROS, or is damaged"),
-        "half a packet": (file("half.bin", PACKETS[0][:500]), "1 packets of another size"),
+        "half a packet": (file("half.bin", PACKETS[0][:500]), "1 packet of another size"),
         "flag alone": (file("flag.bin", b"\xff\xee"), "gave no scan"),
         "capture of nothing": (file("nothing.pcap", capture[:24]), "too few packets for one turn"),
         "capture's beginning": (file("begin.pcap", capture[:10]), "too few packets"),

@@ -139,7 +139,7 @@ def test_clouds_come_as_scans(node: RosNode) -> None:
         broken.data = broken.data[:40]
         writer.write(broken)
         until(lambda: scans.poll(0.0) or scans.skipped.malformed, "the broken cloud")
-        assert scans.skipped.sentences() == ["1 packets out of order", "1 messages that could not be read"]
+        assert scans.skipped.sentences() == ["1 packet out of order", "1 message that could not be read"]
 
 
 def test_what_is_no_text_does_no_harm(node: RosNode) -> None:
