@@ -167,7 +167,10 @@ def test_a_suite_that_is_ended_leaves_nothing_behind(number: signal.Signals, cod
     with Popen([sys.executable, script], stdout=PIPE, stderr=PIPE, text=True, preexec_fn=_hears) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
         process.send_signal(number)
-        _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
+        try:
+            _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
+        finally:
+            process.kill()  # which ended long ago, unless it has missed its signal: else this would wait for 20 minutes
     assert (process.returncode, err) == (code, "uavrl: stopped.\n"), "leaked semaphores were warned of"
 
 
