@@ -142,15 +142,21 @@ def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, 
 # ---------------------------------------------------------------------- the processes of a suite
 
 SUITE = """
-import time
+import signal, sys, threading, time
 from uavrl.cli.errors import command_process
-from uavrl.cli.suite import _processes
+from uavrl.cli.suite import _processes, _result
+
+def hear():
+    time.sleep(0.5)  # until the main thread waits
+    signal.pthread_kill(threading.get_ident(), int(sys.argv[1]))
 
 if __name__ == "__main__":
     with command_process(), _processes(2) as pool:
         evaluations = [pool.submit(time.sleep, 600) for _ in range(4)]
+        if sys.argv[1:]:
+            threading.Thread(target=hear, daemon=True).start()
         print("begun", flush=True)
-        evaluations[0].result()
+        _result(evaluations[0])
 """
 
 
@@ -160,13 +166,19 @@ def _hears() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+@pytest.mark.parametrize("in_another_thread", [False, True])
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
-def test_a_suite_that_is_ended_leaves_nothing_behind(number: signal.Signals, code: int, tmp_path: Path) -> None:
+def test_a_suite_that_is_ended_leaves_nothing_behind(
+    number: signal.Signals, code: int, in_another_thread: bool, tmp_path: Path
+) -> None:
+    """The system chooses the thread that takes a signal: mostly the main one, but not always."""
     script = tmp_path / "suite.py"
     script.write_text(SUITE, encoding="utf-8")
-    with Popen([sys.executable, script], stdout=PIPE, stderr=PIPE, text=True, preexec_fn=_hears) as process:
+    told = [str(int(number))] if in_another_thread else []
+    with Popen([sys.executable, script, *told], stdout=PIPE, stderr=PIPE, text=True, preexec_fn=_hears) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
-        process.send_signal(number)
+        if not in_another_thread:
+            process.send_signal(number)
         try:
             _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
         finally:

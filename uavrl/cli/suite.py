@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
@@ -85,7 +85,7 @@ def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, lis
             futures = {name: pool.submit(evaluate, *scenario) for name, scenario in scenarios.items()}
         for name, each in futures.items():
             try:
-                results[name] = each.result()
+                results[name] = _result(each)
             except BrokenProcessPool as error:
                 raise UavrlError(
                     f"{name}: its process was killed, often for want of memory: start the same command again, which "
@@ -95,6 +95,13 @@ def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, lis
                 raise UavrlError(f"{name}: {error}") from error
             log.info("%s is evaluated", name)
     return results
+
+
+def _result(future: Future[Any]) -> Any:
+    """What a process has found; it is looked for each second, as a signal wakes only the thread that it comes to."""
+    while not future.done():
+        wait([future], timeout=1.0)
+    return future.result()
 
 
 @contextmanager
