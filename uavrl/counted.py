@@ -1,7 +1,7 @@
 """A number and what it counts, in words."""
 
 
-def counted(number: float, thing: str, things: str | None = None) -> str:
+def counted(number: int, thing: str, things: str | None = None) -> str:
     """A number with its noun, in the singular for one.
 
     Args:

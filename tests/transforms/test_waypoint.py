@@ -76,6 +76,11 @@ class TestWaypoint(ThroughTimeContract):
         with pytest.raises(ValueError, match="five in_keys"):
             Waypoint(in_keys=["point_cloud"])
 
+    @pytest.mark.parametrize("wrong", [(0.0, 0.1), (0.0, 0.0, torch.nan)])
+    def test_a_sensor_is_somewhere(self, wrong: tuple[float, ...]) -> None:
+        with pytest.raises(ValueError, match="three finite numbers in m: forward, left, up; got"):
+            Waypoint(sensor_position=wrong)
+
     def test_a_wall_turns_the_heading_to_its_nearer_end_and_a_reset_is_of_one_vehicle_alone(self) -> None:
         env = TransformedEnv(BeforeAWall(), Waypoint())
         state = env.rollout(7)[:, -1]["next"]

@@ -20,6 +20,14 @@ AHEAD = 4.0  # m, how far along the way a vehicle looks
 FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are counted in 32 bits
 
 
+def sensor_place(position: Sequence[float]) -> tuple[float, float, float]:
+    """A place of a LiDAR on its vehicle, m, refused unless it is three finite numbers."""
+    place = tuple(map(float, position))
+    if len(place) != 3 or not np.isfinite(place).all():
+        raise ValueError(f"sensor_position must be three finite numbers in m: forward, left, up; got {position!r}.")
+    return place[0], place[1], place[2]
+
+
 class Navigator:
     """Leads a vehicle that knows its place and its goal along the quickest way through what it has seen.
 
@@ -35,6 +43,9 @@ class Navigator:
         flight_level: m, the altitude of the map.
         cell: edge of the map's cells, m; 0.25 by default.
         sensor_position: of the LiDAR in body axes, m.
+
+    Raises:
+        ValueError: for a ``sensor_position`` that is not three finite numbers.
 
     Examples:
         A wall of 4 m stands 2 m ahead, a little to the left: the way leads past its right end.
@@ -55,7 +66,7 @@ class Navigator:
         cell: float = CELL,
         sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
     ) -> None:
-        self.sight, self.flight_level, self.sensor_position = sight, flight_level, tuple(sensor_position)
+        self.sight, self.flight_level, self.sensor_position = sight, flight_level, sensor_place(sensor_position)
         self._size = (cell, reach)
         self.reset()
         self.known.route(np.zeros(2), np.zeros(2))  # which loads SciPy: that takes longer than a vehicle can wait

@@ -22,8 +22,8 @@ LEAST_CLIMB = 0.3  # m/s that it may always climb or sink
 class MPPIWeights:
     """What a path costs an :class:`MPPI`, and how it samples.
 
-    The numbers are the best of 24 settings that ``python studies/tune_rivals.py mppi`` flew in valleys 200 to 209: 46
-    of 48 tasks, 86 steps each; 44 with the next, 154 steps. The first guesses had 43, 106 steps.
+    The numbers are, rounded, the best of 24 settings that ``python studies/tune_rivals.py mppi`` flew in valleys 200 to
+    209: 46 of 48 tasks, 86 steps each; 44 with the next, 154 steps. The first guesses had 43, 106 steps.
     """
 
     collision: float = 46.0  #: cost of a path that collides at once; less, the later

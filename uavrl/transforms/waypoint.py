@@ -10,7 +10,7 @@ from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from uavrl.mapping import Wayfinder
-from uavrl.mapping.navigator import LIDAR_ABOVE
+from uavrl.mapping.navigator import LIDAR_ABOVE, sensor_place
 from uavrl.ranges import Positive
 from uavrl.transforms.through_time import ThroughTime
 
@@ -36,7 +36,8 @@ class Waypoint(ThroughTime):
         out_keys: where the headings to the next waypoints go, ``[*B, 1]``, degrees in [0, 360).
 
     Raises:
-        ValueError: for another number of keys than five and one.
+        ValueError: for another number of keys than five and one, or a ``sensor_position`` that is not three finite
+            numbers.
 
     Examples:
         >>> from torchrl.envs import TransformedEnv
@@ -67,7 +68,7 @@ class Waypoint(ThroughTime):
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.sight, self.reach, self.flight_level, self.period = sight, reach, flight_level, period
-        self.sensor_position = tuple(sensor_position)
+        self.sensor_position = sensor_place(sensor_position)
         self._finder: Wayfinder | None = None
         self._last = np.zeros(0)  # rad, of each vehicle, off its goal's direction
 
