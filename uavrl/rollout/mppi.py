@@ -1,6 +1,5 @@
 """Model predictive path integral control, a sampling MPC: a rival of what is learned."""
 
-import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -8,8 +7,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.motion.threats import GREATEST, threat
 from uavrl.ranges import Positive, Seed
-from uavrl.rollout.remembered import GAIN, HULL, LEAN, PERIOD, Planner, Surroundings, off_altitudes, stretch
+from uavrl.rollout.hull import hull_distances, off_altitudes
+from uavrl.rollout.remembered import GAIN, LEAN, PERIOD, Planner, Surroundings
 
 STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in
 KNOTS = 5  # times between which the noise of a sample is interpolated: commands change gradually
@@ -89,23 +90,6 @@ def interpolated(noise: Tensor) -> Tensor:
     return share @ noise
 
 
-def hull_distances(points: Tensor, places: Tensor, near: float) -> Tensor:
-    """How far the hull is from its nearest obstacle ``[*B]`` m at ``places [*B, 3]``, of ``points [P, 3]``.
-
-    Heights are stretched until the hull, with ``near`` metres around it, is as high as wide.
-
-    Examples:
-        >>> hull_distances(torch.tensor([[1.35, 0.0, 0.0]]), torch.zeros(1, 3), 0.15)
-        tensor([1.])
-    """
-    if not len(points):
-        return torch.full(places.shape[:-1], math.inf)
-    points, flat = points * stretch(near), places.reshape(-1, 3) * stretch(near)
-    apart = (flat @ points.T).mul_(-2).add_((points * points).sum(-1))
-    least = apart.amin(-1) + (flat * flat).sum(-1)
-    return (least.clamp_min(0).sqrt() - HULL[0]).reshape(places.shape[:-1])
-
-
 class MPPI(Planner):
     """Samples plans of two seconds around the last one, and flies the first step of their weighted mean.
 
@@ -114,8 +98,8 @@ class MPPI(Planner):
 
     Source: Williams, Wagener, Goldfain, Drews, Rehg, Boots and Theodorou (2017), Information theoretic MPC for
     model-based reinforcement learning, Algorithm 2; samples that change gradually take the place of its smoothing. It
-    knows no distance to the goal, only its direction, as the policies do. It does not turn: it flies to any side. What
-    moves is taken for standing.
+    knows no distance to the goal, only its direction, as the policies do. It does not turn: it flies to any side. A
+    path that comes near a moving object costs like a collision, the nearer and sooner the more.
 
     Vehicles of one age share their samples, so that an episode does not depend on what flies beside it.
 
@@ -123,6 +107,8 @@ class MPPI(Planner):
         flight_level: altitude to hold where nothing is in the way, m.
         radius: how far it sees, m; what lies farther is not used.
         seconds: for which obstacles are remembered.
+        motion: how far moving objects are looked for, as in :class:`uavrl.transforms.NavigationState`; None: what moves
+            is taken for standing.
         samples: plans that are tried in each step.
         seed: of the samples.
         costs: None for the ones above.
@@ -142,11 +128,12 @@ class MPPI(Planner):
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 2.0,
+        motion: float | None = None,
         samples: Annotated[int, Field(ge=2, le=100_000)] = 256,
         seed: Seed = 0,
         costs: MPPIWeights | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds)
+        super().__init__(flight_level, radius, seconds, motion)
         self.costs = MPPIWeights() if costs is None else costs
         generator = torch.Generator().manual_seed(seed)
         noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator)
@@ -164,6 +151,10 @@ class MPPI(Planner):
         plans = self._improved(seen)
         self._plans = torch.cat([plans[:, 1:], plans[:, -1:]], 1)
         return plans[:, 0], torch.zeros(count, 1)
+
+    def evade(self, velocity: Tensor, seen: Surroundings) -> Tensor:
+        """The same velocities: the plans keep out of the ways of what moves already."""
+        return velocity
 
     def _improved(self, seen: Surroundings) -> Tensor:
         """The next plans, ``[N, T, 3]`` m/s."""
@@ -186,10 +177,17 @@ class MPPI(Planner):
         gained = (places[:, :, -1] * goal).sum(-1)  # m
         collided = (beside < costs.near).cummax(-1).values.to(places)  # once it has, it has
         return (
-            costs.collision * collided.mean(-1)
+            costs.collision * (collided.mean(-1) + self._met(places, seen))
             + costs.obstacle * nearness
             - costs.goal * gained
             + costs.across * (places[:, :, -1] - gained[..., None] * goal)[..., :2].norm(dim=-1)
             + costs.level * off.abs().mean(-1)
             + costs.outside * off_altitudes(off).amax(-1)
         )
+
+    def _met(self, places: Tensor, seen: Surroundings) -> Tensor | float:
+        """How near and how soon paths ``[N, K, T, 3]`` come to what moves, ``[N, K]`` from 0 to 1."""
+        if not seen.known.any():
+            return 0.0
+        threats = threat(places[:, :, None] - seen.ways[:, None]) * seen.known[:, None]  # [N, K, bodies]
+        return threats.amax(-1) / GREATEST

@@ -8,7 +8,8 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.ranges import Positive
-from uavrl.rollout.remembered import HULL, Planner, Surroundings
+from uavrl.rollout.hull import HULL
+from uavrl.rollout.remembered import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 
 SECTORS = 12  # around the vehicle; in each the nearest point pushes
@@ -62,6 +63,8 @@ class PotentialField(Planner):
         flight_level: altitude to hold, m.
         radius: how far it sees, m.
         seconds: for which obstacles are remembered.
+        motion: how far moving objects are looked for, as in :class:`uavrl.transforms.NavigationState`, to keep out of
+            their ways; None: what moves is taken for standing.
         costs: None for the ones above.
 
     Examples:
@@ -79,9 +82,10 @@ class PotentialField(Planner):
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 0.5,
+        motion: float | None = None,
         costs: FieldWeights | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds)
+        super().__init__(flight_level, radius, seconds, motion)
         self.costs = FieldWeights() if costs is None else costs
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:

@@ -12,9 +12,9 @@ from uavrl.attitude import body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY
 from uavrl.mapping.navigator import LIDAR_ABOVE
-from uavrl.mapping.route import HULL
 from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
-from uavrl.motion.threats import to_yaw
+from uavrl.motion.threats import STEPS, straight_on, to_yaw
+from uavrl.rollout.evasion import evaded
 from uavrl.transforms.state import ACTION_LIMIT
 
 PERIOD = 0.1  # s between two scans
@@ -25,7 +25,6 @@ AZIMUTHS, ELEVATIONS = 45, 23  # of the polar histogram (Baumann 2018, section 3
 NEVER = -(2**30)  # a scan's number before all others
 GAIN = torch.tensor([2.4, 2.4, 3.0])  # 1/s, acceleration over what a velocity lacks; fitted to flights, as the next
 LEAN = torch.tensor([0.41, 0.41, 0.63])  # share of what the acceleration lacks that comes in a step
-LOWEST, HIGHEST = -2.3, 0.7  # m from the flight level, between which one may fly
 TURN_GAIN, TURN_LIMIT = 0.6, 1.0  # 1/s and rad/s; a fast turn makes a late command point elsewhere
 
 
@@ -158,16 +157,8 @@ class Surroundings(NamedTuple):
     cloud: list[Tensor]  #: all that each vehicle remembers within sight, ``[M, 3]``, m from the hull's middle
     place: Tensor  #: ``[N, 3]`` m since the episode's start by its own velocity, world axes
     yaw: Tensor  #: ``[N]`` rad
-
-
-def stretch(near: float) -> Tensor:
-    """Factors ``[3]`` by which the flat hull, with ``near`` metres kept all around it, becomes as high as wide.
-
-    Examples:
-        >>> (0.14 + 0.15) * stretch(0.15)[2].round(decimals=3)  # the hull's radius, and 0.15 m
-        tensor(0.5000)
-    """
-    return torch.tensor([1.0, 1.0, (HULL[0] + near) / (HULL[1] + near)])
+    ways: Tensor  #: where K moving objects will be in the next two seconds, ``[N, K, T, 3]``, m from the hull's middle
+    known: Tensor  #: ``bool [N, K]``, which of them there are
 
 
 def tilt_acceleration(attitude: Tensor) -> Tensor:
@@ -182,16 +173,6 @@ def tilt_acceleration(attitude: Tensor) -> Tensor:
     return GRAVITY * torch.stack([pitch.tan(), -roll.tan() / pitch.cos(), torch.zeros_like(roll)], -1)
 
 
-def off_altitudes(off: Tensor) -> Tensor:
-    """How far heights ``off`` the flight level, in m, lie out of where one may fly: below the ceiling, off the ground.
-
-    Examples:
-        >>> off_altitudes(torch.tensor([0.0, 1.0, -3.0]))
-        tensor([0.0000, 0.3000, 0.7000])
-    """
-    return (LOWEST - off).clamp_min(0) + (off - HIGHEST).clamp_min(0)
-
-
 class Planner(TensorDictModuleBase):
     """A policy that flies by what it remembers of its scans; a class of it says how (``steer``).
 
@@ -199,11 +180,14 @@ class Planner(TensorDictModuleBase):
         flight_level: altitude to hold where nothing is in the way, m.
         sight: how far returns count, m.
         seconds: for which they are remembered.
+        motion: how far moving objects are looked for, to keep out of their ways; None: it is not told of any.
     """
 
-    def __init__(self, flight_level: float, sight: float, seconds: float) -> None:
+    def __init__(self, flight_level: float, sight: float, seconds: float, motion: float | None = None) -> None:
         super().__init__()
         self.in_keys = ["point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude"]
+        self.in_keys += ["moving_objects"] if motion is not None else []
+        self.motion = motion
         self.out_keys = ["action"]
         self.flight_level, self.memory = flight_level, ScanMemory(sight, seconds)
 
@@ -211,9 +195,16 @@ class Planner(TensorDictModuleBase):
         """The velocities to fly at, ``[N, 3]`` m/s, and the yaw rates ``[N, 1]`` in rad/s."""
         raise NotImplementedError
 
+    def evade(self, velocity: Tensor, seen: Surroundings) -> Tensor:
+        """The velocities ``[N, 3]`` in place of planned ones that lead into the way of what moves."""
+        height = seen.altitude - self.flight_level
+        return evaded(velocity, seen.velocity, seen.ways, seen.known, seen.points, height)
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action``, each component within its limits, and remembers the scan."""
-        action = torch.cat(self.steer(self._survey(tensordict)), -1)
+        seen = self._survey(tensordict)
+        velocity, turn = self.steer(seen)
+        action = torch.cat([self.evade(velocity, seen), turn], -1)
         return tensordict.set("action", action.clamp(-ACTION_LIMIT, ACTION_LIMIT))
 
     def _survey(self, tensordict: TensorDictBase) -> Surroundings:
@@ -239,4 +230,12 @@ class Planner(TensorDictModuleBase):
             [torch.from_numpy(each) for each in np.split(level, np.searchsorted(owners, np.arange(1, len(yaw))))],
             torch.from_numpy(self.memory.places),
             yaw,
+            *self._moving(tensordict),
         )
+
+    def _moving(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """The ways of what moves, as if it flew straight on, and which there are; none where it is not told of any."""
+        if self.motion is None:
+            count = len(tensordict["is_init"])
+            return torch.zeros(count, 0, STEPS, 3), torch.zeros(count, 0, dtype=torch.bool)
+        return straight_on(tensordict["moving_objects"])

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from uavrl.mapping.lines import Obstacles, clearances
 from uavrl.ranges import Positive, Seed
+from uavrl.rollout.hull import HIGHEST, HULL, LOWEST, stretch
 from uavrl.rollout.mppi import limited
-from uavrl.rollout.remembered import HIGHEST, HULL, LOWEST, PERIOD, Planner, Surroundings, stretch
+from uavrl.rollout.remembered import PERIOD, Planner, Surroundings
 from uavrl.rollout.ways import APART, filled, length, load_ompl, pushed_out, search
 from uavrl.transforms.state import ACTION_LIMIT
 
@@ -67,7 +68,7 @@ class RRTConnect(Planner):
     and Savkin (2021), A hybrid approach for autonomous collision-free UAV navigation in 3D partially unknown dynamic
     environments, Drones 5, 57, of which the abstract alone was at hand: the reflex here is our own reading. The map is
     what was seen, the reflex is level, and its sliding surface is flown as a velocity.
-    It knows no distance to the goal, only its direction. What moves is taken for standing.
+    It knows no distance to the goal, only its direction.
 
     Vehicles of one age share OMPL's seed, so that an episode does not depend on what flies beside it. OMPL has one seed
     for all of a process, which each plan sets.
@@ -76,6 +77,8 @@ class RRTConnect(Planner):
         flight_level: altitude to hold where nothing is in the way, m.
         radius: how far it sees, m; what lies farther is not used.
         seconds: for which obstacles are remembered.
+        motion: how far moving objects are looked for, as in :class:`uavrl.transforms.NavigationState`, to keep out of
+            their ways; None: what moves is taken for standing.
         tries: times that a tree grows for a plan, at most.
         seed: of the plans.
         costs: None for the ones above.
@@ -98,11 +101,12 @@ class RRTConnect(Planner):
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 10.0,
+        motion: float | None = None,
         tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds)
+        super().__init__(flight_level, radius, seconds, motion)
         load_ompl()
         self.tries, self.seed = tries, seed
         self.costs = RRTConnectWeights() if costs is None else costs

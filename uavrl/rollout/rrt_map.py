@@ -31,6 +31,8 @@ class RRTMap(RRTConnect):
         flight_level: altitude to hold where nothing is in the way, m.
         radius: how far it sees, m; what lies farther is not used.
         seconds: for which the planner below remembers obstacles.
+        motion: how far moving objects are looked for, as in :class:`uavrl.transforms.NavigationState`, to keep out of
+            their ways; None: what moves is taken for standing.
         tries: times that a tree grows for a plan, at most.
         seed: of the plans.
         costs: None for those of :class:`~uavrl.rollout.rrt_connect.RRTConnectWeights`.
@@ -56,13 +58,14 @@ class RRTMap(RRTConnect):
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 10.0,
+        motion: float | None = None,
         tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
         cell: Annotated[float, Field(ge=0.1, le=1)] = 0.25,
         reach: Annotated[float, Field(ge=5, le=100)] = 40.0,
     ) -> None:
-        super().__init__(flight_level, radius, seconds=seconds, tries=tries, seed=seed, costs=costs)
+        super().__init__(flight_level, radius, seconds=seconds, motion=motion, tries=tries, seed=seed, costs=costs)
         self.cell, self.reach = cell, reach
         self._maps: list[EpisodeMap] = []
         self._goals: list[GoalFinder] = []

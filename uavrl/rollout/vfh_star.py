@@ -11,7 +11,8 @@ from torch import Tensor
 from uavrl.cells import grid_directions
 from uavrl.motion.threats import LAG
 from uavrl.ranges import Positive
-from uavrl.rollout.remembered import HULL, Planner, Surroundings, off_altitudes, stretch
+from uavrl.rollout.hull import HULL, off_altitudes, stretch
+from uavrl.rollout.remembered import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 
 ELEVATIONS = (-0.5, 0.0, 0.5)  # rad, of the directions
@@ -100,6 +101,8 @@ class VFHStar(Planner):
         flight_level: altitude to hold where nothing is in the way, m.
         radius: how far it sees, m; what lies farther is not used.
         seconds: for which obstacles are remembered.
+        motion: how far moving objects are looked for, as in :class:`uavrl.transforms.NavigationState`, to keep out of
+            their ways; None: what moves is taken for standing.
         depth: steps that are looked ahead.
         costs: None for the ones above.
 
@@ -118,10 +121,11 @@ class VFHStar(Planner):
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 10.0,
+        motion: float | None = None,
         depth: Annotated[int, Field(ge=0, le=10)] = 2,
         costs: VFHStarWeights | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds)
+        super().__init__(flight_level, radius, seconds, motion)
         self.depth = depth
         self.costs = VFHStarWeights() if costs is None else costs
         self.directions = torch.from_numpy(grid_directions(AZIMUTHS, ELEVATIONS)).float()
