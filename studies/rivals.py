@@ -1,12 +1,12 @@
 """How do planners with memory do in the tasks of the suite, beside the packaged policy and the scripted controller?
 
-    python studies/rivals.py FOLDER                                   # all, in all rows: about an hour
+    python studies/rivals.py FOLDER --rows dense                      # all planners
     python studies/rivals.py FOLDER --rivals vfh_star --rows dense    # FOLDER keeps what has been flown
 
-Each flies 500 tasks of each row by `uavrl-evaluate suite=...`, the same tasks that `policy=best` has flown for its
-`suite.json`. The table tells success with Wilson's interval, the difference to `policy=best` with Newcombe's for
-paired tasks and the p of McNemar, steps per success, milliseconds per decision of one vehicle and of 16 at a time on
-one thread, without the scan, and how many lines of code the rival takes.
+Each flies 500 tasks of each row by `uavrl-evaluate suite=...`, as many rows at a time as there are processors. They
+are the tasks that `policy=best` has flown for its `suite.json`. The table tells success with Wilson's interval, the
+difference to `policy=best` with Newcombe's for paired tasks and the p of McNemar, steps per success, milliseconds per
+decision of one vehicle and of 16 at a time on one thread, without the scan, and how many lines of code the rival takes.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import json
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.config.build import find_class
 from uavrl.errors import UavrlError
+from uavrl.machine import processors
 from uavrl.mapping import episode_map, goal_finder, lines, route
 from uavrl.rollout import remembered, rrt_connect, ways
 from uavrl.rollout.environment import make_env
@@ -48,12 +50,14 @@ RIVALS: dict[str, list[str]] = {
 ROWS = ("static", "held_out", "dense")
 
 
-def fly(name: str, rows: list[str], folder: Path, tasks: int) -> dict[str, Any]:
-    """The suite's rows, flown by the command that anybody would use; what is there is not flown again."""
-    chosen = [f"policy={name}", *RIVALS[name], f"suite=[{','.join(rows)}]", f"output={folder / name}"]
-    subprocess.run([sys.executable, "-m", "uavrl", "evaluate", *chosen, f"episodes={tasks}"], check=True)
-    found: dict[str, Any] = json.loads((folder / name / "suite.json").read_text(encoding="utf-8"))
-    return found
+def fly(name: str, row: str, folder: Path, tasks: int) -> dict[str, Any]:
+    """A row of the suite, flown by the command that anybody would use; what is there is not flown again."""
+    chosen = [f"policy={name}", *RIVALS[name], f"suite=[{row}]", f"output={folder / name}", "progress=false"]
+    command = [sys.executable, "-m", "uavrl", "evaluate", *chosen, f"episodes={tasks}"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    found: dict[str, Any] = json.loads((folder / name / f"{row}.json").read_text(encoding="utf-8"))
+    print(f"{name}, {row}: {100 * found['success']['rate']:.1f} %", file=sys.stderr, flush=True)
+    return {key: value for key, value in found.items() if key != "flights"}
 
 
 def milliseconds(name: str, vehicles: int, steps: int = 40) -> float:
@@ -113,7 +117,12 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also put what was found into this file, without the single flights")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    found = {name: fly(name, args.rows, args.folder, args.tasks) for name in args.rivals}
+    pairs = [(name, row) for name in args.rivals for row in args.rows]
+    with ThreadPoolExecutor(processors()) as pool:
+        rows = list(pool.map(lambda pair: fly(*pair, args.folder, args.tasks), pairs))
+    found: dict[str, dict[str, Any]] = {name: {} for name in args.rivals}
+    for (name, row), each in zip(pairs, rows, strict=True):
+        found[name][row] = each
     heads = [f"{row}: {told}" for row in args.rows for told in ("success", "to `best`, points", "steps")]
     print(f"| policy | {' | '.join(heads)} | ms (1, 16 vehicles) | lines |")
     print("|---" * (len(heads) + 3) + "|")

@@ -52,14 +52,30 @@ def test_rivals_are_told_beside_the_packaged_policy(
 ) -> None:
     import rivals
 
-    suite = {"dense": {**json.loads(rivals.BEST.read_text())["dense"], "outcomes": "C" * 500}}
-    monkeypatch.setattr(rivals, "fly", lambda *told: suite)
+    of_best, commands = json.loads(rivals.BEST.read_text()), list[str]()
+
+    def run(command: list[str], **more: Any) -> None:
+        commands.append(" ".join(command[4:]))
+        (tmp_path / "mppi").mkdir(exist_ok=True)
+        row = command[5].removeprefix("suite=[").removesuffix("]")
+        told = {**of_best[row], "outcomes": "C" * 500, "flights": []}
+        (tmp_path / f"mppi/{row}.json").write_text(json.dumps(told))
+
+    monkeypatch.setattr(rivals.subprocess, "run", run)
     monkeypatch.setattr(rivals, "milliseconds", lambda name, vehicles: float(vehicles))
-    monkeypatch.setattr(sys, "argv", f"rivals.py {tmp_path} --rivals mppi --rows dense".split())
+    monkeypatch.setattr(
+        sys, "argv", f"rivals.py {tmp_path} --rivals mppi --rows dense real --json {tmp_path}/t.json".split()
+    )
     told: list[str] = []
     monkeypatch.setattr("builtins.print", lambda *words, **more: told.append(str(words[0])))
     rivals.main()
-    assert told[2].startswith("| `policy=mppi` | 0.0% (0.0%–0.8%) | -91.2 (") and "| 1.0, 16.0 |" in told[2]
+    assert told[-1].startswith("| `policy=mppi` | 0.0% (0.0%–0.8%) | -91.2 (") and "| 1.0, 16.0 |" in told[-1]
+    asked = sorted(
+        f"policy=mppi suite=[{name}] output={tmp_path}/mppi progress=false episodes=500" for name in ("dense", "real")
+    )
+    assert sorted(commands) == asked
+    kept = json.loads((tmp_path / "t.json").read_text())["mppi"]
+    assert set(kept) == {"dense", "real"} and "flights" not in kept["real"]
     assert rivals.lines_of(importlib.import_module("uavrl.rollout.potential_field")) in range(30, 60)
 
 
