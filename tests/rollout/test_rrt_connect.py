@@ -75,7 +75,8 @@ def test_it_plans_twice_a_second_and_keeps_its_path_meanwhile(ompl: None, monkey
         return np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
 
     monkeypatch.setattr("uavrl.rollout.rrt_connect.search", counted)
-    rival, cloud = RRTConnect(), scan(grid(2.5, (-3.0, 0.7), (-1.0, 1.0)))
+    rival = RRTConnect(costs=RRTConnectWeights(ahead=3.5))  # to a point behind the wall
+    cloud = scan(grid(2.5, (-3.0, 0.7), (-1.0, 1.0)))
     actions = [rival(seen(cloud, fresh=step == 0))["action"][0] for step in range(EVERY + 1)]
     assert EVERY == 5 and plans == [1, 2]
     assert all(action[1] > 1.0 and abs(action[0]) < 0.1 for action in actions)
