@@ -36,6 +36,17 @@ def test_a_launcher_that_is_not_installed_is_named_with_what_to_install() -> Non
     assert near.startswith("hydra/launcher must be one of basic, got 'basics': did you mean basic?")
 
 
+def test_a_job_of_a_cluster_that_was_cut_off_is_told_with_how_to_go_on() -> None:
+    submitit = pytest.importorskip("submitit.core.utils")
+    killed = submitit.FailedJobError("Job 7_0 (task: 0) has not produced any output (state: TIMEOUT)\nError stream …")
+    for error in (submitit.UncompletedJobError("Job not requeued because: timed-out too many times."), killed):
+        told = explained(error, "config")
+        assert told.startswith(
+            f"A job of the sweep has not come to its end ({str(error).splitlines()[0].rstrip('.')}): "
+        )
+        assert "start the same command again" in told and told.count("\n") == 0
+
+
 def test_resume_in_a_sweep_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sweep(tmp_path, "resume=one,two") == 1
     assert "leave out -m and experiment" in capsys.readouterr().err

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hydra.core.singleton import Singleton
 
 from uavrl.cli import sweep_runs, train
 from uavrl.cli.sweep_runs import Outcome
@@ -28,6 +29,22 @@ def test_an_outcome_is_noted_where_it_is_unpickled() -> None:
         pickle.loads(outcome)
     assert sweep_runs.runs(ended=True) == [C, A], "in the sweep's order"
     assert sweep_runs.runs(ended=False) == [B]
+
+
+def test_a_process_that_a_launcher_starts_knows_which_runs_had_ended() -> None:
+    """Hydra's launchers hand its singletons on."""
+    Outcome(A, 0, ended=True)
+    Outcome(B, 1, ended=False)
+    instances = Singleton.get_state()["instances"]
+    known = pickle.dumps({kind: each for kind, each in instances.items() if kind.__module__ == sweep_runs.__name__})
+    sweep_runs.forget()  # as in another process
+    before = Singleton._instances
+    try:
+        Singleton._instances = before | pickle.loads(known)
+        assert sweep_runs.was_ended(A) and not sweep_runs.was_ended(B)
+    finally:
+        Singleton._instances = before
+    assert not sweep_runs.was_ended(A)
 
 
 def test_a_run_that_has_ended_stays_so_whoever_finds_it_held_later() -> None:

@@ -99,6 +99,11 @@ def explained(error: Exception, name: str) -> str:
             "A process of the sweep was killed, often for want of memory: start the same command again, which goes on "
             "with its runs, and with fewer at a time where memory was short (hydra.launcher.n_jobs=1)."
         )
+    if "UncompletedJobError" in [kind.__name__ for kind in type(error).__mro__]:  # submitit's, which need not be there
+        return (
+            f"A job of the sweep has not come to its end ({first.rstrip('.')}): start the same command again, which "
+            f"goes on with its runs, with more time where that was short (hydra.launcher.timeout_min)."
+        )
     if isinstance(error, OSError) and error.filename is not None:
         return (
             f"{error.filename} cannot be written ({error.strerror}): a sweep writes there; start it in another folder, "

@@ -3,10 +3,22 @@
 from pathlib import Path
 from typing import Any
 
+from hydra.core.singleton import Singleton
+
 from uavrl.errors import UavrlError
 
-_by_place: dict[Path, tuple[int, bool]] = {}  # of each run: which one of the sweep it is, and whether it has ended
-_twice: set[Path] = set()  # runs of two combinations, each of which another process trained
+
+class _Known(metaclass=Singleton):
+    """What this process knows; a singleton of Hydra's, of which a launcher hands a copy to each process it starts.
+
+    So a run that has ended is told once, also where the sweep waits for others and is launched again.
+    """
+
+    def __init__(self) -> None:
+        self.by_place: dict[
+            Path, tuple[int, bool]
+        ] = {}  # of each run: its place in the sweep, and whether it has ended
+        self.twice: set[Path] = set()  # runs of two combinations, each of which another process trained
 
 
 class Outcome:
@@ -18,9 +30,9 @@ class Outcome:
     def __init__(self, run_dir: Path, place: int, ended: bool) -> None:
         self._about = run_dir, place, ended
         if has_another_place(run_dir, place):
-            _twice.add(run_dir)
+            _Known().twice.add(run_dir)
         if not was_ended(run_dir):
-            _by_place[run_dir] = place, ended
+            _Known().by_place[run_dir] = place, ended
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Made anew, so that it is noted there, too."""
@@ -29,18 +41,18 @@ class Outcome:
 
 def forget() -> None:
     """Begins a sweep."""
-    _by_place.clear()
-    _twice.clear()
+    _Known().by_place.clear()
+    _Known().twice.clear()
 
 
 def was_ended(run_dir: Path) -> bool:
     """Whether a run has ended, by what this process knows."""
-    return _by_place.get(run_dir, (0, False))[1]
+    return _Known().by_place.get(run_dir, (0, False))[1]
 
 
 def has_another_place(run_dir: Path, place: int) -> bool:
     """Whether an earlier combination of the sweep has this folder."""
-    return _by_place.get(run_dir, (place, False))[0] != place
+    return _Known().by_place.get(run_dir, (place, False))[0] != place
 
 
 def same_run(run_dir: Path) -> UavrlError:
@@ -53,10 +65,10 @@ def same_run(run_dir: Path) -> UavrlError:
 
 def refuse_twice() -> None:
     """Tells of one where a launcher's processes each knew of one of the two."""
-    if _twice:
-        raise same_run(min(_twice))
+    if twice := _Known().twice:
+        raise same_run(min(twice))
 
 
 def runs(*, ended: bool) -> list[Path]:
     """Those that have ended, or those that other processes train, in the sweep's order."""
-    return [run for run, (_, has) in sorted(_by_place.items(), key=lambda item: item[1][0]) if has is ended]
+    return [run for run, (_, has) in sorted(_Known().by_place.items(), key=lambda item: item[1][0]) if has is ended]
