@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
 from tests.helpers.own_parts import SMALL
@@ -27,7 +28,9 @@ def run_blocks(page: Path, count: int) -> dict[str, Any]:
     return names
 
 
-def test_its_python_runs_as_one_script() -> None:
+@pytest.mark.filterwarnings("error:No target network updater")
+def test_its_python_runs_as_one_script(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torchrl._utils.RL_WARNINGS", True)  # as for who types it: our commands turn them off
     names = run_blocks(README, 1)
     losses = names["loss"](names["env"].rollout(10))
     assert {"loss_actor", "loss_qvalue", "loss_lifeguard"} <= set(losses.keys())
