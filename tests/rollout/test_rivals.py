@@ -12,11 +12,13 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 from uavrl.cells import LASERS
-from uavrl.config import compose, validate
+from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.build import find_class
+from uavrl.envs import Airframe
 from uavrl.rollout.environment import make_env
+from uavrl.rollout.hull import HULL
 from uavrl.rollout.mppi import MPPI, STEPS, MPPIWeights, places_of
-from uavrl.rollout.policies import BASELINES, named_policy
+from uavrl.rollout.policies import BASELINES, choose, named_policy
 from uavrl.rollout.potential_field import FieldWeights, PotentialField
 from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory, polar_histogram
 from uavrl.rollout.rollout import fly
@@ -81,6 +83,24 @@ def test_they_are_chosen_like_any_other_policy(name: str) -> None:
     assert isinstance(rival, kind(name)) and isinstance(rival, Planner)
     assert {"point_cloud", "is_init"} <= set(rival.in_keys)
     assert (rival.flight_level, rival.memory.sight) == (3.0, 5.0)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_they_reckon_with_the_hull_and_the_lidar_of_the_environments_vehicle(name: str) -> None:
+    told = [f"policy={name}", "env.airframe.collision_radius=0.4", "env.airframe.collision_height=0.3"]
+    told.append("env.airframe.lidar_position=[0.0,0.0,0.13]")
+    config = compose(*told, name="evaluate")
+    chosen: Any = choose(validate(config, EvaluateConfig), config, told, None, torch.device("cpu")).policy
+    assert (chosen.hull, chosen.memory.above) == ((0.4, 0.15), 0.13)
+    default = kind(name)()
+    assert (default.hull, default.memory.above) == (HULL, LIDAR_ABOVE)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_a_wider_vehicle_keeps_farther_from_a_wall(name: str) -> None:
+    wall = grid(2.0, (-1.5, 1.5))
+    narrow, wide = (flown(kind(name)(airframe=Airframe(collision_radius=radius)), wall, 12) for radius in (0.2, 0.7))
+    assert (2.0 - wide[:, 0]).min() > (2.0 - narrow[:, 0]).min() + 0.1
 
 
 @pytest.mark.parametrize("name", PLANNERS)
@@ -244,6 +264,12 @@ def test_memory_moves_with_the_vehicle_and_turns_with_its_yaw() -> None:
     assert memory.recall()[0][0] == pytest.approx([-0.2, 1.0, 1.0 + LIDAR_ABOVE], abs=1e-5)
 
 
+def test_memory_takes_a_scan_from_where_its_lidar_sits() -> None:
+    memory = ScanMemory(above=0.4)
+    look(memory, [[1.0, 0.0, 1.0]], fresh=True)
+    assert memory.recall()[0][0] == pytest.approx([1.0, 0.0, 1.4])
+
+
 def test_memory_forgets_what_is_seen_through_and_what_is_old() -> None:
     above, level = [1.0, 0.0, 1.0], [2.0, 0.0, 0.0]
     memory = ScanMemory(seconds=1.0)
@@ -282,6 +308,8 @@ def test_lines_meet_what_is_as_near_as_the_hull_is_wide_and_high() -> None:
         lines = look_along(torch.tensor([[2.0, *place]]), torch.zeros(1, 1, 3), ahead, costs)
         assert lines.free.item() == pytest.approx(1.65 if meets else 3.0)
         assert lines.threat.item() > 0
+    wide = look_along(torch.tensor([[2.0, 0.55, 0.0]]), torch.zeros(1, 1, 3), ahead, costs, hull=(0.5, 0.2))
+    assert wide.free.item() == pytest.approx(1.5)
     behind = look_along(torch.tensor([[-0.4, 0.0, 0.0]]), torch.zeros(1, 1, 3), ahead, costs)
     assert (behind.threat.item(), behind.free.item()) == (0.0, 3.0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavrl.mapping.route import route
+from uavrl.mapping.route import HULL, route
 
 
 class EpisodeMap:
@@ -13,6 +13,7 @@ class EpisodeMap:
     Args:
         cell: edge of a cell, m.
         reach: m from the vehicle to each side, beyond which cells are forgotten.
+        radius: of the hull, m; 0.35 by default.
 
     Examples:
         >>> known = EpisodeMap()
@@ -23,8 +24,8 @@ class EpisodeMap:
         2
     """
 
-    def __init__(self, cell: float = 0.25, reach: float = 40.0) -> None:
-        self.cell, self.reach = cell, reach
+    def __init__(self, cell: float = 0.25, reach: float = 40.0, radius: float = HULL[0]) -> None:
+        self.cell, self.reach, self.radius = cell, reach, radius
         self.occupied = np.zeros((0, 2), np.int64)
 
     def look(self, points: np.ndarray, place: np.ndarray) -> None:
@@ -39,7 +40,7 @@ class EpisodeMap:
 
     def route(self, place: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
         """The quickest way, ``[L, 2]`` m; None for none."""
-        return route(self.occupied, place, goal, self.cell)
+        return route(self.occupied, place, goal, self.cell, self.radius)
 
 
 def _distinct(cells: np.ndarray) -> np.ndarray:

@@ -14,7 +14,9 @@ SQUEEZED = 10.0
 SEEN_AROUND = 0.6  # m that a straight line of the way keeps between hull and cells
 
 
-def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float) -> np.ndarray | None:
+def route(
+    occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float, radius: float = HULL[0]
+) -> np.ndarray | None:
     """The quickest way from cell to cell, in eight directions; what is not known to be occupied is free.
 
     It keeps from obstacles where there is room: what is near them counts more than once, and where the hull does not
@@ -25,6 +27,7 @@ def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float
         start: ``[2]`` m.
         goal: likewise.
         cell: edge, m.
+        radius: of the hull, m; 0.35 by default.
 
     Returns:
         The start, middles of cells, and the goal, ``[L, 2]`` m; None where no way is left.
@@ -51,7 +54,7 @@ def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float
     clearance = distance_transform_edt(space) * cell if len(occupied) else np.full(shape, np.inf)
     cost = 1 + 2 * ((WIDE - clearance) / (WIDE - TIGHT)).clip(0, 1)
     cost = np.where(clearance < TIGHT, SQUEEZED, cost)
-    free = clearance > HULL[0]
+    free = clearance > radius
     here, there = (tuple(end) for end in ends - low)
     free[here] = free[there] = True
     index = np.arange(free.size).reshape(shape)
@@ -77,7 +80,9 @@ def route(occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float
     return np.concatenate([start[None], middles, goal[None]])
 
 
-def waypoint(way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: float) -> tuple[int, bool]:
+def waypoint(
+    way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: float, radius: float = HULL[0]
+) -> tuple[int, bool]:
     """The last point of a way that is straight ahead, or else where the way bends within sight.
 
     Args:
@@ -85,6 +90,7 @@ def waypoint(way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: f
         place: of the vehicle, ``[2]`` m, near the way.
         obstacles: ``[K, 2]`` m.
         ahead: how far the vehicle looks along the way, m.
+        radius: of the hull, m; 0.35 by default.
 
     Returns:
         The point's place in the way, and whether it is straight ahead.
@@ -100,7 +106,7 @@ def waypoint(way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: f
     """
     first = int(((way - place) ** 2).sum(1).argmin())
     left = way[first:]
-    free = Obstacles(obstacles, place, HULL[0] + SEEN_AROUND).free(np.broadcast_to(place, left.shape), left)
+    free = Obstacles(obstacles, place, radius + SEEN_AROUND).free(np.broadcast_to(place, left.shape), left)
     last = int(free.nonzero()[0].max(initial=-1))
     if last >= 0 and (last == len(left) - 1 or np.linalg.norm(left[last] - place) >= ahead):
         return first + last, True

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from uavrl.motion.threats import greatest_threats, predict_path
-from uavrl.rollout.hull import hull_distances, off_altitudes
+from uavrl.rollout.hull import HULL, Hull, hull_distances, off_altitudes
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl.transforms.threats import DIRECTIONS
 
@@ -36,7 +36,13 @@ def evade(
 
 
 def evaded(
-    planned: Tensor, velocity: Tensor, ways: Tensor, known: Tensor, points: list[Tensor], height: Tensor
+    planned: Tensor,
+    velocity: Tensor,
+    ways: Tensor,
+    known: Tensor,
+    points: list[Tensor],
+    height: Tensor,
+    hull: Hull = HULL,
 ) -> Tensor:
     """Planned velocities ``[N, 3]`` in m/s, and in place of one that leads to a moving body the best of some others.
 
@@ -50,6 +56,7 @@ def evaded(
         known: which of them there are, ``bool [N, K]``.
         points: of each vehicle the obstacles around it, ``[P, 3]`` m.
         height: of the vehicles over the flight level, ``[N, 1]`` m.
+        hull: its radius, and half its height, m.
 
     Examples:
         A body comes straight ahead, at 3 m/s from 6 m away. The vehicle, which would fly at 2 m/s, gives way:
@@ -69,7 +76,7 @@ def evaded(
         tried = torch.cat([planned[one, None], others, torch.zeros(1, 3)])[None]  # [1, C, 3]
         own = slice(one, one + 1)
         path = predict_path(tried, velocity[own, None])[0, :, :SOON]  # [C, T, 3]
-        beside = hull_distances(points[one], path, NEAR)
+        beside = hull_distances(points[one], path, NEAR, hull)
         off = off_altitudes(height[one] + path[..., 2]).amax(-1)
         stands = ((FAR - beside) / (FAR - NEAR)).clamp(0, 1).amax(-1) + (beside < NEAR).any(-1)
         threats = greatest_threats(tried, velocity[own], ways[own], known[own])[0]

@@ -7,6 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.envs.quadrotor import Airframe
 from uavrl.motion.threats import GREATEST, threat
 from uavrl.ranges import Positive, Seed
 from uavrl.rollout.hull import hull_distances, off_altitudes
@@ -112,6 +113,7 @@ class MPPI(Planner):
         samples: plans that are tried in each step.
         seed: of the samples.
         costs: None for the ones above.
+        airframe: whose hull and LiDAR it reckons with; None for the default one.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -132,8 +134,9 @@ class MPPI(Planner):
         samples: Annotated[int, Field(ge=2, le=100_000)] = 256,
         seed: Seed = 0,
         costs: MPPIWeights | None = None,
+        airframe: Airframe | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion)
+        super().__init__(flight_level, radius, seconds, motion, airframe)
         self.costs = MPPIWeights() if costs is None else costs
         generator = torch.Generator().manual_seed(seed)
         noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator)
@@ -172,7 +175,8 @@ class MPPI(Planner):
         costs, goal = self.costs, seen.goal[:, None]
         off = seen.altitude[..., None] + places[..., 2] - self.flight_level
         looked = zip(seen.points, places[:, :, EVERY - 1 :: EVERY], strict=True)
-        beside = torch.stack([hull_distances(points, path, costs.near) for points, path in looked])  # [N, K, T / 2]
+        distances = [hull_distances(points, path, costs.near, self.hull) for points, path in looked]
+        beside = torch.stack(distances)  # [N, K, T / 2]
         nearness = ((costs.far - beside) / (costs.far - costs.near)).clamp(0, 1).amax(-1)
         gained = (places[:, :, -1] * goal).sum(-1)  # m
         collided = (beside < costs.near).cummax(-1).values.to(places)  # once it has, it has

@@ -80,6 +80,7 @@ def choose(
     if folder is None:
         require_valley(settings.env, settings.choices, "policy")
         context = {**settings.perception, "flight_level": settings.env.world.flight_level}
+        context["airframe"] = settings.env.get("airframe")
         policy = named_policy(str(settings.policy), context, settings.packages)
         settings = _as_contracted(policy, settings, config, overrides)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
@@ -231,8 +232,8 @@ def named_policy(
 ) -> Callable[[TensorDictBase], TensorDictBase]:
     """A policy that is no run: a baseline, a ``.zip`` of Stable-Baselines3, or a ``PACKAGE.MODULE.CLASS``.
 
-    Of ``told``, ``flight_level`` and what perception says (``radius``, …), a baseline is given what its constructor
-    names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
+    Of ``told``, ``flight_level``, ``airframe`` and what perception says (``radius``, …), a baseline is given what its
+    constructor names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
     ``stable_baselines3``. A folder is one that ``uavrl-export`` wrote.
     """
     require_policy(name)

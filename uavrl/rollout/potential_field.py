@@ -7,6 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.envs.quadrotor import Airframe
 from uavrl.ranges import Positive
 from uavrl.rollout.hull import HULL
 from uavrl.rollout.remembered import Planner, Surroundings
@@ -29,7 +30,7 @@ class FieldWeights:
     level: float = 0.4  #: 1/s, vertical speed for each metre off the flight level
 
 
-def repulsion(points: Tensor, reach: float) -> Tensor:
+def repulsion(points: Tensor, reach: float, radius: float = HULL[0]) -> Tensor:
     """The push ``[3]`` of the obstacles around one vehicle for eta = 1.
 
     Source: Khatib (1986), Real-time obstacle avoidance for manipulators and mobile robots, FIRAS: each pushes by
@@ -39,6 +40,7 @@ def repulsion(points: Tensor, reach: float) -> Tensor:
     Args:
         points: obstacles, ``[P, 3]``, m from the vehicle.
         reach: rho_0 in m.
+        radius: of the hull, m.
 
     Examples:
         >>> repulsion(torch.tensor([[1.35, 0.0, 0.0], [1.5, 0.0, 0.0], [9.0, 0.0, 0.0]]), 2.0)[0].round(decimals=3)
@@ -48,7 +50,7 @@ def repulsion(points: Tensor, reach: float) -> Tensor:
     sector = ((torch.atan2(points[:, 1], points[:, 0]) / (2 * torch.pi) + 0.5) * SECTORS).long().clamp_max(SECTORS - 1)
     least = torch.full((SECTORS,), torch.inf).scatter_reduce(0, sector, distances, "amin")
     points, distances = points[distances == least[sector]], distances[distances == least[sector]]
-    rho = (distances - HULL[0]).clamp_min(0.05)
+    rho = (distances - radius).clamp_min(0.05)
     push = (1 / rho - 1 / reach).clamp_min(0) / (rho * rho)
     return -(push / distances.clamp_min(1e-6)) @ points
 
@@ -66,6 +68,7 @@ class PotentialField(Planner):
         motion: how far moving objects are looked for, as in :class:`uavrl.transforms.NavigationState`, to keep out of
             their ways; None: what moves is taken for standing.
         costs: None for the ones above.
+        airframe: whose hull and LiDAR it reckons with; None for the default one.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -84,15 +87,16 @@ class PotentialField(Planner):
         seconds: Positive = 0.5,
         motion: float | None = None,
         costs: FieldWeights | None = None,
+        airframe: Airframe | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion)
+        super().__init__(flight_level, radius, seconds, motion, airframe)
         self.costs = FieldWeights() if costs is None else costs
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
         """The sums of pull and push, and yaw rates to the goal."""
         costs = self.costs
         around = zip(seen.points, seen.carried, strict=True)
-        push = torch.stack([repulsion(points - place, costs.reach) for points, place in around])
+        push = torch.stack([repulsion(points - place, costs.reach, self.hull[0]) for points, place in around])
         velocity = costs.attraction * seen.goal + costs.repulsion * push
         velocity[:, 2:] += costs.level * (self.flight_level - seen.altitude)
         fastest = velocity.norm(dim=-1, keepdim=True).clamp_min(ACTION_LIMIT) / ACTION_LIMIT

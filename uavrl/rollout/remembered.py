@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uavrl.attitude import body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
-from uavrl.envs.quadrotor import GRAVITY
+from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.mapping.navigator import LIDAR_ABOVE
 from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl.motion.threats import STEPS, straight_on, to_yaw
@@ -39,6 +39,7 @@ class ScanMemory:
         sight: how far returns count, m.
         seconds: for which they are remembered.
         cube: edge of a cube, m.
+        above: where the LiDAR sits, m over the hull's middle.
 
     Examples:
         A point ahead and above is seen once, and remembered where it is while the vehicle flies on at 1 m/s:
@@ -52,8 +53,10 @@ class ScanMemory:
         array([[1.8, 0. , 2. ]])
     """
 
-    def __init__(self, sight: float = 4.0, seconds: float = 10.0, cube: float = 0.15) -> None:
-        self.sight, self.seconds, self.cube = sight, seconds, cube
+    def __init__(
+        self, sight: float = 4.0, seconds: float = 10.0, cube: float = 0.15, above: float = LIDAR_ABOVE
+    ) -> None:
+        self.sight, self.seconds, self.cube, self.above = sight, seconds, cube, above
         wide = int(np.ceil(2.2 * sight / cube))
         self._shape = np.array([wide, wide, int(np.ceil(TALL * wide))])
         self._grid, self._now = Grid(), 0
@@ -82,7 +85,7 @@ class ScanMemory:
         self.places += np.where(fresh[:, None], -self.places, PERIOD * (velocities + self._velocities) / 2)
         self._velocities, self._now = velocities, self._now + 1
         turns, seen = body_to_world(attitudes).astype(np.float32), find_returns(clouds, self.sight)
-        sensors = self.places + LIDAR_ABOVE * turns[:, :, 2]
+        sensors = self.places + self.above * turns[:, :, 2]
         self._forget(seen, turns, sensors)
         world = np.einsum("mij,jm->mi", turns[seen.clouds], seen.points) + sensors[seen.clouds]
         ring = np.floor(world / self.cube).astype(np.int64) % self._shape
@@ -181,15 +184,26 @@ class Planner(TensorDictModuleBase):
         sight: how far returns count, m.
         seconds: for which they are remembered.
         motion: how far moving objects are looked for, to keep out of their ways; None: it is not told of any.
+        airframe: whose hull and LiDAR it reckons with; None for the default one.
     """
 
-    def __init__(self, flight_level: float, sight: float, seconds: float, motion: float | None = None) -> None:
+    def __init__(
+        self,
+        flight_level: float,
+        sight: float,
+        seconds: float,
+        motion: float | None = None,
+        airframe: Airframe | None = None,
+    ) -> None:
         super().__init__()
         self.in_keys = ["point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude"]
         self.in_keys += ["moving_objects"] if motion is not None else []
         self.motion = motion
         self.out_keys = ["action"]
-        self.flight_level, self.memory = flight_level, ScanMemory(sight, seconds)
+        vehicle = airframe or Airframe()
+        self.hull = (vehicle.collision_radius, vehicle.collision_height / 2)
+        self.flight_level = flight_level
+        self.memory = ScanMemory(sight, seconds, above=vehicle.lidar_position[2])
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
         """The velocities to fly at, ``[N, 3]`` m/s, and the yaw rates ``[N, 1]`` in rad/s."""
@@ -198,7 +212,7 @@ class Planner(TensorDictModuleBase):
     def evade(self, velocity: Tensor, seen: Surroundings) -> Tensor:
         """The velocities ``[N, 3]`` in place of planned ones that lead into the way of what moves."""
         height = seen.altitude - self.flight_level
-        return evaded(velocity, seen.velocity, seen.ways, seen.known, seen.points, height)
+        return evaded(velocity, seen.velocity, seen.ways, seen.known, seen.points, height, self.hull)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action``, each component within its limits, and remembers the scan."""

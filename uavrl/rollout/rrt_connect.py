@@ -10,9 +10,10 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.envs.quadrotor import Airframe
 from uavrl.mapping.lines import Obstacles, clearances
 from uavrl.ranges import Positive, Seed
-from uavrl.rollout.hull import HIGHEST, HULL, LOWEST, stretch
+from uavrl.rollout.hull import HIGHEST, LOWEST, stretch
 from uavrl.rollout.mppi import limited
 from uavrl.rollout.remembered import PERIOD, Planner, Surroundings
 from uavrl.rollout.ways import APART, filled, length, load_ompl, pushed_out, search
@@ -83,6 +84,7 @@ class RRTConnect(Planner):
         tries: times that a tree grows for a plan, at most.
         seed: of the plans.
         costs: None for the ones above.
+        airframe: whose hull and LiDAR it reckons with; None for the default one.
 
     Raises:
         UavrlError: where OMPL is not installed.
@@ -106,12 +108,13 @@ class RRTConnect(Planner):
         tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
+        airframe: Airframe | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion)
+        super().__init__(flight_level, radius, seconds, motion, airframe)
         load_ompl()
         self.tries, self.seed = tries, seed
         self.costs = RRTConnectWeights() if costs is None else costs
-        self._stretch = stretch(self.costs.near).double().numpy()
+        self._stretch = stretch(self.costs.near, self.hull).double().numpy()
         self._pilots: list[Pilot] = []
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
@@ -133,9 +136,9 @@ class RRTConnect(Planner):
         off = float(seen.altitude[one]) - self.flight_level
         start = costs.lead * carried * self._stretch
         points = seen.cloud[one].double().numpy()
-        points = points[np.abs(points[:, 2]) < max(SPAN, abs(off)) + HULL[0]] * self._stretch
-        begin = pushed_out(points, start, HULL[0] + costs.near)
-        obstacles = Obstacles(points, begin, HULL[0] + costs.near)
+        points = points[np.abs(points[:, 2]) < max(SPAN, abs(off)) + self.hull[0]] * self._stretch
+        begin = pushed_out(points, start, self.hull[0] + costs.near)
+        obstacles = Obstacles(points, begin, self.hull[0] + costs.near)
         left = None if pilot.path is None else self._left(pilot.path, one, seen)
         goal, far = self.aim(one, seen, pilot.age % EVERY == 0)
         if pilot.age % EVERY == 0:
@@ -221,7 +224,7 @@ class RRTConnect(Planner):
         near = left[: round(costs.carrot / APART) + 1]
         free = obstacles.free(np.broadcast_to(start, near.shape), near)
         carrot = near[int(free.nonzero()[0].max(initial=min(2, len(near) - 1)))]
-        beside = clearances(obstacles.points, start[None], carrot[None]).min(initial=np.inf) - HULL[0]
+        beside = clearances(obstacles.points, start[None], carrot[None]).min(initial=np.inf) - self.hull[0]
         wide = float(np.clip((beside - costs.near / 2) / (costs.far - costs.near / 2), 0, 1))
         way = (carrot - start) / self._stretch
         return (costs.slow + (ACTION_LIMIT - costs.slow) * wide) * way / max(float(np.linalg.norm(way)), 0.1)
@@ -242,6 +245,6 @@ class RRTConnect(Planner):
         away = away / max(float(np.linalg.norm(away)), 1e-6)
         along = np.array([-away[1], away[0], 0.0])
         side = side or (1.0 if along @ goal >= 0 else -1.0)
-        off = distances[nearest] - HULL[0] - costs.distance
+        off = distances[nearest] - self.hull[0] - costs.distance
         back = -float(np.clip(costs.gain * off, -costs.reflex, costs.reflex))
         return back * away + side * np.sqrt(costs.reflex**2 - back**2) * along, side

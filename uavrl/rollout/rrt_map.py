@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from uavrl.envs.quadrotor import Airframe
 from uavrl.mapping import EpisodeMap, GoalFinder
 from uavrl.mapping.navigator import LEVEL
 from uavrl.mapping.route import waypoint
@@ -36,6 +37,7 @@ class RRTMap(RRTConnect):
         tries: times that a tree grows for a plan, at most.
         seed: of the plans.
         costs: None for those of :class:`~uavrl.rollout.rrt_connect.RRTConnectWeights`.
+        airframe: whose hull and LiDAR it reckons with; None for the default one.
         cell: edge of the map's cells, m.
         reach: m from the vehicle to each side, beyond which the map forgets.
 
@@ -62,10 +64,20 @@ class RRTMap(RRTConnect):
         tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
+        airframe: Airframe | None = None,
         cell: Annotated[float, Field(ge=0.1, le=1)] = 0.25,
         reach: Annotated[float, Field(ge=5, le=100)] = 40.0,
     ) -> None:
-        super().__init__(flight_level, radius, seconds=seconds, motion=motion, tries=tries, seed=seed, costs=costs)
+        super().__init__(
+            flight_level,
+            radius,
+            seconds=seconds,
+            motion=motion,
+            tries=tries,
+            seed=seed,
+            costs=costs,
+            airframe=airframe,
+        )
         self.cell, self.reach = cell, reach
         self._maps: list[EpisodeMap] = []
         self._goals: list[GoalFinder] = []
@@ -74,11 +86,11 @@ class RRTMap(RRTConnect):
     def aim(self, one: int, seen: Surroundings, plans: bool) -> tuple[np.ndarray, float]:
         """The direction of a point of the route, and how far it is: at most as far as is planned."""
         if len(self._maps) != len(seen.fresh):
-            self._maps = [EpisodeMap(self.cell, self.reach) for _ in seen.fresh]
+            self._maps = [EpisodeMap(self.cell, self.reach, self.hull[0]) for _ in seen.fresh]
             self._goals = [GoalFinder(self.reach) for _ in seen.fresh]
             self._routes = [None for _ in seen.fresh]
         if seen.fresh[one, 0]:
-            self._maps[one], self._routes[one] = EpisodeMap(self.cell, self.reach), None
+            self._maps[one], self._routes[one] = EpisodeMap(self.cell, self.reach, self.hull[0]), None
             self._goals[one] = GoalFinder(self.reach)
         yaw, place = float(seen.yaw[one]), seen.place[one].double().numpy()[:2]
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
@@ -94,7 +106,7 @@ class RRTMap(RRTConnect):
         way = self._routes[one]
         if way is None:
             return goal, self.costs.ahead
-        point, straight = waypoint(way, place, known.middles(), self.costs.ahead)
+        point, straight = waypoint(way, place, known.middles(), self.costs.ahead, self.hull[0])
         apart = np.append((way[point] - place) @ turn, 0.0)
         far = float(np.linalg.norm(apart))
         return apart / max(far, 1e-6), self.costs.ahead if straight else far

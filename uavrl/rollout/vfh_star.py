@@ -9,9 +9,10 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.cells import grid_directions
+from uavrl.envs.quadrotor import Airframe
 from uavrl.motion.threats import LAG
 from uavrl.ranges import Positive
-from uavrl.rollout.hull import HULL, off_altitudes, stretch
+from uavrl.rollout.hull import HULL, Hull, off_altitudes, stretch
 from uavrl.rollout.remembered import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 
@@ -53,7 +54,7 @@ class Lines(NamedTuple):
     free: Tensor  #: m until the hull comes within half the distance to keep of something, at most the reach
 
 
-def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights) -> Lines:
+def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights, hull: Hull = HULL) -> Lines:
     """What the hull of one vehicle would meet on straight lines, each obstacle enlarged by the hull and a distance.
 
     Source: Ulrich and Borenstein (1998), VFH+: an obstacle at distance d fills all directions within
@@ -64,20 +65,21 @@ def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHSta
         starts: of the lines, ``[S, D, 3]``, or ``[S, 1, 3]`` for all directions, m.
         directions: unit vectors ``[D, 3]``.
         costs: distances to keep.
+        hull: its radius, and half its height, m.
 
     Examples:
         >>> ahead, origin = torch.tensor([[1.0, 0.0, 0.0]]), torch.zeros(1, 1, 3)
         >>> look_along(torch.tensor([[2.0, 0.0, 0.0], [1.0, 3.0, 0.0]]), origin, ahead, VFHStarWeights()).free
         tensor([[1.6500]])
     """
-    points, starts, directions = (each * stretch(costs.near) for each in (points, starts, directions))
+    points, starts, directions = (each * stretch(costs.near, hull) for each in (points, starts, directions))
     squared = (directions * directions).sum(-1)[:, None]  # [D, 1]
     began = (starts * directions).sum(-1)[..., None]  # [S, D, 1]
     along = (directions @ points.T - began).div_(squared)  # [S, D, P], m
     apart = (starts @ points.T).mul_(-2).add_((points * points).sum(-1)).add_((starts * starts).sum(-1)[..., None])
-    beside = (along * along).mul_(-squared).add_(apart).clamp_min_(0).sqrt_().sub_(HULL[0])  # m from the hull
+    beside = (along * along).mul_(-squared).add_(apart).clamp_min_(0).sqrt_().sub_(hull[0])  # m from the hull
     behind = along <= 0
-    free = (along - HULL[0]).clamp_min_(0).masked_fill_(behind | (beside > costs.near / 2), costs.reach)
+    free = (along - hull[0]).clamp_min_(0).masked_fill_(behind | (beside > costs.near / 2), costs.reach)
     side = beside.sub_(costs.far).div_(costs.near - costs.far).clamp_(0, 1)
     soon = along.div_(-costs.reach).add_(1).clamp_min_(0).pow_(costs.soon)
     threat = side.mul_(soon).masked_fill_(behind, 0)
@@ -105,6 +107,7 @@ class VFHStar(Planner):
             their ways; None: what moves is taken for standing.
         depth: steps that are looked ahead.
         costs: None for the ones above.
+        airframe: whose hull and LiDAR it reckons with; None for the default one.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -124,8 +127,9 @@ class VFHStar(Planner):
         motion: float | None = None,
         depth: Annotated[int, Field(ge=0, le=10)] = 2,
         costs: VFHStarWeights | None = None,
+        airframe: Airframe | None = None,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion)
+        super().__init__(flight_level, radius, seconds, motion, airframe)
         self.depth = depth
         self.costs = VFHStarWeights() if costs is None else costs
         self.directions = torch.from_numpy(grid_directions(AZIMUTHS, ELEVATIONS)).float()
@@ -149,7 +153,7 @@ class VFHStar(Planner):
 
     def _look(self, points: list[Tensor], starts: Tensor, directions: Tensor) -> Lines:
         """What lies on lines from ``starts [N, S, D, 3]``: ``[N * S, D]``, vehicle by vehicle, which a cache holds."""
-        each = [look_along(*pair, directions, self.costs) for pair in zip(points, starts, strict=True)]
+        each = [look_along(*pair, directions, self.costs, self.hull) for pair in zip(points, starts, strict=True)]
         return Lines(*(torch.cat(told) for told in zip(*each, strict=True)))
 
     def _cost(self, lines: Lines, directions: Tensor, goal: Tensor, height: Tensor, before: Tensor) -> Tensor:
