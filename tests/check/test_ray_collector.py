@@ -16,6 +16,7 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
+from torchrl.collectors.distributed import RayCollector as TorchRLRayCollector
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
@@ -246,3 +247,22 @@ def test_a_cluster_without_enough_processors_is_told(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(ray, "shutdown", lambda: None)
     with pytest.raises(UavrlError, match="asks for 3 processors, and the Ray cluster has 2"):
         collector(Policy(), workers=3)
+
+
+def test_a_ray_that_was_left_is_not_started_again_to_end_its_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray starts anew at any call; a collector that is thrown away ends the workers that it still has."""
+    made, called = list[RayCollector](), list[str]()
+
+    def interrupted(self: RayCollector, *_: object, **__: object) -> None:
+        self._remote_collectors = ["one", "two"]
+        made.append(self)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(TorchRLRayCollector, "__init__", interrupted)
+    monkeypatch.setattr("uavrl.collectors.ray._connect", lambda *_: True)
+    monkeypatch.setattr(ray, "shutdown", lambda: called.append("shutdown"))
+    monkeypatch.setattr(ray, "kill", lambda worker, **_: called.append(worker))
+    with pytest.raises(KeyboardInterrupt):
+        collector(Policy())
+    made[0].__del__()
+    assert called == ["shutdown"]

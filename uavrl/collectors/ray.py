@@ -105,7 +105,7 @@ class RayCollector(TorchRLRayCollector):
                 )
         except BaseException:
             if self._connected:
-                _leave()
+                self._leave()
             raise
 
     def iterator(self) -> Iterator[TensorDictBase]:
@@ -149,7 +149,12 @@ class RayCollector(TorchRLRayCollector):
         except Exception:  # what has ended the workers may have ended Ray, too; the run says so
             log.debug("Ray's workers did not end as asked.", exc_info=True)
         if self._connected:
-            _leave()
+            self._leave()
+
+    def _leave(self) -> None:
+        """Leaves the cluster, and forgets its workers: TorchRL's ``__del__`` would start another Ray to end them."""
+        getattr(self, "remote_collectors", []).clear()
+        _leave()
 
     def state_dict(self) -> OrderedDict[str, Any]:
         """How many frames and batches have come from the workers; open episodes are not kept."""
