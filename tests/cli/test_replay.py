@@ -72,10 +72,14 @@ def test_the_policy_of_the_run_flies(run_dir: Path, tmp_path: Path) -> None:
     assert policy.source["run"] == str(run_dir)
 
 
-def test_the_page_goes_into_the_run_and_its_name_tells_what_was_changed(run_dir: Path) -> None:
+def test_the_page_goes_into_the_run_and_its_name_tells_what_was_changed(
+    run_dir: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert in_process(command.main, f"run={run_dir}", "task=2", "env.max_steps=3", *SMALL) == 0
     page = run_dir / "replay_task=2_env.max_steps=3.html"
-    assert data_of(page)["flights"][0]["steps"] <= 3
+    (flight,) = data_of(page)["flights"]
+    assert (flight["outcome"], flight["steps"], flight["path_efficiency"]) == ("timed_out", 3, None)
+    assert "task 2: time-out after 3 steps, minimum clearance " in capfd.readouterr().out, "and of no path's efficiency"
     page.unlink()
 
 

@@ -137,6 +137,9 @@ def test_path_and_clearance_on_a_known_path() -> None:
     assert flights[3].path_efficiency == 1.0
     assert flights[3].clearance == pytest.approx(0.7)
     assert flights[6].clearance == 0.0, "a touch is no negative distance"
+    ended = {flight.outcome: flight.path_efficiency for flight in flights[:3]}
+    assert ended == {"arrived": pytest.approx(5 / 7), "collided": None, "timed_out": None}, "of successes alone"
+    assert (flights[2].flown, flights[2].straight) == (1.0, 1.0), "a straight way to nowhere is no efficiency of 1"
 
 
 @pytest.mark.parametrize("vehicles", [1, 2, 3])

@@ -93,8 +93,9 @@ def main(config: DictConfig) -> None:
     for flight in shown.flights:
         summary = flight.summary
         ended = f"{SAID[summary.outcome]} after {counted(summary.steps, 'step')}"
-        lengths = f"path efficiency {summary.path_efficiency:.2f}, minimum clearance {summary.clearance:.2f} m"
-        print(f"task {summary.task}: {ended}, {lengths}")
+        efficiency = summary.path_efficiency
+        lengths = "" if efficiency is None else f"path efficiency {efficiency:.2f}, "
+        print(f"task {summary.task}: {ended}, {lengths}minimum clearance {summary.clearance:.2f} m")
         lines = [
             *whereabouts_lines(flight.whereabouts),
             *smoothness_lines(summary.action_change, summary.yaw_reversals),

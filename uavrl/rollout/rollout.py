@@ -35,9 +35,14 @@ class Flight:
     yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
 
     @property
-    def path_efficiency(self) -> float:
-        """Straight line from start to end over the length flown, in (0, 1]."""
-        return (self.straight or 0.0) / max(self.flown or 0.0, 1e-9)
+    def path_efficiency(self) -> float | None:
+        """Straight line from start to end over the length flown, in (0, 1]; None for an episode that did not arrive.
+
+        Its end is then not where it was to go: who circles, or hits the first thing in a straight line, saves nothing.
+        """
+        if self.outcome != "arrived" or self.straight is None or self.flown is None:
+            return None
+        return self.straight / max(self.flown, 1e-9)
 
 
 @torch.no_grad()

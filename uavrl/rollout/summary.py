@@ -58,7 +58,8 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
         result["median_return"] = float(np.median(returns))
     else:
         clearances = [flight.clearance for flight in arrived if flight.clearance is not None]
-        result["path_efficiency"] = float(np.mean([f.path_efficiency for f in arrived])) if arrived else None
+        efficiencies = [each for flight in arrived if (each := flight.path_efficiency) is not None]
+        result["path_efficiency"] = float(np.mean(efficiencies)) if efficiencies else None
         result["median_clearance"] = float(np.median(clearances)) if arrived else None
         result["min_clearance"] = min(clearances) if arrived else None
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
