@@ -118,7 +118,7 @@ def test_an_ordinary_training_fits_into_a_gigabyte_and_ten_times_its_buffer_does
 @measured
 def test_a_long_silence_is_explained_once_and_a_short_one_never(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    with StallNotice("Waiting for an episode.", seconds=0.3) as stall_notice:
+    with StallNotice(lambda: "Waiting for an episode.", seconds=0.3) as stall_notice:
         for said in ([], ["Waiting for an episode."], ["Waiting for an episode."] * 2):
             assert caplog.messages == said
             for _ in range(10 if not said else 0):

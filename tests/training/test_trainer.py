@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from tests.helpers.runs import EASY, LIFEGUARD, small_config
+from uavrl.collectors.stall_notice import StallNotice
 from uavrl.config import validate
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
@@ -104,6 +106,30 @@ def test_fractions_of_an_update_add_up_after_the_random_steps(
     asked = [f"algo.learning_starts={learning_starts}", f"trainer.updates_per_step={per_step}"]
     run = flown(tmp_path / "run", "trainer.episodes=4", *asked)
     assert run.updates == [0 if learning_starts else math.floor(per_step * e.total_steps) for e in run.episodes]
+
+
+@pytest.mark.parametrize(("guide", "first"), [("none", "random"), ("vfh", "scripted")])
+def test_a_silence_is_explained_by_what_the_run_does_then(
+    guide: str, first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Callable[[], str]] = []
+    notice = lambda text: asked.append(text) or StallNotice(text)  # type: ignore[func-returns-value]  # noqa: E731
+    monkeypatch.setattr("uavrl.training.trainer.StallNotice", notice)
+    trainer = built(tmp_path / "run", f"guide={guide}", "algo.learning_starts=1500")
+    told = {}
+    for trainer.collected_frames in (0, 1499, 1500):
+        told[trainer.collected_frames] = asked[0]()
+    controller = " The scripted controller acts until step 1,500, and its episodes are learned from, too."
+    assert told[1500].endswith("for each of its steps; the first are compiled.")
+    assert (
+        told[0]
+        == told[1499]
+        == {
+            "random": "No episode has ended for a while: one takes up to env.max_steps steps, random ones until step "
+            "1,500, before which no updates are made.",
+            "scripted": told[1500] + controller,
+        }[first]
+    )
 
 
 # ---------------------------------------------------------------------- when a run ends, and how long it took

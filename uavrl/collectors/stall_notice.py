@@ -5,14 +5,15 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Callable
 
 log = logging.getLogger(__name__)
 
 
 class StallNotice:
-    """Logs what is waited for, once in every silence that lasts."""
+    """Logs what is waited for, once in every silence that lasts; a text that changes is asked for when it is logged."""
 
-    def __init__(self, text: str, seconds: float = 30.0) -> None:
+    def __init__(self, text: str | Callable[[], str], seconds: float = 30.0) -> None:
         self.text, self.seconds = text, seconds
         self._last: float | None = time.monotonic()
         self._over = threading.Event()
@@ -36,4 +37,4 @@ class StallNotice:
         while not self._over.wait(self.seconds / 10):
             if self._last is not None and time.monotonic() - self._last >= self.seconds:
                 self._last = None
-                log.info(self.text)
+                log.info(self.text if isinstance(self.text, str) else self.text())

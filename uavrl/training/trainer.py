@@ -28,10 +28,24 @@ from uavrl.training.replay import EpisodeReplay
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms.rewards import RewardTerms
 
-WAITED_FOR = (
-    "No episode has ended for a while: one takes up to env.max_steps steps, or the updates after one are being made, "
-    "trainer.updates_per_step for each of its steps; the first ones are compiled."
+WAITED_FOR = "No episode has ended for a while: one takes up to env.max_steps steps"
+UPDATES = (
+    "or the updates after one are being made, trainer.updates_per_step for each of its steps; the first are compiled"
 )
+
+
+def waited_for(steps: int, learning_starts: int, stats_start: int) -> str:
+    """What a run waits for in which no episode has ended for a while.
+
+    Args:
+        steps: of whole episodes, so far.
+        learning_starts: steps before which actions are random and nothing is learned.
+        stats_start: steps until which a scripted controller acts, whose episodes are learned from.
+    """
+    if steps < learning_starts:
+        return f"{WAITED_FOR}, random ones until step {learning_starts:,}, before which no updates are made."
+    guided = f" The scripted controller acts until step {stats_start:,}, and its episodes are learned from, too."
+    return f"{WAITED_FOR}, {UPDATES}." + (guided if steps < stats_start else "")
 
 
 def barrier_seed(seed: int, episodes: int) -> int:
@@ -76,7 +90,7 @@ class EpisodeTrainer:
         """Sets out what a checkpoint holds."""
         self._last_save = 0
         self._began = time.monotonic()
-        self._stall_notice = StallNotice(WAITED_FOR)
+        self._stall_notice = StallNotice(self._waited_for)
         relabelling = {} if self.backward_reward is None else {"backward_reward": self.backward_reward}
         self.checkpoint = Checkpoint(
             policy=self.policy,
@@ -111,6 +125,9 @@ class EpisodeTrainer:
                     self.save()
                     break
                 self.save_if_due()
+
+    def _waited_for(self) -> str:
+        return waited_for(self.collected_frames, self.learning_starts, self.stats_start)
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
