@@ -11,12 +11,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-import numpy as np
 from omegaconf import DictConfig
 from pydantic import Field
 
 from uavrl.cli.command import command
 from uavrl.cli.errors import terminable
+from uavrl.cli.flight_lines import FlightLines
 from uavrl.cli.lidar import LidarKeys
 from uavrl.cli.telling import beside
 from uavrl.config import validate
@@ -31,7 +31,6 @@ from uavrl.deploy.flight_summary import FlightSummary
 from uavrl.deploy.limits import SafetyLimits
 from uavrl.deploy.log import FlightLog
 from uavrl.deploy.policy import Policy
-from uavrl.deploy.reduction import is_return
 from uavrl.deploy.safety import SafetyLayer
 from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.stages import FlightCycle, VehicleLink
@@ -130,7 +129,7 @@ def main(config: DictConfig) -> None:
     numbers = None if settings.json is None else writable(Path(settings.json), "json=FILE")
     if settings.safety.floor < 0.0 and settings.autopilot is not None:
         print("safety.floor is below the ground, for a bench without propellers: never fly so.", file=sys.stderr)
-    summary, stopped = FlightSummary(), None
+    summary, lines, stopped = FlightSummary(), FlightLines(), None
     with ExitStack() as opened:
         if settings.is_live:
             opened.enter_context(beside())
@@ -150,8 +149,8 @@ def main(config: DictConfig) -> None:
                     summary.add(cycle)
                     if log is not None:
                         _told(log.write, cycle)
-                    if settings.progress:
-                        _tell(cycle, summary)
+                    if settings.progress and (line := lines.of(cycle, summary)) is not None:
+                        print(line, flush=True)
         except KeyboardInterrupt as error:
             stopped = error
     _conclude(summary, numbers)
@@ -207,7 +206,7 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
         scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
         return rehearse(flight, scans, link)
     feed = opened.enter_context(closing(_feed(settings)))
-    return _doubted(fly(flight, feed, link), Doubts(feed.trouble, 1.0 / flight.period))
+    return _doubted(fly(flight, feed, link), Doubts(feed.trouble, 1.0 / flight.period, settings.safety.pose_age))
 
 
 def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
@@ -219,7 +218,7 @@ def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
 
 
 def _doubted(cycles: Iterable[FlightCycle], doubts: Doubts) -> Iterator[FlightCycle]:
-    """The same cycles; tells once what is odd about their scans."""
+    """The same cycles; tells what is odd about their scans and poses."""
     for cycle in cycles:
         yield cycle
         for sentence in doubts.of(cycle):
@@ -237,36 +236,6 @@ def _until_the_end(cycles: Iterable[FlightCycle], settings: FlyConfig) -> Iterat
         taken_over = arrived is not None and cycle.control.control in (Control.TAKEN_OVER, Control.DISARMED)
         if hovered or taken_over or (settings.seconds is not None and cycle.time - first >= settings.seconds):
             return
-
-
-def _tell(cycle: FlightCycle, summary: FlightSummary) -> None:
-    """A line for each change of state, and one each second."""
-    status, seconds = cycle.status, summary.seconds
-    if status.changed:
-        print(f"{seconds:7.1f} s  {status.state} ({status.reason}): {status.sentence}", flush=True)
-    elif summary.is_new_second:
-        print(f"{seconds:7.1f} s  {status.state}  {_line(cycle, summary)}", flush=True)
-
-
-def _line(cycle: FlightCycle, summary: FlightSummary) -> str:
-    """What is known of one cycle: rate, ages, nearest return, way to the goal, set-point."""
-    told = [f"{summary.rate:4.1f} Hz"]
-    told += [
-        f"{name} {1000 * age:3.0f} ms old"
-        for name, age in (("scan", cycle.status.scan_age), ("pose", cycle.status.pose_age))
-        if age is not None
-    ]
-    if cycle.scan is not None:
-        points = cycle.scan.points[is_return(cycle.scan.points)]
-        told.append(f"nearest {np.sqrt((points**2).sum(-1)).min():.2f} m" if len(points) else "nothing near")
-    if cycle.distance is not None:
-        told.append(f"goal {cycle.distance:.1f} m")
-    if cycle.turn:
-        told.append(f"way {abs(np.degrees(cycle.turn)):.0f}° {'left' if cycle.turn > 0 else 'right'} of it")
-    if cycle.status.setpoint is not None:
-        forward, left, up, turn = cycle.status.setpoint
-        told.append(f"forward {forward:+.2f} left {left:+.2f} up {up:+.2f} m/s turn {turn:+.2f} rad/s")
-    return "  ".join(told)
 
 
 def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
