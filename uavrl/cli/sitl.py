@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from uavrl.envs.navigation import NavigationEnv
 
 
+LIDAR, AUTOPILOT = "udp://127.0.0.1:2368", "udp://127.0.0.1:14540"
+
+
 @dataclass
 class SitlConfig:
     """conf/sitl.yaml: one task."""
@@ -43,8 +46,8 @@ class SitlConfig:
     task: Whole = 0
     seed: Seed = 20_000
     valleys: Valleys | None = None
-    lidar: Folder = "udp://127.0.0.1:2368"
-    autopilot: Folder = "udp://127.0.0.1:14540"
+    lidar: Folder = LIDAR
+    autopilot: Folder = AUTOPILOT
     firmware: FirmwareName = "px4"
     armed: bool = True
     speed: Positive | Literal["lockstep"] = 1.0
@@ -56,9 +59,12 @@ class SitlConfig:
 
     def __post_init__(self) -> None:
         """Checks the addresses, and that the environment is a valley."""
-        for key in ("lidar", "autopilot"):
-            require(bool(address(getattr(self, key))[0]), key, "udp://HOST:PORT, where to send to", getattr(self, key))
+        for key, example in (("lidar", LIDAR), ("autopilot", AUTOPILOT)):
+            told = f"udp://HOST:PORT, where to send to, such as {example}"
+            require(_is_host(getattr(self, key)), key, told, getattr(self, key))
         require("world" in self.env, "env", "a valley", self.choices.get("env"))
+        sensor = "one that reads a LiDAR, such as truncated_icosahedron: its perception.lidar is the vehicle's sensor"
+        require(self.perception.get("_target_") is not None, "perception", sensor, self.choices.get("perception"))
 
 
 @command("sitl")
@@ -146,6 +152,14 @@ def _sentence(result: Result) -> str:
         late = "{:.1f} ms (median), at most {:.0f} ms".format(*result.packets_late_ms)
         kept = f"; {100 * result.rate:.0f} % of the speed was held, packets were late by {late}"
     return f"{went} (nearest {result.least_distance:.1f} m){kept}."
+
+
+def _is_host(where: str) -> bool:
+    """Whether something can be sent to an address, which needs its host."""
+    try:
+        return bool(address(where)[0])
+    except UavrlError:
+        return False
 
 
 def _write(file: Path | None, told: dict[str, Any]) -> None:

@@ -45,9 +45,11 @@ class Faults:
         for name in ("lidar_silent", "pose_silent"):
             span = getattr(self, name)
             if span is not None and not 0.0 <= span[0] <= span[1]:
-                raise UavrlError(f"faults.{name} must be two times in s, the earlier first, got {list(span)}.")
+                raise UavrlError(f"faults.{name} must be two times in s from 0, the earlier first, got {list(span)}.")
         if self.product is not None and not 0 <= self.product < 256:
             raise UavrlError(f"faults.product must be a byte, 0 to 255, got {self.product}.")
+        if self.seed < 0:
+            raise UavrlError(f"faults.seed must be a whole number from 0, got {self.seed}.")
         self._rng = np.random.default_rng(self.seed)
         self._kept: list[bytes] = []
 

@@ -29,6 +29,11 @@ _logger = logging.getLogger(__name__)
 LIDAR, AUTOPILOT = (f"udp://127.0.0.1:{port}" for port in (LIDAR_PORT, AUTOPILOT_PORT))
 LATE = 0.1  # s behind its time, after which the simulator gives up catching up
 TURN = 0.1  # s of the LiDAR
+HELD = 0.9  # of real time: a companion that measures ages takes poses of a slower clock for old ones
+TOO_SLOW = (
+    "Its clock went slower than real time, and a companion such as uavrl-fly then takes its poses for old: look at the "
+    "processor's load, or lower perception.lidar.max_range."
+)
 _TICK = 0.02  # s between two looks while a set-point is waited for
 
 
@@ -174,7 +179,8 @@ class Sitl:
     def _is_over(self, now: float) -> bool:
         """Whether the episode has ended and the vehicle has lingered; refuses to wait for ever."""
         if self._wanted is None and not self._lockstep and now > self._patience:
-            raise UavrlError(f"No companion took control within {self._patience:g} s: {self._who_flies()}.")
+            slow = f" {TOO_SLOW}" if self._speed * self._share_held() < HELD else ""
+            raise UavrlError(f"No companion took control within {self._patience:g} s: {self._who_flies()}.{slow}")
         return self._ended is not None and now >= self._ended + self._linger
 
     def _who_flies(self) -> str:
@@ -217,13 +223,16 @@ class Sitl:
             result.outcome, self._ended = self._episode.outcome or "time_out", now
 
     def _conclude(self) -> None:
-        passed = time.monotonic() - self._begun
-        if not self._lockstep and passed > 0:
-            self.result.rate = 1.0 - self._lost / passed
+        self.result.rate = self._share_held()
         if self._lateness:
             late = 1000.0 * np.array(self._lateness)
             self.result.packets_late_ms = (round(float(np.median(late)), 3), round(float(late.max()), 3))
         self.close()
+
+    def _share_held(self) -> float:
+        """Which share of the asked speed was held."""
+        passed = time.monotonic() - self._begun
+        return 1.0 if self._lockstep or passed <= 0 else 1.0 - self._lost / passed
 
     def _wait(self, until: float) -> None:
         """Sends what is due and hears what comes until a time of the vehicle's clock; what is late is sent first."""
@@ -242,7 +251,8 @@ class Sitl:
         if behind > LATE:
             if not self._lost:
                 _logger.warning(
-                    "The simulator cannot hold speed=%g here: it is %.2f s behind, and its clock now goes slower.",
+                    "The simulator cannot hold speed=%g here: it is %.2f s behind, and its clock now goes slower. "
+                    "Look at the processor's load; perception.lidar.max_range=4 needs less of it.",
                     self._speed,
                     behind,
                 )
