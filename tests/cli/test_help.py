@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
+from omegaconf import OmegaConf
 
 from tests.helpers.commands import in_process
+from tests.helpers.configs import composed
 from uavrl.cli import evaluate, main, replay, train
 from uavrl.cli.help import ABOUT, MOST_USED, help_text
 from uavrl.cli.keys import known_keys
@@ -26,6 +30,23 @@ def test_every_key_is_explained_in_full_help(name: str) -> None:
     expected = {key for key in known_keys(name) if key not in parts and key.partition(".")[0] not in rows}
     groups = {key.partition(".")[0] for key in known_keys(name) if "." in key}
     assert sorted(expected - groups - told) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "default"),
+    [
+        ("sitl", "perception.lidar.max_range", "100"),  # its own, where the perception's is 4 m
+        ("sitl", "env.world.planes", "0"),
+        ("evaluate", "perception.statistic", "face"),
+        ("config", "algo.policy_delay", "2"),  # TD3's, where DDPG and SAC have 1
+        ("config", "reward.arrived_reward", "200.0"),
+    ],
+)
+def test_full_help_tells_the_default_of_the_default_choice(name: str, key: str, default: str) -> None:
+    assert str(OmegaConf.select(composed(name), key)) == default
+    rows = re.split(r"\n  (?=\S)", help_text(name, every_key=True))
+    (row,) = (row for row in rows if row.split()[0] == key)
+    assert row.split()[-1] == f"({default})"
 
 
 def test_what_is_asked_for_is_shown_and_nothing_else_is_done(capsys: pytest.CaptureFixture[str]) -> None:

@@ -78,7 +78,7 @@ def help_text(name: str, *, every_key: bool = False) -> str:
     }
     if choices:
         lines += ["", "What can be chosen, [the default] in brackets", *_table(choices)]
-    known = {key.name: key for key in [*keys(main), *_keys_of_groups(groups, chosen)]}
+    known = _known(main, groups, chosen)
     if every_key:
         shown = {key.name: f"{key.meaning} ({key.value})" if key.value else key.meaning for key in known.values()}
         lines += ["", "All keys, with their default in brackets", *_table({k: v for k, v in shown.items() if v})]
@@ -103,6 +103,14 @@ def keys(path: Path, prefix: str = "") -> list[Key]:
             found.append(Key(name, match["value"].strip(), match["meaning"]))
         above.append((indent, match["key"]))
     return found
+
+
+def _known(main: Path, groups: dict[str, list[str]], chosen: dict[str, str]) -> dict[str, Key]:
+    """All keys by their names, as the command itself has them, or else the choice that is its default."""
+    known: dict[str, Key] = {}
+    for key in (*keys(main), *_keys_of_groups(groups, chosen)):
+        known.setdefault(key.name, key)
+    return known
 
 
 def _keys_of_groups(groups: dict[str, list[str]], chosen: dict[str, str]) -> Iterator[Key]:
