@@ -33,7 +33,7 @@ LIGHT = {
     "pretrain": {"pretrain.stats=0": "There is no key 'pretrain.stats': did you mean pretrain.states?"},
     "fly": {"policy=none": "goal must be three numbers"},
     "sitl": {"speed=0": "speed must be", "firmware=betaflight": "firmware must be one of px4, ardupilot"},
-    "scan": {"source=none.bin": "There is no none.bin: give source=FILE"},
+    "scan": {"source=none.bin": "There is no none.bin: give udp://:PORT, a capture"},
     "export": {"output=null": "output must be a folder to write the policy to"},
 }
 SLOW = {

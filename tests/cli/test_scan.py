@@ -54,7 +54,7 @@ def test_points_on_the_vehicle_are_left_out(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (["model=VLP16"], "source must be a file, a rosbag's folder or udp://:PORT, got None"),
-        (["source=none.bin", "model=VLP16"], "There is no none.bin: give source=FILE or source=udp://:2368"),
+        (["source=none.bin", "model=VLP16"], "There is no none.bin: give udp://:PORT, a capture (.pcap), "),
         ([f"source={RECORDED}"], "model must be one of VLP16"),
         ([f"source={RECORDED}", "model=VLP32C"], "a VLP32C has 40: name the model that sent them"),
         ([f"source={RECORDED}", "model=VLP16", "vehicle=[1,2,3]"], "vehicle must be six numbers"),

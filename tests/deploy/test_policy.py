@@ -189,7 +189,10 @@ def truncated_with_its_checksum(folder: Path) -> None:
 
 
 DAMAGES: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "no contract": (lambda folder: (folder / "contract.json").unlink(), "contract.json and found no such file"),
+    "no contract": (
+        lambda folder: (folder / "contract.json").unlink(),
+        "contract.json and found no such file: write one by uavrl-export policy=best output=FOLDER",
+    ),
     "no network": (lambda folder: (folder / "policy.onnx").unlink(), "policy.onnx and found no such file"),
     "cut contract": (cut("contract.json", 100), "contract.json is damaged (its text: "),
     "no json": (written("contract.json", b"\xff\x00"), "contract.json is damaged"),

@@ -23,6 +23,7 @@ from uavrl.runs.names import CONTRACT
 FORMAT, VERSION = "uavrl.contract", 1
 LARGEST = 2**20  # bytes of the file; ours have ten thousand
 REMEDY = "export the policy again with uavrl-export"
+EXPORT = "write one by uavrl-export policy=best output=FOLDER, or with run=RUN_FOLDER, and give that folder"
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -268,7 +269,7 @@ def read_contract(folder: Path) -> Contract:
 def read_file(path: Path, largest: int) -> bytes:
     """What is in a file of an exported policy."""
     if not path.is_file():
-        raise UavrlError(f"Expected an exported policy with {path} and found no such file: {REMEDY}.")
+        raise UavrlError(f"Expected an exported policy with {path} and found no such file: {EXPORT}.")
     if path.stat().st_size > largest:
         raise UavrlError(f"{path} has more than {largest:,} bytes, which no policy needs: {REMEDY}.")
     return path.read_bytes()

@@ -127,7 +127,7 @@ def read_bare(path: Path) -> Iterator[tuple[float, bytes]]:
 def _kind(path: Path) -> str:
     """What a file is, by how it begins."""
     if not path.exists():
-        raise UavrlError(f"There is no {path}: give source=FILE or source=udp://:2368.")
+        raise UavrlError(f"There is no {path}: give {KINDS}.")
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return "ros"
