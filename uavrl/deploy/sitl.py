@@ -44,7 +44,7 @@ class Result:
     outcome: str = "stopped"  #: success, collision, time_out, or stopped
     seconds: float = 0.0  #: from the first set-point that was obeyed
     steps: int = 0  #: of 0.1 s, likewise
-    distance: float = math.inf  #: to the middle of the goal at the end, m
+    distance: float = math.inf  #: horizontally to the middle of the goal at the end, m
     least_distance: float = math.inf  #: likewise, in all, m
     setpoints: int = 0  #: that were obeyed
     rate: float = 1.0  #: share of the asked speed that was held
