@@ -10,6 +10,7 @@ import pytest
 from tests.helpers.autopilot_peer import free_port
 from tests.helpers.commands import VALLEY, in_process
 from uavrl.cli import sitl
+from uavrl.deploy.sitl import Result
 
 
 @pytest.mark.parametrize(
@@ -38,6 +39,12 @@ def test_mistakes_are_told_in_a_sentence(argument: str, says: str, capsys: pytes
     assert in_process(sitl.main, argument) == 1
     out, err = capsys.readouterr()
     assert says in err and len(err.splitlines()) == 1 and out == ""
+
+
+def test_what_was_stopped_is_told_once() -> None:
+    assert sitl._stopped(Result()) == "stopped: No set-point was obeyed."
+    flown = Result(seconds=4.8, distance=23.94, least_distance=20.0, setpoints=48)
+    assert sitl._stopped(flown) == "stopped after 4.8 s, 23.9 m from the goal (nearest 20.0 m)."
 
 
 def test_a_task_without_a_companion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

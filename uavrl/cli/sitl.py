@@ -103,7 +103,7 @@ def _play(settings: SitlConfig, env: NavigationEnv, file: Path | None) -> Result
                 sitl.run()
         except KeyboardInterrupt as error:
             number = getattr(error, "number", signal.SIGINT)
-            raise Stopped(f"stopped: {_sentence(sitl.result)}", number) from error
+            raise Stopped(_stopped(sitl.result), number) from error
         finally:
             _write(file, told | sitl.result.facts())
     return sitl.result
@@ -152,6 +152,12 @@ def _sentence(result: Result) -> str:
         late = "{:.1f} ms (median), at most {:.0f} ms".format(*result.packets_late_ms)
         kept = f"; {100 * result.rate:.0f} % of the speed was held, packets were late by {late}"
     return f"{went} (nearest {result.least_distance:.1f} m){kept}."
+
+
+def _stopped(result: Result) -> str:
+    """How it went until it was stopped, behind the command's name."""
+    text = _sentence(result)
+    return f"s{text[1:]}" if text.startswith("Stopped") else f"stopped: {text}"
 
 
 def _is_host(where: str) -> bool:
