@@ -31,7 +31,7 @@ from uavrl.config.build import find_class
 from uavrl.errors import UavrlError
 from uavrl.machine import processors
 from uavrl.mapping import episode_map, goal_finder, lines, route
-from uavrl.rollout import remembered, rrt_connect, ways
+from uavrl.rollout import evasion, hull, remembered, rrt_connect, ways
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import BASELINES, PACKAGED, named_policy
 from uavrl.rollout.rollout import rollout
@@ -129,7 +129,7 @@ def main() -> None:
     for name in args.rivals:
         cells = [cell for row in args.rows for cell in row_of(found[name][row], told_of_best(row))]
         kind = find_class(BASELINES[name], object)
-        own = [sys.modules[kind.__module__]] + [remembered] * issubclass(kind, remembered.Planner)
+        own = [sys.modules[kind.__module__]] + [remembered, hull, evasion] * issubclass(kind, remembered.Planner)
         own += [ways, lines] * issubclass(kind, rrt_connect.RRTConnect)
         own += [rrt_connect, episode_map, goal_finder, route] * (name == "rrt_map")
         times = ", ".join(f"{milliseconds(name, vehicles):.1f}" for vehicles in (1, 16))
