@@ -54,7 +54,12 @@ def fly(name: str, row: str, folder: Path, tasks: int) -> dict[str, Any]:
     """A row of the suite, flown by the command that anybody would use; what is there is not flown again."""
     chosen = [f"policy={name}", *RIVALS[name], f"suite=[{row}]", f"output={folder / name}", "progress=false"]
     command = [sys.executable, "-m", "uavrl", "evaluate", *chosen, f"episodes={tasks}"]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    code = subprocess.run(command, stdout=subprocess.DEVNULL).returncode
+    if code:
+        raise UavrlError(
+            f"{name}, {row}: uavrl evaluate has ended with {code}, and tells why above; start the same command again, "
+            f"which flies what is missing."
+        )
     found: dict[str, Any] = json.loads((folder / name / f"{row}.json").read_text(encoding="utf-8"))
     print(f"{name}, {row}: {100 * found['success']['rate']:.1f} %", file=sys.stderr, flush=True)
     return {key: value for key, value in found.items() if key != "flights"}

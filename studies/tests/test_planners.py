@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -18,6 +19,7 @@ from matplotlib.image import imread
 
 from tests.helpers.flights import small_recording
 from uavrl.envs.tasks import FlightMap, FreeSpace
+from uavrl.errors import UavrlError
 from uavrl.rollout.mppi import MPPIWeights
 from uavrl.rollout.recording import save_recording
 
@@ -54,12 +56,13 @@ def test_rivals_are_told_beside_the_packaged_policy(
 
     of_best, commands = json.loads(rivals.BEST.read_text()), list[str]()
 
-    def run(command: list[str], **more: Any) -> None:
+    def run(command: list[str], **more: Any) -> subprocess.CompletedProcess[str]:
         commands.append(" ".join(command[4:]))
         (tmp_path / "mppi").mkdir(exist_ok=True)
         row = command[5].removeprefix("suite=[").removesuffix("]")
         told = {**of_best[row], "outcomes": "C" * 500, "flights": []}
         (tmp_path / f"mppi/{row}.json").write_text(json.dumps(told))
+        return subprocess.CompletedProcess(command, 0)
 
     monkeypatch.setattr(rivals.subprocess, "run", run)
     monkeypatch.setattr(rivals, "milliseconds", lambda name, vehicles: float(vehicles))
@@ -77,6 +80,15 @@ def test_rivals_are_told_beside_the_packaged_policy(
     kept = json.loads((tmp_path / "t.json").read_text())["mppi"]
     assert set(kept) == {"dense", "real"} and "flights" not in kept["real"]
     assert rivals.lines_of(importlib.import_module("uavrl.rollout.potential_field")) in range(30, 60)
+
+
+def test_a_row_that_fails_is_named_in_a_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    import rivals
+
+    failed = subprocess.CompletedProcess([], 1)
+    monkeypatch.setattr(rivals.subprocess, "run", lambda *_, **__: failed)
+    with pytest.raises(UavrlError, match=r"mppi, dense: uavrl evaluate has ended with 1, .* flies what is missing"):
+        rivals.fly("mppi", "dense", tmp_path, 2)
 
 
 def test_who_knows_the_map_arrives_and_is_not_sooner_than_straight_on(said: Said, tmp_path: Path) -> None:
