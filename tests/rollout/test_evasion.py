@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from uavrl.config.build import find_class
+from uavrl.envs import Airframe
 from uavrl.motion.threats import HIGH, STEPS, WIDE
 from uavrl.rollout.evasion import evaded
 from uavrl.rollout.hull import hull_distances
@@ -57,6 +58,17 @@ def test_a_planner_that_is_told_what_moves_keeps_out_of_its_way(
 ) -> None:
     assert flight(made(name, None), begin, speed) < 0.6
     assert flight(made(name, 12.0), begin, speed) > 0.85
+
+
+def test_what_moves_is_told_from_the_lidar_and_reckoned_from_the_hull() -> None:
+    """The LiDAR sits 0.5 m over the hull's middle, which is 0.3 m ahead of it where the vehicle pitches by 0.6435."""
+    planner = find_class(BASELINES["mppi"], Planner)(motion=12.0, airframe=Airframe(lidar_position=(0.0, 0.0, 0.5)))
+    told = torch.tensor([5.0, 0.0, -0.5, -3.0, 0.0, 0.0, 1.0, *[0.0] * 14]).expand(2, -1)
+    tilts = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.6435, 2.0]])
+    state = TensorDict({"moving_objects": told, "attitude": tilts, "is_init": torch.zeros(2, 1, dtype=torch.bool)}, [2])
+    ways, known = planner._moving(state)
+    assert known.tolist() == [[True, False, False]] * 2
+    assert ways[:, 0, 0].flatten().tolist() == pytest.approx([4.7, 0.0, 0.0, 5.0, 0.0, -0.1], abs=1e-4)
 
 
 @pytest.mark.parametrize("name", PLANNERS)

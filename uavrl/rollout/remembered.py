@@ -252,4 +252,7 @@ class Planner(TensorDictModuleBase):
         if self.motion is None:
             count = len(tensordict["is_init"])
             return torch.zeros(count, 0, STEPS, 3), torch.zeros(count, 0, dtype=torch.bool)
-        return straight_on(tensordict["moving_objects"])
+        ways, known = straight_on(tensordict["moving_objects"])  # from the LiDAR
+        tilt = tensordict["attitude"].double().numpy() * [1.0, 1.0, 0.0]
+        sensor = self.memory.above * torch.from_numpy(body_to_world(tilt)[:, :, 2]).to(ways)
+        return ways + sensor[:, None, None], known
