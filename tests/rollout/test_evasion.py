@@ -15,7 +15,7 @@ from uavrl.motion.threats import HIGH, STEPS, WIDE
 from uavrl.rollout.evasion import evaded
 from uavrl.rollout.hull import hull_distances
 from uavrl.rollout.policies import BASELINES, named_policy
-from uavrl.rollout.remembered import PERIOD, Planner
+from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, Planner
 
 PLANNERS = ("vfh_star", "mppi", "potential_field", *["rrt_connect", "rrt_map"] * bool(find_spec("ompl")))
 NOTHING = torch.full((1, 16, 3), torch.nan)
@@ -27,12 +27,13 @@ def made(name: str, motion: float | None) -> Planner:
 
 
 def flight(planner: Callable[[TensorDict], TensorDict], begin: list[float], speed: list[float]) -> float:
-    """How near a body comes that flies straight on, of what is too near, while the planner flies ahead; 1 is."""
+    """How near a body comes that flies straight on, while the planner flies ahead; 1 keeps the margin, 0.66 touches."""
     place, velocity, nearest = torch.zeros(3), torch.tensor([2.0, 0.0, 0.0]), float("inf")
     for step in range(40):
         apart = torch.tensor(begin) + PERIOD * step * torch.tensor(speed) - place
         nearest = min(nearest, float(torch.maximum(apart[:2].norm() / WIDE, apart[2].abs() / HIGH)))
-        told = torch.cat([apart, torch.tensor([*speed, 1.0]), torch.zeros(14)])
+        from_lidar = apart - torch.tensor([0.0, 0.0, LIDAR_ABOVE])
+        told = torch.cat([from_lidar, torch.tensor([*speed, 1.0]), torch.zeros(14)])
         state = {
             "point_cloud": NOTHING,
             "is_init": torch.tensor([[step == 0]]),
@@ -57,7 +58,7 @@ def test_a_planner_that_is_told_what_moves_keeps_out_of_its_way(
     name: str, begin: list[float], speed: list[float]
 ) -> None:
     assert flight(made(name, None), begin, speed) < 0.6
-    assert flight(made(name, 12.0), begin, speed) > 0.85
+    assert flight(made(name, 12.0), begin, speed) > 0.75
 
 
 def test_what_moves_is_told_from_the_lidar_and_reckoned_from_the_hull() -> None:
