@@ -100,6 +100,11 @@ def _led(chosen: PolicySetup) -> PolicySetup:
     """The same along the way that its perception remembers; what reads the observation alone is led by that."""
     if chosen.perception.get("memory") is None or "heading_deg" not in getattr(chosen.policy, "in_keys", ()):
         return chosen
+    if getattr(chosen.policy, "has_map", False):
+        raise UavrlError(
+            f"policy={chosen.source['policy']} has a map of its own, which perception.memory would lead astray: leave "
+            "perception.memory out, or choose another policy."
+        )
     from uavrl.rollout.led import Led
 
     return replace(chosen, policy=Led(chosen.policy))

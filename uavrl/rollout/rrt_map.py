@@ -54,6 +54,8 @@ class RRTMap(RRTConnect):
         [[2.0, 0.0, 0.0, 0.0]]
     """
 
+    has_map = True  # which needs the goal's own direction, not that of another map's waypoint
+
     def __init__(
         self,
         flight_level: float = 3.5,
