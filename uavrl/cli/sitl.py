@@ -20,6 +20,7 @@ from uavrl.config.settings import Valleys
 from uavrl.deploy.autopilot import mavlink
 from uavrl.deploy.faults import Faults
 from uavrl.deploy.simulated_autopilot import FirmwareName
+from uavrl.deploy.sitl import AUTOPILOT, LIDAR
 from uavrl.deploy.udp import address
 from uavrl.errors import Stopped, UavrlError
 from uavrl.ranges import Folder, NonNegative, Positive, Seed, Text, Whole
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
     from uavrl.deploy.sitl import Result
     from uavrl.envs.live import LiveEpisode
     from uavrl.envs.navigation import NavigationEnv
-
-
-LIDAR, AUTOPILOT = "udp://127.0.0.1:2368", "udp://127.0.0.1:14540"
 
 
 @dataclass

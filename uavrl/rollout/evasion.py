@@ -13,6 +13,7 @@ SLOWNESS, THREAT = 0.3, 3.0  # what standing costs, and a collision; chosen by h
 NEAR, FAR = 0.15, 0.6  # m between hull and obstacle: a collision, and where it begins to cost, by hand, too
 SOON = 10  # steps of 0.1 s in which that is looked for
 OUTSIDE = 10.0  # cost of a metre beyond the altitudes in which one may fly
+OTHERS = torch.cat([(ACTION_LIMIT * SHARES[:-1, None, None] * DIRECTIONS).flatten(0, 1), torch.zeros(1, 3)])
 
 
 def evade(
@@ -71,9 +72,8 @@ def evaded(
     """
     worst = greatest_threats(planned, velocity, ways, known)
     flown = planned.clone()
-    others = (ACTION_LIMIT * SHARES[:-1, None, None] * DIRECTIONS).flatten(0, 1)
     for one in worst.nonzero()[:, 0].tolist():
-        tried = torch.cat([planned[one, None], others, torch.zeros(1, 3)])[None]  # [1, C, 3]
+        tried = torch.cat([planned[one, None], OTHERS])[None]  # [1, C, 3]
         own = slice(one, one + 1)
         path = predict_path(tried, velocity[own, None])[0, :, :SOON]  # [C, T, 3]
         beside = hull_distances(points[one], path, NEAR, hull)
