@@ -15,9 +15,8 @@ class _Known(metaclass=Singleton):
     """
 
     def __init__(self) -> None:
-        self.by_place: dict[
-            Path, tuple[int, bool]
-        ] = {}  # of each run: its place in the sweep, and whether it has ended
+        # Of each run: its place in the sweep, and whether it has ended.
+        self.by_place: dict[Path, tuple[int, bool]] = {}
         self.twice: set[Path] = set()  # runs of two combinations, each of which another process trained
 
 
