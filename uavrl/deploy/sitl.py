@@ -109,7 +109,7 @@ class Sitl:
         self._lateness: list[float] = []
         self._wanted: float | None = None  # when the first set-point was obeyed
         self._ended: float | None = None
-        self._lost, self._begun = 0.0, 0.0
+        self._flown, self._lost, self._begun = 0.0, 0.0, 0.0  # s: by the vehicle's clock; by ours, twice
         self.result = Result(modes=self.autopilot.changes)
 
     def close(self) -> None:
@@ -147,7 +147,8 @@ class Sitl:
             self._packets += self._stream.add(self._episode.points[rays], rays.start, turn * TURN)
             self._note(now + PIECE)
             piece += 1
-            self._wait(piece * PIECE)
+            self._flown = piece * PIECE
+            self._wait(self._flown)
 
     def _run_in_step(self) -> None:
         step, waited = 0, time.monotonic()
@@ -232,7 +233,7 @@ class Sitl:
     def _share_held(self) -> float:
         """Which share of the asked speed was held."""
         passed = time.monotonic() - self._begun
-        return 1.0 if self._lockstep or passed <= 0 else 1.0 - self._lost / passed
+        return 1.0 if self._lockstep or passed <= 0 else min(self._flown / (passed * self._speed), 1.0)
 
     def _wait(self, until: float) -> None:
         """Sends what is due and hears what comes until a time of the vehicle's clock; what is late is sent first."""
