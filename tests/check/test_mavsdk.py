@@ -68,7 +68,7 @@ async def vehicle(*options: str) -> AsyncIterator[Client]:
     ground, port = Ground(), free_port()
     addresses = [f"lidar={ground.addresses[0]}", f"autopilot=udp://127.0.0.1:{port}"]
     command = ["-m", "uavrl.cli.sitl", *VALLEY, "env.world.obstacles=0", *addresses, *options]
-    with closing(ground.lidar):
+    with closing(ground):
         process = await asyncio.create_subprocess_exec(sys.executable, *command)
         configuration = mavsdk.Configuration.create_with_component_type(ComponentType.GROUND_STATION)
         try:

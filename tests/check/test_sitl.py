@@ -39,7 +39,7 @@ REAL = validate(compose("randomize=real")).env.randomize
 @pytest.fixture
 def ground() -> Iterator[Ground]:
     made = Ground()
-    with closing(made.lidar):
+    with closing(made):
         yield made
 
 
@@ -95,7 +95,7 @@ def test_a_command_plays_a_task_and_says_how_it_went(tmp_path: Path) -> None:
     lidar, autopilot = ground.addresses
     options = [f"lidar={lidar}", f"autopilot={autopilot}", f"json={told}", "linger=0.2"]
     command = [sys.executable, "-m", "uavrl.cli.sitl", *VALLEY, "env.world.obstacles=0", *options]
-    with closing(ground.lidar), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with closing(ground), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         introduced = process.stdout.readline()
         task = json.loads(told.read_text())
@@ -128,7 +128,7 @@ def test_a_signal_ends_it_with_what_came_of_it(tmp_path: Path, number: int, code
     command = [sys.executable, "-m", "uavrl.cli.sitl", *VALLEY, *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     heard = partial(signal.signal, number, signal.SIG_DFL)  # who runs this under nohup has told it not to hear
-    with closing(ground.lidar), subprocess.Popen(command, preexec_fn=heard, **pipes) as process:  # type: ignore[call-overload]
+    with closing(ground), subprocess.Popen(command, preexec_fn=heard, **pipes) as process:  # type: ignore[call-overload]
         process.stdout.readline()
         time.sleep(0.5)
         process.send_signal(number)
@@ -149,7 +149,7 @@ def test_in_lockstep_it_is_the_environment_bit_by_bit() -> None:
     episode = LiveEpisode(env, 1)
     sitl = Sitl(episode, *ground.addresses, speed="lockstep", max_steps=12, linger=0.0)
     thread, sent, seen = running(sitl), 0, []
-    with closing(ground.lidar), Autopilot(ground.addresses[1], set_mode=True) as link:
+    with closing(ground), Autopilot(ground.addresses[1], set_mode=True) as link:
         while thread.is_alive():
             now = time.monotonic()
             link.receive(now)

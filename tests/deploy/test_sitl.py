@@ -23,7 +23,7 @@ from uavrl.errors import UavrlError
 @pytest.fixture
 def ground() -> Iterator[Ground]:
     made = Ground()
-    with closing(made.lidar):
+    with closing(made):
         yield made
 
 

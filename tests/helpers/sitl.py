@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import select
 import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -65,22 +67,41 @@ class Scripted:
 
 
 class Ground:
-    """What a companion has: the LiDAR's port and an Autopilot."""
+    """What a companion has: the LiDAR's port and an Autopilot.
+
+    A thread reads the port while the vehicle flies: many a Linux keeps no more than a quarter of a second for it.
+    """
 
     def __init__(self) -> None:
         self.port, self.lidar = free_port(), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.lidar.bind(("127.0.0.1", 0))
-        self.lidar.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**22)
         self.lidar.setblocking(False)
         self.addresses = (f"udp://127.0.0.1:{self.lidar.getsockname()[1]}", f"udp://127.0.0.1:{self.port}")
+        self._read, self._reading, self._closed = list[bytes](), threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        while not self._closed.is_set():
+            if select.select([self.lidar], [], [], 0.05)[0]:
+                self._read_all()
+
+    def _read_all(self) -> None:
+        with self._reading, suppress(BlockingIOError):
+            while True:
+                self._read.append(self.lidar.recv(2048))
 
     def packets(self) -> list[bytes]:
-        found = []
-        while True:
-            try:
-                found.append(self.lidar.recv(2048))
-            except BlockingIOError:
-                return found
+        """What has come since the last call."""
+        self._read_all()
+        with self._reading:
+            read, self._read = self._read, []
+        return read
+
+    def close(self) -> None:
+        self._closed.set()
+        self._thread.join()
+        self.lidar.close()
 
 
 def fly(ground: Ground, seconds: float, setpoint: tuple[float, ...], until: Callable[[], bool] = lambda: False) -> Any:
