@@ -10,7 +10,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uavrl.command_line import command_line
+from uavrl.command_line import command_line, readable
 
 NAMES = [
     "runs/a b",
@@ -58,3 +58,18 @@ def test_a_folder_that_is_called_as_the_home_folder_lies_here() -> None:
 def test_plain_words_stay_plain() -> None:
     told = command_line("uavrl-replay", run=Path("runs/2026-01-01_static"), packages=["mine"], episodes=4)
     assert told == "uavrl-replay run=runs/2026-01-01_static 'packages=[mine]' episodes=4"
+
+
+def as_read(given: str) -> object:
+    """What a command takes a word for."""
+    return OverridesParser.create().parse_override(readable(given)).value()
+
+
+@pytest.mark.parametrize("name", ["/home/jürgen/runs (1)", "学习/a b", "a=1", "a^2", "a;b", "€", "a\\ü\\", "~/a"])
+def test_a_text_that_hydras_grammar_does_not_know_needs_no_quotes(name: str) -> None:
+    assert as_read(f"run_dir={name}") == name
+
+
+@pytest.mark.parametrize("given", ["a=1", "a=[1,2]", "a=1,2", "a='b", "a=[1", "~a", "a", "a=", "=ü", "a=${b}", "a=x y"])
+def test_all_else_stays_as_it_was(given: str) -> None:
+    assert readable(given) == given

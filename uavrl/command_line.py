@@ -1,4 +1,4 @@
-"""Command lines that can be typed as they are printed: quoted for Hydra, and for the shell around it."""
+"""Command lines as they are typed and printed: quoted for Hydra, and for the shell around it."""
 
 import re
 import shlex
@@ -40,6 +40,28 @@ def override(key: str, value: object) -> str:
     if not isinstance(value, str | Path) and isinstance(value, Iterable):
         return f"{key}=[{','.join(_text(item) for item in value)}]"
     return f"{key}={_text(value)}"
+
+
+def readable(given: str) -> str:
+    """What was typed as ``KEY=VALUE``, as Hydra reads it: a value that it cannot read, and that is no list, is a text.
+
+    Hydra's grammar knows ASCII letters and some signs; folders have other names, too.
+
+    Examples:
+        >>> readable("run=/home/jürgen/runs (1)"), readable("episodes=60"), readable("seeds=[1,2")
+        ('run="/home/jürgen/runs (1)"', 'episodes=60', 'seeds=[1,2')
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    key, _, value = given.partition("=")
+    if not key or not value or set(value) & set("\"'[]{},"):
+        return given
+    try:
+        OverridesParser.create().parse_override(given)
+    except HydraException:
+        return override(key, value)
+    return given
 
 
 def _text(value: object) -> str:

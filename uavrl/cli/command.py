@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
@@ -21,7 +20,7 @@ from omegaconf.errors import OmegaConfBaseException
 from uavrl.cli.errors import command_process, configure_logging, one_sentence
 from uavrl.cli.help import ABOUT, EXAMPLES, show
 from uavrl.cli.keys import check_choices, choices_with, known_keys
-from uavrl.command_line import override
+from uavrl.command_line import readable
 from uavrl.config import conf_dir
 from uavrl.config.parts import PARTS, names_taken
 from uavrl.config.sentences import did_you_mean
@@ -61,6 +60,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
                 if show(name):
                     return
                 _refuse_options(name)
+                _read_texts()
                 configure_logging()
                 with _explaining(name, lambda: begun):
                     by_hydra()
@@ -93,7 +93,7 @@ def explained(error: Exception, name: str) -> str:
     """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``."""
     first = next(iter(str(error).splitlines()), type(error).__name__)
     if isinstance(error, OverrideParseException):
-        return f"The override {error.override!r} cannot be read: {_readable(str(error.override), name)}."
+        return f"The override {error.override!r} cannot be read: {_hint(str(error.override), name)}."
     if isinstance(error, BrokenProcessPool):
         return (
             "A process of the sweep was killed, often for want of memory: start the same command again, which goes on "
@@ -151,13 +151,16 @@ def _refuse_options(name: str) -> None:
         raise UavrlError(f"{command} has no option {option}{did_you_mean(key, known, ': ', other, SLIP)}")
 
 
-def _readable(given: str, name: str) -> str:
+def _read_texts() -> None:
+    """Has Hydra read the overrides whose values it could not read as texts."""
+    overrides = get_args_parser().parse_args(sys.argv[1:]).overrides
+    sys.argv[1:] = [readable(each) if each in overrides else each for each in sys.argv[1:]]
+
+
+def _hint(given: str, name: str) -> str:
     """How to write an override that Hydra cannot read."""
-    key, equals, value = given.partition("=")
-    if not equals:
+    if "=" not in given:
         return f"write KEY=VALUE, as in {ABOUT[name][0]} {EXAMPLES[name][0]}"
-    if equals and key and value and not set(value) & set("\"'[]{}(),"):
-        return f"if the value is a text, type {shlex.quote(override(key, value))}"
     return "write KEY=VALUE, and quotes around special characters"
 
 

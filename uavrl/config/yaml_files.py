@@ -9,6 +9,7 @@ from hydra import initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from uavrl.command_line import readable
 from uavrl.errors import UavrlError
 
 NONE = "none"  # the choice that leaves a part out
@@ -44,7 +45,7 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
     if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
         overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose_again(*overrides, name=name)
+        return compose_again(*map(readable, overrides), name=name)
 
 
 def compose_again(*overrides: str, name: str) -> DictConfig:
