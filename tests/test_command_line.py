@@ -70,6 +70,10 @@ def test_a_text_that_hydras_grammar_does_not_know_needs_no_quotes(name: str) -> 
     assert as_read(f"run_dir={name}") == name
 
 
+def test_so_does_a_list_of_them() -> None:
+    assert as_read("runs=[müll/a,b c,(1)]") == ["müll/a", "b c", "(1)"]
+
+
 @pytest.mark.parametrize("given", ["a=1", "a=[1,2]", "a=1,2", "a='b", "a=[1", "~a", "a", "a=", "=ü", "a=${b}", "a=x y"])
 def test_all_else_stays_as_it_was(given: str) -> None:
     assert readable(given) == given

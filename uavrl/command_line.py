@@ -43,24 +43,26 @@ def override(key: str, value: object) -> str:
 
 
 def readable(given: str) -> str:
-    """What was typed as ``KEY=VALUE``, as Hydra reads it: a value that it cannot read, and that is no list, is a text.
+    """What was typed as ``KEY=VALUE``, as Hydra reads it: what it cannot read is a text, or a list of texts.
 
     Hydra's grammar knows ASCII letters and some signs; folders have other names, too.
 
     Examples:
-        >>> readable("run=/home/jürgen/runs (1)"), readable("episodes=60"), readable("seeds=[1,2")
-        ('run="/home/jürgen/runs (1)"', 'episodes=60', 'seeds=[1,2')
+        >>> readable("run=/home/jürgen/runs (1)"), readable("runs=[a,ü]"), readable("episodes=60"), readable("a=[1,2")
+        ('run="/home/jürgen/runs (1)"', 'runs=[a,"ü"]', 'episodes=60', 'a=[1,2')
     """
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
     key, _, value = given.partition("=")
-    if not key or not value or set(value) & set("\"'[]{},"):
+    listed = value.startswith("[") and value.endswith("]")
+    texts = value[1:-1].split(",") if listed else [value]
+    if not key or not value or any(set(text) & set("\"'[]{},") for text in texts):
         return given
     try:
         OverridesParser.create().parse_override(given)
     except HydraException:
-        return override(key, value)
+        return override(key, texts if listed else value)
     return given
 
 
