@@ -43,27 +43,29 @@ def override(key: str, value: object) -> str:
 
 
 def readable(given: str) -> str:
-    """What was typed as ``KEY=VALUE``, as Hydra reads it: what it cannot read is a text, or a list of texts.
+    """What was typed as ``KEY=VALUE``, as Hydra reads it: a value that it cannot read, and that is no list, is a text.
 
     Hydra's grammar knows ASCII letters and some signs; folders have other names, too.
 
     Examples:
-        >>> readable("run=/home/jürgen/runs (1)"), readable("runs=[a,ü]"), readable("episodes=60"), readable("a=[1,2")
-        ('run="/home/jürgen/runs (1)"', 'runs=[a,"ü"]', 'episodes=60', 'a=[1,2')
+        >>> readable("run=/home/jürgen/runs (1)"), readable("episodes=60"), readable("seeds=[1,2")
+        ('run="/home/jürgen/runs (1)"', 'episodes=60', 'seeds=[1,2')
     """
+    key, _, value = given.partition("=")
+    if not (key and value) or set(value) & set("\"'[]{},") or _is_read(given) or not _is_read(f"{key}=text"):
+        return given
+    return override(key, value.strip())
+
+
+def _is_read(given: str) -> bool:
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
 
-    key, _, value = given.partition("=")
-    listed = value.startswith("[") and value.endswith("]")
-    texts = value[1:-1].split(",") if listed else [value]
-    if not key or not value or any(set(text) & set("\"'[]{},") for text in texts):
-        return given
     try:
         OverridesParser.create().parse_override(given)
     except HydraException:
-        return override(key, texts if listed else value)
-    return given
+        return False
+    return True
 
 
 def _text(value: object) -> str:
@@ -71,7 +73,7 @@ def _text(value: object) -> str:
     if not isinstance(value, str | Path) or (_PLAIN.fullmatch(text) and text.lower() not in _NO_TEXT):
         return text
     text = re.sub(r'(\\*)"', r'\1\1\\"', text)  # backslashes are doubled before a quote, and there alone
-    text = re.sub(r"(\\+)$", r"\1\1", text)
+    text = re.sub(r"(\\+)\Z", r"\1\1", text)
     return f'"{text}"'
 
 

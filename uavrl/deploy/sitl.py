@@ -109,7 +109,8 @@ class Sitl:
         self._lateness: list[float] = []
         self._wanted: float | None = None  # when the first set-point was obeyed
         self._ended: float | None = None
-        self._flown, self._lost, self._begun = 0.0, 0.0, 0.0  # s: by the vehicle's clock; by ours, twice
+        self._flown = 0.0  # s of the vehicle's clock
+        self._lost, self._begun = 0.0, 0.0
         self.result = Result(modes=self.autopilot.changes)
 
     def close(self) -> None:
@@ -232,8 +233,8 @@ class Sitl:
 
     def _share_held(self) -> float:
         """Which share of the asked speed was held."""
-        passed = time.monotonic() - self._begun
-        return 1.0 if self._lockstep or passed <= 0 else min(self._flown / (passed * self._speed), 1.0)
+        asked = (time.monotonic() - self._begun) * self._speed
+        return 1.0 if self._lockstep or not self._flown else min(self._flown / asked, 1.0)
 
     def _wait(self, until: float) -> None:
         """Sends what is due and hears what comes until a time of the vehicle's clock; what is late is sent first."""
