@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from PIL import Image
 
 from uavrl.cli.errors import one_sentence
 from uavrl.envs.navigation import CONTROL_RATE
@@ -73,7 +74,8 @@ def main() -> None:
         ended = SAID[about.outcome]
         axes.set_title(f"{name}, task {about.task}: {ended} after {lasted:.1f} s", fontsize=8)
         axes.tick_params(labelsize=7)
-    figure.savefig(args.output, dpi=85, pil_kwargs={"optimize": True})
+    figure.savefig(args.output, dpi=85)
+    Image.open(args.output).quantize(32).save(args.output, optimize=True)
 
 
 if __name__ == "__main__":
