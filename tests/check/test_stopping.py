@@ -203,12 +203,13 @@ with command_process():
 """
 
 
-@pytest.mark.parametrize("at_the_end", ["pass", "print('what it has', flush=True)"])
+@pytest.mark.parametrize("at_the_end", ["pass", "print('what it has', flush=True)", "print('what it has', end='')"])
 def test_a_command_whose_terminal_is_closed_cleans_up_and_exits_with_129(at_the_end: str, tmp_path: Path) -> None:
     script, (ours, theirs) = tmp_path / "command.py", os.openpty()
     script.write_text(ON_A_TERMINAL.replace("AT_THE_END", at_the_end), encoding="utf-8")
     begun = partial(Popen[bytes], [sys.executable, script], cwd=tmp_path, start_new_session=True, preexec_fn=_hears)
-    with begun(stdin=theirs, stdout=theirs, stderr=theirs) as process:
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    with begun(env=buffered, stdin=theirs, stdout=theirs, stderr=theirs) as process:
         os.close(theirs)
         shown = b""
         while b"begun" not in shown:

@@ -12,6 +12,7 @@ import threading
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import TextIO
 
 from uavrl.errors import Stopped, UavrlError, reason, was_interrupted
 
@@ -33,17 +34,23 @@ def _reader_left(error: BaseException) -> signal.Signals | None:
     None: somebody does; another pipe may have broken as well.
     """
     number = _LEFT.get(error.errno or 0) if isinstance(error, OSError) else None
-    if number is None:
-        return None
-    out = sys.stdout.fileno()
+    return number if number is not None and _to_nowhere(sys.stdout) else None
+
+
+def _to_nowhere(stream: TextIO) -> bool:
+    """Leads what Python flushes at its end to nowhere, if nobody reads the stream any more; whether nobody does."""
+    try:
+        out = stream.fileno()
+    except (OSError, ValueError):  # no file of the system's, as in tests, or closed
+        return False
     asked = select.poll()
     asked.register(out, 0)
     if not any(event & (select.POLLERR | select.POLLHUP) for _, event in asked.poll(0)):
-        return None
+        return False
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, out)  # for what Python flushes at its end
+    os.dup2(nowhere, out)
     os.close(nowhere)
-    return number
+    return True
 
 
 @contextmanager
@@ -67,6 +74,8 @@ def one_sentence() -> Iterator[None]:
         stopped = error if isinstance(error, Stopped) else Stopped()
         with suppress(OSError):  # of a terminal that was closed
             print(f"uavrl: {stopped}", file=sys.stderr, flush=True)
+        for stream in (sys.stdout, sys.stderr):  # else what is left to flush would fail, and Python exit with 120
+            _to_nowhere(stream)
         raise SystemExit(stopped.exit_code) from stopped
 
 
