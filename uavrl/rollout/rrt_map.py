@@ -25,8 +25,8 @@ class RRTMap(RRTConnect):
     It is told no distance to the goal: the goal is where its directions from different places meet.
 
     What lies over or under the flight level is left to the planner below. What moves stays in the map where it was.
-    Where the map leaves no way, it acts as that planner does. It was not tried in vehicles that are not as believed: a
-    wrong heading or velocity shifts the map and the goal.
+    Where the map leaves no way, it acts as that planner does. In vehicles that are not as believed a wrong heading or
+    velocity shifts the map and the goal.
 
     Args:
         flight_level: altitude to hold where nothing is in the way, m.
