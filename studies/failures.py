@@ -75,7 +75,7 @@ def main() -> None:
         axes.set_title(f"{name}, task {about.task}: {ended} after {lasted:.1f} s", fontsize=8)
         axes.tick_params(labelsize=7)
     figure.savefig(args.output, dpi=85)
-    Image.open(args.output).quantize(32).save(args.output, optimize=True)
+    Image.open(args.output).convert("RGB").quantize(128).save(args.output, optimize=True)
 
 
 if __name__ == "__main__":
