@@ -87,6 +87,11 @@ def test_pictures_and_tables_stay_small() -> None:
         assert file.stat().st_size <= most.get(file.suffix, 100_000), f"{file}: quantise, compress or shorten it"
 
 
+def test_data_names_runs_and_not_the_folders_of_a_machine() -> None:
+    files = [file for file in tracked("docs/data") if file.suffix == ".json"]
+    assert files and not [file.name for file in files if re.search(r'"(run|path)": "/', file.read_text("utf-8"))]
+
+
 def test_the_site_shows_what_the_tutorials_import() -> None:
     folder = ROOT / "docs/tutorials"
     assert "```{literalinclude} shell.py\n" in (folder / "index.md").read_text(encoding="utf-8")
