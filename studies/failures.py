@@ -1,9 +1,11 @@
 """How do policies fail? Draws the first failure in each of some recordings from above, side by side.
 
-    for name in vfh_star mppi potential_field; do
-        uavrl-replay policy=$name env.world.obstacles=90 episodes=10 data=$name.npz output=$name.html
+    for name in vfh_star mppi potential_field best; do
+        uavrl-replay policy=$name env=static env.world.obstacles=90 episodes=12 data=$name.npz output=$name.html
     done
-    python studies/failures.py vfh_star.npz mppi.npz potential_field.npz --output failures.png
+    uavrl-replay policy=rrt_connect env.world.obstacles=135 episodes=12 data=rrt_connect.npz output=rrt_connect.html
+    uavrl-replay policy=rrt_map env.world.obstacles=135 tasks=[21,47,64] data=rrt_map.npz output=rrt_map.html
+    python studies/failures.py {vfh_star,mppi,potential_field,rrt_connect,rrt_map,best}.npz --output failures.png
 
 Dark is what is higher than 1.5 m below the place where the flight ends; light is what is lower. The way turns
 from blue to yellow with time, has a dot each second and ends in a cross. The goal is a circle.
