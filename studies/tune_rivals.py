@@ -27,6 +27,7 @@ from uavrl.rollout.mppi import MPPI, MPPIWeights
 from uavrl.rollout.potential_field import FieldWeights, PotentialField
 from uavrl.rollout.rollout import fly
 from uavrl.rollout.rrt_connect import RRTConnect, RRTConnectWeights
+from uavrl.rollout.rrt_map import RRTMap
 from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
@@ -42,6 +43,20 @@ class Tuned(NamedTuple):
     costs: type
     ranges: Mapping[str, tuple[float, float]]
 
+
+PLANS = {
+    "ahead": (2.5, 4.0),
+    "near": (0.1, 0.3),
+    "far": (0.4, 1.2),
+    "lead": (0.25, 1.0),
+    "keep": (0.6, 1.0),
+    "carrot": (0.5, 1.5),
+    "slow": (0.4, 1.2),
+    "watch": (0.8, 2.5),
+    "reflex": (0.4, 1.2),
+    "distance": (0.3, 0.6),
+    "gain": (0.5, 2.0),
+}
 
 RIVALS = {
     "vfh_star": Tuned(
@@ -84,23 +99,8 @@ RIVALS = {
         FieldWeights,
         {"attraction": (0.5, 3.0), "repulsion": (0.02, 3.0), "reach": (0.5, 3.5), "level": (0.3, 2.0)},
     ),
-    "rrt_connect": Tuned(
-        RRTConnect,
-        RRTConnectWeights,
-        {
-            "ahead": (2.5, 4.0),
-            "near": (0.1, 0.3),
-            "far": (0.4, 1.2),
-            "lead": (0.25, 1.0),
-            "keep": (0.6, 1.0),
-            "carrot": (0.5, 1.5),
-            "slow": (0.4, 1.2),
-            "watch": (0.8, 2.5),
-            "reflex": (0.4, 1.2),
-            "distance": (0.3, 0.6),
-            "gain": (0.5, 2.0),
-        },
-    ),
+    "rrt_connect": Tuned(RRTConnect, RRTConnectWeights, PLANS),
+    "rrt_map": Tuned(RRTMap, RRTConnectWeights, PLANS),
 }
 
 

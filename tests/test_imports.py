@@ -17,7 +17,8 @@ FLOORS = [
     {"models", "transforms"},
     {"config", "runs"},
     {"mapping", "motion", "shield", "upstream"},
-    {"attitude", "errors", "ranges", "command_line", "machine", "cells", "counted", "progress_line"},
+    {"hull"},
+    {"arrays", "attitude", "errors", "ranges", "command_line", "machine", "cells", "counted", "progress_line"},
 ]
 
 

@@ -11,9 +11,9 @@ from tensordict import TensorDict
 
 from uavrl.config.build import find_class
 from uavrl.envs import Airframe
+from uavrl.hull import hull_distances
+from uavrl.motion.evasion import evaded
 from uavrl.motion.threats import HIGH, STEPS, WIDE
-from uavrl.rollout.evasion import evaded
-from uavrl.rollout.hull import hull_distances
 from uavrl.rollout.policies import BASELINES, named_policy
 from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, Planner
 

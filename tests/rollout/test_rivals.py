@@ -15,12 +15,13 @@ from uavrl.cells import LASERS
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.build import find_class
 from uavrl.envs import Airframe
+from uavrl.hull import HULL
+from uavrl.motion.histogram import polar_histogram
 from uavrl.rollout.environment import make_env
-from uavrl.rollout.hull import HULL
 from uavrl.rollout.mppi import MPPI, STEPS, MPPIWeights, places_of
 from uavrl.rollout.policies import BASELINES, choose, named_policy
 from uavrl.rollout.potential_field import FieldWeights, PotentialField
-from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory, polar_histogram
+from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory
 from uavrl.rollout.rollout import fly
 from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
 

@@ -90,6 +90,7 @@ class FlyingConfig:
     seed: Seed = 20_000
     valleys: Valleys | None = None
     shield: bool = False
+    evade: Annotated[float, Field(gt=0, le=100)] | None = None
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavrl.mapping.route import HULL, route
+from uavrl.hull import HULL
+from uavrl.mapping.route import route
 
 
 class EpisodeMap:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from uavrl.hull import HULL
 from uavrl.mapping.lines import Obstacles
 
-HULL = (0.35, 0.14)  # m: the hull's radius, and half its height
 EDGE = 2.0  # m, free around all that is known: there a way leads around it
 WIDE = 1.2  # m from the hull's middle to an obstacle, from which on a way counts once
 TIGHT = 0.6  # m, nearer than which it counts SQUEEZED times; between both, up to 3 times

@@ -3,11 +3,9 @@
 The functions take arrays of numpy, for one vehicle that flies, and tensors of PyTorch, for many that are simulated.
 """
 
-import sys
-from typing import Any
-
 import numpy as np
 
+from uavrl.arrays import Array, library_of, like
 from uavrl.cells import grid_directions
 from uavrl.motion.sight import OBJECT
 
@@ -19,18 +17,6 @@ HIGH = 0.6  # m: 0.27 of fin, 0.14 of hull, 0.19 between
 GREATEST = 2.2  # of threats
 DIRECTIONS = grid_directions(24, (-0.5, 0.0, 0.5)).astype(np.float32)
 """In which a vehicle may fly, ``[72, 3]``: forward, left, up."""
-
-Array = Any  # an ndarray, or a Tensor
-
-
-def _library(values: Array) -> Any:
-    """What an array is of, numpy or torch, which is loaded if there is a tensor."""
-    return sys.modules[type(values).__module__.partition(".")[0]]
-
-
-def _times(like: Array) -> Array:
-    """``TIMES`` as such an array."""
-    return like.new_tensor(TIMES) if hasattr(like, "new_tensor") else TIMES.astype(like.dtype)
 
 
 def predict_path(commanded: Array, velocity: Array) -> Array:
@@ -44,8 +30,8 @@ def predict_path(commanded: Array, velocity: Array) -> Array:
         >>> predict_path(np.array([2.0, 0.0, 0.0]), np.array([2.0, 0.0, 0.0]))[-1].round(6).tolist()
         [4.0, 0.0, 0.0]
     """
-    times = _times(commanded)
-    lost = LAG * (1 - _library(times).exp(-times / LAG))
+    times = like(TIMES, commanded)
+    lost = LAG * (1 - library_of(times).exp(-times / LAG))
     return commanded[..., None, :] * (times - lost)[:, None] + velocity[..., None, :] * lost[:, None]
 
 
@@ -56,7 +42,7 @@ def threat(gap: Array) -> Array:
         >>> float(threat(np.full((STEPS, 3), 9.0)))
         0.0
     """
-    library, times = _library(gap), _times(gap)
+    library, times = library_of(gap), like(TIMES, gap)
     level = (gap[..., 0] ** 2 + gap[..., 1] ** 2) ** 0.5
     apart = library.maximum(level / WIDE, abs(gap[..., 2]) / HIGH)  # below 1: too near
     share = times / times[-1]
@@ -70,7 +56,7 @@ def straight_on(objects: Array) -> tuple[Array, Array]:
     The objects are those that :class:`uavrl.transforms.MotionSight` reports.
     """
     each = objects.reshape(*objects.shape[:-1], -1, len(OBJECT))
-    ways = each[..., None, :3] + each[..., None, 3:6] * _times(each)[:, None]
+    ways = each[..., None, :3] + each[..., None, 3:6] * like(TIMES, each)[:, None]
     return ways, each[..., -1] > 0
 
 
@@ -81,7 +67,7 @@ def to_yaw(vectors: Array, yaw: Array) -> Array:
         >>> to_yaw(np.array([[0.0, 2.0, 1.0]]), np.array([np.pi / 2])).round(3).tolist()
         [[2.0, 0.0, 1.0]]
     """
-    library, yaw = _library(vectors), yaw.reshape(-1, *[1] * (vectors.ndim - 2))
+    library, yaw = library_of(vectors), yaw.reshape(-1, *[1] * (vectors.ndim - 2))
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     cos, sin = library.cos(yaw), library.sin(yaw)
     return library.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
@@ -96,7 +82,7 @@ def greatest_threats(commanded: Array, velocity: Array, ways: Array, known: Arra
         ways: where K bodies will be, seen from the vehicles, ``[N, K, T, 3]`` in m.
         known: which of them there are, ``bool [N, K]``.
     """
-    library = _library(commanded)
+    library = library_of(commanded)
     worst = library.zeros_like(commanded[..., 0])
     spread = [1] * (commanded.ndim - 2)
     for body in range(known.shape[-1]):

@@ -87,12 +87,13 @@ def make_env(
     return made
 
 
-def with_sight(perception: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Lets the LiDAR reach as far as perception looks; refuses one that is told otherwise.
+def with_sight(perception: Mapping[str, Any], evade: float | None = None) -> Mapping[str, Any]:
+    """Lets the LiDAR reach as far as perception looks, and evasion; refuses one that is told otherwise.
 
     What is not scanned would seem to be free.
     """
-    lidar, looked = perception.get("lidar"), {key: perception.get(key) for key in ("motion", "memory")}
+    lidar, looked = perception.get("lidar"), {f"perception.{key}": perception.get(key) for key in ("motion", "memory")}
+    looked["evade"] = evade
     ranges = {key: value for key, value in looked.items() if isinstance(value, int | float)}
     if lidar is None or not ranges:  # nothing looks far, or somebody else's perception
         return perception
@@ -102,8 +103,8 @@ def with_sight(perception: Mapping[str, Any]) -> Mapping[str, Any]:
     reach = max(lidar.max_range, lidar.far_range)
     if farthest > reach:
         raise UavrlError(
-            f"perception.{key}={farthest:g} looks farther than the LiDAR, which reaches {reach:g} m: leave "
-            f"perception.lidar.far_range out, or lower perception.{key}."
+            f"{key}={farthest:g} looks farther than the LiDAR, which reaches {reach:g} m: leave "
+            f"perception.lidar.far_range out, or lower {key}."
         )
     return perception
 

@@ -61,7 +61,8 @@ class LoadedPolicy(TensorDictModuleBase):
             valleys: seeds of the valleys, each built when a task needs it; by default 100, which no packaged policy
                 was trained in.
             seed: of the tasks.
-            keep_cloud: whether it also gives the point clouds, as a :class:`~uavrl.rollout.shielded.Shielded` reads.
+            keep_cloud: whether it also gives the point clouds, and whether an episode begins, as a
+                :class:`~uavrl.rollout.shielded.Shielded` or :class:`~uavrl.rollout.evading.Evading` reads.
 
         Raises:
             UavrlError: for a change that the policy cannot be asked to bear.
@@ -92,5 +93,6 @@ class LoadedPolicy(TensorDictModuleBase):
             "num_uavs": num_uavs,
             "seed": seed,
             "keep_cloud": keep_cloud,
+            "mark_resets": keep_cloud,
         }
         return make_env(run.env, run.perception, run.reward, **context)

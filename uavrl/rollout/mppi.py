@@ -8,9 +8,9 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.envs.quadrotor import Airframe
+from uavrl.hull import hull_distances, off_altitudes
 from uavrl.motion.threats import GREATEST, threat
 from uavrl.ranges import Positive, Seed
-from uavrl.rollout.hull import hull_distances, off_altitudes
 from uavrl.rollout.remembered import GAIN, LEAN, PERIOD, Planner, Surroundings
 
 STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in

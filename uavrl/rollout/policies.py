@@ -93,6 +93,7 @@ def choose(
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
     chosen = _led(chosen)
+    chosen = chosen if settings.evade is None else _evading(chosen, settings.evade)
     return _shielded(chosen) if settings.shield else chosen
 
 
@@ -108,6 +109,18 @@ def _led(chosen: PolicySetup) -> PolicySetup:
     from uavrl.rollout.led import Led
 
     return replace(chosen, policy=Led(chosen.policy))
+
+
+def _evading(chosen: PolicySetup, max_range: float) -> PolicySetup:
+    """The same out of the ways of what moves, for which its scans reach as far as that is looked for."""
+    from uavrl.envs.quadrotor import Airframe
+    from uavrl.rollout.environment import with_sight
+    from uavrl.rollout.evading import Evading
+
+    require_valley(chosen.env, chosen.choices, "evade")
+    vehicle = chosen.env.get("airframe") or Airframe()
+    policy = Evading(chosen.policy, max_range, flight_level=chosen.env["world"].flight_level, airframe=vehicle)
+    return replace(chosen, policy=policy, perception=with_sight(chosen.perception, evade=max_range))
 
 
 def _shielded(chosen: PolicySetup) -> PolicySetup:

@@ -8,8 +8,8 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.envs.quadrotor import Airframe
+from uavrl.hull import HULL
 from uavrl.ranges import Positive
-from uavrl.rollout.hull import HULL
 from uavrl.rollout.remembered import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 

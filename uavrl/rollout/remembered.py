@@ -12,16 +12,16 @@ from uavrl.attitude import body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.mapping.navigator import LIDAR_ABOVE
+from uavrl.motion.evasion import evaded
+from uavrl.motion.histogram import polar_histogram
 from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl.motion.threats import STEPS, straight_on, to_yaw
-from uavrl.rollout.evasion import evaded
 from uavrl.transforms.state import ACTION_LIMIT
 
 PERIOD = 0.1  # s between two scans
 THINNED = 4  # of the scan's firing cycles, 0.2 degrees apart, one of so many is read
 MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to forget it
 TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt
-AZIMUTHS, ELEVATIONS = 45, 23  # of the polar histogram (Baumann 2018, section 3.1), 8 degrees each
 NEVER = -(2**30)  # a scan's number before all others
 GAIN = torch.tensor([2.4, 2.4, 3.0])  # 1/s, acceleration over what a velocity lacks; fitted to flights, as the next
 LEAN = torch.tensor([0.41, 0.41, 0.63])  # share of what the acceleration lacks that comes in a step
@@ -117,33 +117,6 @@ class ScanMemory:
         apart = self._points[known] - self.places[owners]
         near = (apart * apart).sum(1) < self.sight**2
         return apart[near], owners[near]
-
-
-def polar_histogram(points: np.ndarray, owners: np.ndarray, count: int) -> list[np.ndarray]:
-    """The nearest point of each cell of a polar histogram around each of ``count`` vehicles, ``[P, 3]`` each.
-
-    Source: Baumann (2018), section 3.1; it keeps the point itself and not its distance alone, so that the hull's width
-    can be added exactly.
-
-    Args:
-        points: ``[M, 3]``, m from the vehicle.
-        owners: ``[M]``, whose they are, in rising order.
-        count: of the vehicles.
-
-    Examples:
-        >>> points = np.array([[2.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
-        >>> [each.tolist() for each in polar_histogram(points, np.array([0, 0, 1]), 2)]
-        [[[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]]
-    """
-    x, y, z = points.T
-    ranges = np.sqrt((points * points).sum(1))
-    azimuth = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * AZIMUTHS).astype(np.int64) % AZIMUTHS
-    rise = np.arcsin((z / np.maximum(ranges, 1e-6)).clip(-1, 1)) / np.pi + 0.5
-    elevation = np.minimum((rise * ELEVATIONS).astype(np.int64), ELEVATIONS - 1)
-    cell = (owners * AZIMUTHS + azimuth) * ELEVATIONS + elevation
-    order = np.lexsort((ranges, cell))
-    first = order[np.flatnonzero(np.diff(cell[order], prepend=-1))]  # in the order of the cells
-    return np.split(points[first], np.searchsorted(owners[first], np.arange(1, count)))
 
 
 class Surroundings(NamedTuple):

@@ -11,9 +11,9 @@ from pydantic import Field
 from torch import Tensor
 
 from uavrl.envs.quadrotor import Airframe
+from uavrl.hull import HIGHEST, LOWEST, stretch
 from uavrl.mapping.lines import Obstacles, clearances
 from uavrl.ranges import Positive, Seed
-from uavrl.rollout.hull import HIGHEST, LOWEST, stretch
 from uavrl.rollout.mppi import limited
 from uavrl.rollout.remembered import PERIOD, Planner, Surroundings
 from uavrl.rollout.ways import APART, filled, length, load_ompl, pushed_out, search
@@ -114,7 +114,7 @@ class RRTConnect(Planner):
         load_ompl()
         self.tries, self.seed = tries, seed
         self.costs = RRTConnectWeights() if costs is None else costs
-        self._stretch = stretch(self.costs.near, self.hull).double().numpy()
+        self._stretch = stretch(self.costs.near, self.hull).astype(float)
         self._pilots: list[Pilot] = []
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:

@@ -1,19 +1,16 @@
 """Any policy behind a shield."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
-import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 
+from uavrl.motion.threats import to_yaw
+from uavrl.rollout.filtered import Filtered
 from uavrl.shield import Shield
-from uavrl.transforms.state import ACTION_LIMIT
-from uavrl.transforms.threats import to_yaw
 
 
-class Shielded(TensorDictModuleBase):
+class Shielded(Filtered):
     """Flies what a policy asks for, as far as :class:`uavrl.shield.Shield` lets it: the yaw rate always.
 
     It reads the point clouds beside what the policy reads, which `uavrl.rollout.environment.make_env` keeps with
@@ -24,6 +21,7 @@ class Shielded(TensorDictModuleBase):
         shield: None for one with the usual numbers.
 
     Examples:
+        >>> import torch
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule
         >>> ahead = TensorDictModule(lambda cells: cells.new_tensor([[2.0, 0.0, 0.0, 1.0]]), ["cells"], ["action"])
@@ -34,24 +32,12 @@ class Shielded(TensorDictModuleBase):
     """
 
     def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase], shield: Shield | None = None) -> None:
-        super().__init__()
-        self.policy: Any = policy
+        super().__init__(policy, ("point_cloud", "attitude", "velocity"))
         self.shield = Shield() if shield is None else shield
-        self.in_keys = [*dict.fromkeys([*getattr(policy, "in_keys", ()), "point_cloud", "attitude", "velocity"])]
-        self.out_keys = list(getattr(policy, "out_keys", ["action"]))
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action``, within its limits, and tells a policy that keeps its last action what is flown."""
-        tensordict = self.policy(tensordict)
-        keys = ("action", "point_cloud", "attitude", "velocity")
-        acted, clouds, attitudes, velocities = (tensordict[key].detach().cpu() for key in keys)
-        clouds = clouds.reshape(acted[..., 0].numel(), *clouds.shape[-2:])
-        acted, attitudes, velocities = (each.reshape(-1, each.shape[-1]) for each in (acted, attitudes, velocities))
-        asked = acted.clamp(-ACTION_LIMIT, ACTION_LIMIT)
-        own = to_yaw(velocities, attitudes[:, 2])
-        rows = zip(*(each.numpy() for each in (asked[:, :3], clouds, attitudes[:, :2], own)), strict=True)
-        fits = [self.shield(wanted, cloud, tuple(tilt), velocity) for wanted, cloud, tilt, velocity in rows]
-        asked[:, :3] = torch.from_numpy(np.array(fits).reshape(-1, 3))
-        if hasattr(self.policy, "flown"):
-            self.policy.flown(asked.numpy())
-        return tensordict.set("action", asked.view(tensordict["action"].shape).to(tensordict["action"]))
+    def velocities(self, asked: np.ndarray, seen: Mapping[str, np.ndarray]) -> np.ndarray:
+        """What the shield lets through of each vehicle's."""
+        own = to_yaw(seen["velocity"], seen["attitude"][:, 2])
+        rows = zip(asked, seen["point_cloud"], seen["attitude"], own, strict=True)
+        fits = [self.shield(wanted, cloud, tuple(angles[:2]), velocity) for wanted, cloud, angles, velocity in rows]
+        return np.array(fits).reshape(-1, 3)

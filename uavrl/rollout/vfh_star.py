@@ -10,9 +10,9 @@ from torch import Tensor
 
 from uavrl.cells import grid_directions
 from uavrl.envs.quadrotor import Airframe
+from uavrl.hull import HULL, Hull, off_altitudes, stretch
 from uavrl.motion.threats import LAG
 from uavrl.ranges import Positive
-from uavrl.rollout.hull import HULL, Hull, off_altitudes, stretch
 from uavrl.rollout.remembered import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
 
@@ -72,7 +72,8 @@ def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHSta
         >>> look_along(torch.tensor([[2.0, 0.0, 0.0], [1.0, 3.0, 0.0]]), origin, ahead, VFHStarWeights()).free
         tensor([[1.6500]])
     """
-    points, starts, directions = (each * stretch(costs.near, hull) for each in (points, starts, directions))
+    factors = torch.from_numpy(stretch(costs.near, hull))
+    points, starts, directions = (each * factors for each in (points, starts, directions))
     squared = (directions * directions).sum(-1)[:, None]  # [D, 1]
     began = (starts * directions).sum(-1)[..., None]  # [S, D, 1]
     along = (directions @ points.T - began).div_(squared)  # [S, D, P], m

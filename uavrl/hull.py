@@ -1,0 +1,49 @@
+"""How near a vehicle's hull comes to what is around it, and how high it may fly: of numpy's arrays, or tensors."""
+
+import numpy as np
+
+from uavrl.arrays import Array, library_of, like
+
+LOWEST, HIGHEST = -2.3, 0.7  # m from the flight level, between which one may fly
+
+Hull = tuple[float, float]  # m: the radius, and half the height
+HULL: Hull = (0.35, 0.14)
+
+
+def stretch(near: float, hull: Hull = HULL) -> np.ndarray:
+    """Factors ``[3]`` by which the flat hull, with ``near`` metres kept all around it, becomes as high as wide.
+
+    Examples:
+        >>> round(float((0.14 + 0.15) * stretch(0.15)[2]), 3)  # the hull's radius, and 0.15 m
+        0.5
+    """
+    return np.array([1.0, 1.0, (hull[0] + near) / (hull[1] + near)], np.float32)
+
+
+def hull_distances(points: Array, places: Array, near: float, hull: Hull = HULL) -> Array:
+    """How far the hull is from its nearest obstacle ``[*B]`` m at ``places [*B, 3]``, of ``points [P, 3]``.
+
+    Heights are stretched until the hull, with ``near`` metres around it, is as high as wide.
+
+    Examples:
+        >>> hull_distances(np.array([[1.35, 0.0, 0.0]]), np.zeros((1, 3)), 0.15).round(6).tolist()
+        [1.0]
+    """
+    library = library_of(places)
+    if not len(points):
+        return library.full_like(places[..., 0], np.inf)
+    factors = like(stretch(near, hull), places)
+    points, flat = points * factors, (places * factors).reshape(-1, 3)
+    apart = (-2.0 * flat) @ points.T + (points * points).sum(-1)
+    least = library.amin(apart, -1) + (flat * flat).sum(-1)
+    return (library.sqrt(least.clip(0.0)) - hull[0]).reshape(places.shape[:-1])
+
+
+def off_altitudes(off: Array) -> Array:
+    """How far heights ``off`` the flight level, in m, lie out of where one may fly: below the ceiling, off the ground.
+
+    Examples:
+        >>> off_altitudes(np.array([0.0, 1.0, -3.0])).round(3).tolist()
+        [0.0, 0.3, 0.7]
+    """
+    return (LOWEST - off).clip(0.0) + (off - HIGHEST).clip(0.0)
