@@ -27,6 +27,7 @@ from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
 from uavrl.mapping import Navigator
+from uavrl.motion.evasion import Evasion
 from uavrl.shield import Shield
 
 GOAL = (20.0, 0.0, 2.5)
@@ -36,7 +37,7 @@ class Policy:
     """Answers each scan with the same action, and notes what it was given."""
 
     def __init__(self, action: Sequence[float] = (1.0, 0.5, 0.0, 0.25)) -> None:
-        self.contract = SimpleNamespace(rate_hz=10.0, memory=None)
+        self.contract = SimpleNamespace(rate_hz=10.0, memory=None, flight_level=3.5)
         self.cells: np.ndarray | None = None
         self.last_action = np.zeros(4, np.float32)
         self.action, self.seen, self.before = np.array(action, np.float32), list[tuple[Any, ...]](), list[list[float]]()
@@ -114,6 +115,29 @@ def test_a_shield_slows_the_policy_before_what_the_scan_shows_near() -> None:
     assert flown[0] < 0.6 and flown[3] == 0.25
     free = rig.scan(np.full((1, 3), np.nan)).action
     assert free is not None and free.tolist() == [1.0, 0.5, 0.0, 0.25]
+
+
+def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_moves() -> None:
+    """A ball comes straight ahead at 3 m/s; before the shield has its say, the evasion has chosen another velocity."""
+    evading, plain = Rig(evasion=Evasion(), shield=Shield()), Rig(shield=Shield())
+    ring = np.linspace(-0.15, 0.15, 5)
+    ball = np.stack(np.broadcast_arrays(9.0, ring[:, None], ring), -1).reshape(-1, 3)
+    for rig in (evading, plain):
+        rig.link.pose = lambda now=rig: Pose(now.now, (0.0, 0.0, 3.5), (0.0, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
+        rig.airborne()
+        flown = [rig.scan(ball - [0.3 * step, 0.0, 0.0]).action for step in range(10)]
+        assert flown[0] is not None and flown[0].tolist() == [1.0, 0.5, 0.0, 0.25], "seen once, it does not move"
+        assert flown[-1] is not None and flown[-1][3] == 0.25
+        gave_way = float(np.linalg.norm(flown[-1][:3] - [1.0, 0.5, 0.0])) > 0.3
+        assert gave_way == (rig is evading)
+
+
+def test_evasion_without_the_vehicles_velocity_lets_nothing_pass(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig(evasion=Evasion())
+    rig.airborne()
+    rig.link.pose = lambda: Pose(rig.now, (0.0, 0.0, 3.5), (np.nan, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
+    assert rig.scan().action is None
+    assert "what moves takes finite numbers, got" in caplog.text
 
 
 def test_with_a_memory_the_policy_reads_the_heading_to_the_way_around_what_was_seen() -> None:

@@ -36,7 +36,9 @@ from uavrl.deploy.sources import ScanSource
 from uavrl.deploy.stages import FlightCycle, VehicleLink
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import Stopped, UavrlError
+from uavrl.hull import HULL
 from uavrl.mapping import Navigator
+from uavrl.motion.evasion import Evasion
 from uavrl.ranges import Folder, NonNegative, Positive, Text
 from uavrl.runs.files import replacing, writable
 from uavrl.shield import Shield
@@ -89,6 +91,7 @@ class FlyConfig(LidarKeys):
     progress: bool = True
     ros2: Ros2Config = field(default_factory=Ros2Config)
     memory: Annotated[float, Field(gt=0, le=100)] | None = None
+    evade: Annotated[float, Field(gt=0, le=100)] | None = None
     shield: ShieldConfig = field(default_factory=ShieldConfig)
     safety: SafetyLimits = field(default_factory=SafetyLimits)
 
@@ -136,7 +139,7 @@ def main(config: DictConfig) -> None:
         link = opened.enter_context(closing(_link(settings)))
         assert settings.goal is not None
         led = map_for(policy.contract, settings.memory)
-        stages: dict[str, Any] = {"shield": _shield(settings), "memory": led}
+        stages: dict[str, Any] = {"evasion": _evasion(settings), "shield": _shield(settings), "memory": led}
         layer, box = SafetyLayer(settings.safety), settings.box
         flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, **stages)
         log = _log(settings, policy, led)
@@ -180,7 +183,7 @@ def _log(settings: FlyConfig, policy: Policy, led: Navigator | None) -> FlightLo
         return None
     assert settings.goal is not None
     about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(_shield(settings))}
-    about |= {"memory": "None" if led is None else str(led.sight)}
+    about |= {"memory": "None" if led is None else str(led.sight), "evade": str(settings.evade)}
     return FlightLog(
         settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
     )
@@ -198,6 +201,15 @@ def _shield(settings: FlyConfig) -> Shield | None:
     """A shield for the hull that the command line tells of."""
     told = {key: value for key, value in asdict(settings.shield).items() if value is not None}
     return Shield(**told, limit=settings.safety.velocity) if settings.shield.radius is not None else None
+
+
+def _evasion(settings: FlyConfig) -> Evasion | None:
+    """What keeps out of the ways of what moves, with the hull that the shield is told of, or the simulated one."""
+    if settings.evade is None:
+        return None
+    hull = settings.shield
+    size = HULL if hull.radius is None else (hull.radius, hull.height / 2)
+    return Evasion(max_range=settings.evade, hull=size, sensor=hull.sensor, limit=settings.safety.velocity)
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:

@@ -20,6 +20,7 @@ from uavrl.deploy.stages import FlightCycle, ScanFeed, VehicleLink
 from uavrl.deploy.vehicle import Control
 from uavrl.errors import UavrlError
 from uavrl.mapping import Navigator
+from uavrl.motion.evasion import Evasion
 from uavrl.motion.threats import to_yaw
 from uavrl.shield import Shield
 
@@ -64,6 +65,7 @@ class Flight:
         layer: the safety layer.
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
         box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
+        evasion: what keeps the policy's velocities out of the ways of what moves; None: nothing.
         shield: what bends the policy's velocities away from what the scan shows near; None: nothing.
         memory: a map of the flight: the policy is led along the quickest way through it; None: the one that it was
             trained with, or none, and straight to the goal.
@@ -81,6 +83,7 @@ class Flight:
         *,
         radius: float = 1.0,
         box: tuple[np.ndarray, np.ndarray] | None = None,
+        evasion: Evasion | None = None,
         shield: Shield | None = None,
         memory: Navigator | None = None,
     ) -> None:
@@ -90,7 +93,7 @@ class Flight:
         self.arrived: float | None = None
         self.period = 1.0 / policy.contract.rate_hz
         self._policy, self._link, self._layer = policy, link, layer
-        self._radius, self._box, self._shield = radius, box, shield
+        self._radius, self._box, self._evasion, self._shield = radius, box, evasion, shield
         self._memory = map_for(policy.contract) if memory is None else memory
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
@@ -145,6 +148,8 @@ class Flight:
         if self._state not in _FLIES or now - self._acted > _FORGOTTEN * self.period:
             self._policy.reset()
             self._read_stamp = None
+            if self._evasion is not None:
+                self._evasion.reset()
         self._turn = None
         if pose is None or not np.isfinite([*pose.position, pose.yaw]).all():
             return None
@@ -157,6 +162,8 @@ class Flight:
         told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
         try:
             action = self._policy(scan.points, *told)
+            if self._evasion is not None:
+                action[:3] = self._evading(self._evasion, action[:3], scan, pose, elapsed)
             if self._shield is not None:
                 action[:3] = self._shielded(self._shield, action[:3], scan, pose)
         except UavrlError as error:
@@ -166,6 +173,14 @@ class Flight:
             return None
         self._acted, self._read_stamp = now, scan.stamp
         return action
+
+    def _evading(
+        self, evasion: Evasion, asked: np.ndarray, scan: Scan, pose: Pose, elapsed: float | None
+    ) -> np.ndarray:
+        """The velocity ``[3]`` to fly where something moves, in place of the one ``asked`` for."""
+        heights = np.array([pose.position[2] - self._policy.contract.flight_level])
+        own = np.array([pose.velocity]), np.array([pose.attitude])
+        return evasion(asked[None], scan.points[None], *own, heights, elapsed)[0]
 
     @staticmethod
     def _shielded(shield: Shield, asked: np.ndarray, scan: Scan, pose: Pose) -> np.ndarray:

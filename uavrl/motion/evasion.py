@@ -53,6 +53,7 @@ def evaded(
     points: list[Array],
     height: Array,
     hull: Hull = HULL,
+    limit: float = SPEED,
 ) -> Array:
     """Planned velocities ``[N, 3]`` in m/s, and in place of one that leads to a moving body the best of some others.
 
@@ -67,6 +68,7 @@ def evaded(
         points: of each vehicle the obstacles around it, ``[P, 3]`` m.
         height: of the vehicles over the flight level, ``[N, 1]`` m.
         hull: its radius, and half its height, m.
+        limit: of the others' speed, m/s.
 
     Examples:
         A body comes straight ahead, at 3 m/s from 6 m away. The vehicle, which would fly at 2 m/s, gives way:
@@ -84,13 +86,15 @@ def evaded(
     flown = planned + 0.0
     for one in library.where(worst > 0)[0].tolist():
         own = slice(one, one + 1)
-        tried = library.concatenate([planned[own], like(OTHERS, planned)])[None]  # [1, C, 3]
+        tried = library.concatenate([planned[own], like(OTHERS * np.float32(limit / SPEED), planned)])[
+            None
+        ]  # [1, C, 3]
         path = predict_path(tried, velocity[own, None])[0, :, :SOON]  # [C, T, 3]
         beside = hull_distances(points[one], path, NEAR, hull)
         off = library.amax(off_altitudes(height[one] + path[..., 2]), -1)
         near = library.amax(((FAR - beside) / (FAR - NEAR)).clip(0.0, 1.0), -1)
         threats = greatest_threats(tried, velocity[own], ways[own], known[own])[0]
-        changed = ((tried[0] - planned[one]) ** 2).sum(-1) ** 0.5 / SPEED
+        changed = ((tried[0] - planned[one]) ** 2).sum(-1) ** 0.5 / limit
         cost = changed + THREAT * (threats + near + (beside < NEAR).any(-1)) + OUTSIDE * off
         flown[one] = tried[0, cost.argmin()]
     return flown
@@ -108,6 +112,7 @@ class Evasion:
         objects: of each vehicle, the nearest, that count.
         hull: its radius, and half its height, m.
         sensor: m, of the LiDAR over the hull's middle.
+        limit: of the speed of what is flown instead, m/s.
         period: time between two scans, s.
 
     Examples:
@@ -130,9 +135,11 @@ class Evasion:
         *,
         hull: Hull = HULL,
         sensor: float = 0.1,
+        limit: float = SPEED,
         period: float = 0.1,
     ) -> None:
-        self.vehicles, self.max_range, self.hull, self.sensor = vehicles, max_range, hull, sensor
+        self.vehicles, self.max_range = vehicles, max_range
+        self.hull, self.sensor, self.limit = hull, sensor, limit
         self._sight = MotionSight(vehicles, max_range, objects, period)
 
     def reset(self, which: np.ndarray | None = None) -> None:
@@ -167,6 +174,8 @@ class Evasion:
                 f"To keep out of the way of what moves takes finite numbers, got {asked} m/s asked for, velocities "
                 f"{velocities}, roll, pitch and yaw {attitudes} rad and heights {heights} m."
             )
+        if not self.vehicles:
+            return asked
         objects = self._sight.look(_thinned(clouds), velocities, attitudes, elapsed=elapsed)
         ways, known = straight_on(objects.reshape(len(objects), -1).astype(float))
         tilts = body_to_world(attitudes * [1.0, 1.0, 0.0])
@@ -177,9 +186,8 @@ class Evasion:
         for one in threatened:
             mine, points = slice(one, one + 1), find_returns(clouds[one, None], STANDING).points
             around = polar_histogram((tilts[one] @ points).T + above[one], np.zeros(points.shape[1], int), 1)
-            flown[mine] = evaded(
-                asked[mine], own[mine], ways[mine], known[mine], around, heights[mine, None], self.hull
-            )
+            told = asked[mine], own[mine], ways[mine], known[mine], around, heights[mine, None]
+            flown[mine] = evaded(*told, self.hull, self.limit)
         return flown
 
 

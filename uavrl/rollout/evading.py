@@ -56,6 +56,5 @@ class Evading(Filtered):
             sensor = self.airframe.lidar_position[2]
             self._evasion = Evasion(len(asked), self.max_range, hull=hull, sensor=sensor)
         self._evasion.reset(seen["is_init"][:, 0])
-        scans = (seen[key].astype(np.float64) for key in ("velocity", "attitude"))
         heights = seen["altitude"][:, 0] - self.flight_level
-        return self._evasion(asked, seen["point_cloud"], *scans, heights)
+        return self._evasion(asked, seen["point_cloud"], seen["velocity"], seen["attitude"], heights)

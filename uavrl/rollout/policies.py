@@ -120,7 +120,7 @@ def _evading(chosen: PolicySetup, max_range: float) -> PolicySetup:
     require_valley(chosen.env, chosen.choices, "evade")
     vehicle = chosen.env.get("airframe") or Airframe()
     policy = Evading(chosen.policy, max_range, flight_level=chosen.env["world"].flight_level, airframe=vehicle)
-    return replace(chosen, policy=policy, perception=with_sight(chosen.perception, evade=max_range))
+    return replace(chosen, policy=policy, perception=Part(with_sight(chosen.perception, evade=max_range)))
 
 
 def _shielded(chosen: PolicySetup) -> PolicySetup:

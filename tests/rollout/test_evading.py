@@ -1,0 +1,186 @@
+"""Any policy is kept out of the ways of what moves, and flies as it asks where nothing does."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch.testing import assert_close
+
+from tests.helpers.commands import in_process
+from uavrl import load_policy
+from uavrl.cli import evaluate
+from uavrl.config import compose, validate_run
+from uavrl.errors import UavrlError
+from uavrl.motion.evasion import Evasion, evaded
+from uavrl.motion.threats import HIGH, STEPS, WIDE
+from uavrl.rollout.environment import with_sight
+from uavrl.rollout.evading import Evading
+from uavrl.rollout.rollout import fly
+from uavrl.rollout.shielded import Shielded
+
+ABOVE = 0.1  # m, of the LiDAR over the hull's middle
+PERIOD = 0.1
+LEVEL = 3.5
+
+
+def ball(place: np.ndarray, radius: float = 0.3) -> np.ndarray:
+    """Points ``[225, 3]`` on a ball, as close as a VLP-16's lasers are 6 m away."""
+    across, up = np.meshgrid(np.linspace(0, 2 * np.pi, 15, endpoint=False), np.linspace(-1.4, 1.4, 15))
+    shape = np.stack([np.cos(across) * np.cos(up), np.sin(across) * np.cos(up), np.sin(up)], -1)
+    return place + radius * shape.reshape(-1, 3)
+
+
+class Ahead:
+    """Asks for full speed ahead, and hears what is flown."""
+
+    in_keys = ("is_init",)
+
+    def __init__(self) -> None:
+        self.heard = list[list[float]]()
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", torch.tensor([2.0, 0.0, 0.0, 0.5]).expand(*tensordict.batch_size, 4).clone())
+
+    def flown(self, actions: np.ndarray) -> None:
+        self.heard.extend(actions.tolist())
+
+
+def flight(
+    policy: Evading | Ahead, begin: list[float], speed: list[float], standing: np.ndarray | None = None
+) -> float:
+    """How near a ball comes that flies straight on, while the policy flies; 1 keeps the margin, 0.66 touches."""
+    place, velocity, nearest = np.zeros(3), np.array([2.0, 0.0, 0.0]), np.inf
+    for step in range(40):
+        apart = np.array(begin) + PERIOD * step * np.array(speed) - place
+        nearest = min(nearest, max(np.hypot(*apart[:2]) / WIDE, abs(apart[2]) / HIGH))
+        seen = [ball(apart), *([] if standing is None else [standing - place])]
+        state = {
+            "point_cloud": torch.from_numpy(np.concatenate(seen) - [0.0, 0.0, ABOVE]).float()[None],
+            "is_init": torch.tensor([[step == 0]]),
+            "altitude": torch.tensor([[LEVEL + place[2]]]).float(),
+            "velocity": torch.from_numpy(velocity).float()[None],
+            "attitude": torch.zeros(1, 3),
+        }
+        velocity = velocity + 0.22 * (policy(TensorDict(state, [1]))["action"][0, :3].double().numpy() - velocity)
+        place = place + PERIOD * velocity
+    return float(nearest)
+
+
+@pytest.mark.parametrize(
+    ("begin", "speed"),
+    [([8.0, 0.2, 0.0], [-3.0, 0.0, 0.0]), ([4.0, 6.0, 0.0], [0.0, -3.0, 0.0]), ([4.0, -6.0, 0.2], [0.0, 3.0, 0.0])],
+    ids=["ahead", "left", "right"],
+)
+def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_its_scans_show_to_move(
+    begin: list[float], speed: list[float]
+) -> None:
+    assert flight(Ahead(), begin, speed) < 0.6
+    assert flight(Evading(Ahead()), begin, speed) > 0.9
+
+
+def test_what_stands_is_left_to_the_policy() -> None:
+    policy = Ahead()
+    flight(Evading(policy), [6.0, 0.1, 0.0], [0.0, 0.0, 0.0])
+    assert policy.heard == [[2.0, 0.0, 0.0, 0.5]] * 40
+
+
+def test_a_vehicle_whose_episode_begins_has_seen_nothing_yet() -> None:
+    """Two see the same ball; the second one's episode begins with each scan, so that it never sees it move."""
+    policy = Evading(Ahead())
+    for step in range(12):
+        cloud = torch.from_numpy(ball(np.array([7.0 - 0.3 * step, 0.0, 0.0]))).float().expand(2, -1, -1)
+        begins = torch.tensor([[step == 0], [True]])
+        seen = {"velocity": torch.zeros(2, 3), "attitude": torch.zeros(2, 3), "altitude": torch.full((2, 1), LEVEL)}
+        flown = policy(TensorDict({"point_cloud": cloud, "is_init": begins, **seen}, [2]))["action"]
+    assert (flown[0, :3] - torch.tensor([2.0, 0.0, 0.0])).norm() > 0.5
+    assert flown[1].tolist() == [2.0, 0.0, 0.0, 0.5]
+
+
+@pytest.mark.parametrize("batch", [[], [3], [2, 5], [0]])
+def test_any_batch_flies_with_it(batch: list[int]) -> None:
+    ahead = TensorDictModule(lambda cells: cells + torch.tensor([3.0, 0.0, 0.0, 1.0]), ["cells"], ["action"])
+    seen = TensorDict(cells=torch.zeros(*batch, 4), point_cloud=torch.ones(*batch, 6, 3), batch_size=batch)
+    seen["attitude"], seen["velocity"] = torch.zeros(*batch, 3), torch.zeros(*batch, 3)
+    seen["altitude"], seen["is_init"] = torch.full((*batch, 1), LEVEL), torch.ones(*batch, 1, dtype=torch.bool)
+    assert_close(Evading(ahead)(seen)["action"], torch.tensor([2.0, 0.0, 0.0, 1.0]).expand(*batch, 4))
+
+
+def test_arrays_and_tensors_are_evaded_alike() -> None:
+    begins, speed = np.array([[4.0, 0.3, 0.0], [5.0, -4.0, 0.1], [9.0, 9.0, 0.0]]), np.array([-3.0, 1.0, 0.0])
+    ways = begins[:, None, None] + PERIOD * np.arange(1, STEPS + 1)[:, None] * speed
+    planned, known = np.array([[2.0, 0.0, 0.0]] * 3), np.ones((3, 1), bool)
+    points, heights = [ball(np.array([1.5, 0.9, 0.0]))] * 3, np.array([[0.0], [0.6], [0.0]])
+    tensors = [torch.from_numpy(each) for each in (planned, planned, ways, known)]
+    found = evaded(*tensors, [torch.from_numpy(each) for each in points], torch.from_numpy(heights))
+    arrays = evaded(planned, planned, ways, known, points, heights)
+    assert arrays == pytest.approx(found.numpy(), abs=1e-6)
+    assert np.abs(arrays[0] - planned[0]).max() > 0.5 and (arrays[2] == planned[2]).all()
+
+
+def test_where_less_may_be_flown_it_evades_more_slowly() -> None:
+    slow, still, most = Evasion(limit=1.0), np.zeros((1, 3)), 0.0
+    for step in range(12):
+        cloud = ball(np.array([9.0 - 0.3 * step, 0.5, 0.0]))[None]
+        flown = slow(np.array([[1.0, 0.0, 0.0]]), cloud, still, still, np.zeros(1))
+        most = max(most, float(np.linalg.norm(flown[0, 1:])))
+        assert np.linalg.norm(flown) <= 1.0 + 1e-6
+    assert most > 0.4
+
+
+@pytest.mark.parametrize("place", [0, 2, 3, 4])
+def test_numbers_that_are_none_are_refused(place: int) -> None:
+    told = [np.zeros((1, 3)), np.zeros((1, 4, 3)), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros(1)]
+    told[place] = told[place] + np.nan
+    with pytest.raises(UavrlError, match="finite numbers"):
+        Evasion()(*told)
+
+
+def test_behind_a_shield_the_policy_hears_what_is_flown_in_the_end() -> None:
+    policy = Ahead()
+    seen = TensorDict(point_cloud=torch.tensor([[[0.82 + 0.35, 0.0, -0.1]]]), batch_size=[1])
+    seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
+    seen["altitude"], seen["is_init"] = torch.full((1, 1), LEVEL), torch.ones(1, 1, dtype=torch.bool)
+    Shielded(Evading(policy))(seen)
+    assert policy.heard[-1] == [pytest.approx(each, abs=1e-6) for each in (1.0, 0.0, 0.0, 0.5)]
+
+
+def test_an_evaluation_looks_as_far_and_knows_the_vehicles_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, reached = set[tuple[object, ...]](), list[float]()
+
+    def stands(evasion: Evasion, asked: np.ndarray, clouds: np.ndarray, *_: object) -> np.ndarray:
+        made.add((evasion.vehicles, evasion.max_range, evasion.hull, evasion.sensor))
+        reached.append(float(np.linalg.norm(np.nan_to_num(clouds, posinf=0.0), axis=-1).max()))
+        return np.zeros_like(asked)
+
+    monkeypatch.setattr(Evasion, "__call__", stands)
+    output = tmp_path / "evading.json"
+    command = ["policy=straight", "evade=9", "episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
+    assert in_process(evaluate.main, *command, "env.airframe.collision_radius=0.3", f"output={output}") == 0
+    result = json.loads(output.read_text())
+    assert "evade=9" in result["overrides"] and result["outcomes"] == "TT"
+    assert max(flight["flown"] for flight in result["flights"]) < 0.2
+    assert made == {(2, 9.0, (0.3, 0.14), 0.1)}
+    assert 4.0 < max(reached) <= 9.0
+
+
+def test_a_sensor_that_does_not_reach_as_far_is_refused() -> None:
+    seen = validate_run(compose("perception.lidar.far_range=8")).perception
+    assert with_sight(seen, evade=8.0) == seen
+    with pytest.raises(
+        UavrlError, match=r"evade=12 looks farther than the LiDAR, which reaches 8 m: .* or lower evade"
+    ):
+        with_sight(seen, evade=12.0)
+
+
+def test_a_packaged_policys_environment_gives_what_it_reads() -> None:
+    policy = load_policy("best")
+    env = policy.make_env("perception.lidar.far_range=12", "randomize=none", "env.max_steps=2", keep_cloud=True)
+    assert len(fly(env, Evading(policy), 1)) == 1
