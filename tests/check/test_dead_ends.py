@@ -40,7 +40,7 @@ def test_the_exported_policy_over_packets_and_mavlink(tmp_path: Path) -> None:
     env = make_env(settings.env, settings.perception, tasks=range(6), seed=20_000, num_uavs=1, keep_cloud=True)
     for task in range(6):
         state = env.reset(task=task)
-        with closing(Wire(folder, env, task, Navigator())) as wire:
+        with closing(Wire(folder, env, task, memory=Navigator())) as wire:
             wire.hand_over(state["point_cloud"][0].numpy())
             while not state["done"].any():
                 wire.cycle(state["point_cloud"][0].numpy())

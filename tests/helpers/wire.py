@@ -20,13 +20,12 @@ from uavrl.deploy.sitl_ports import SitlPorts
 from uavrl.deploy.stages import FlightCycle
 from uavrl.deploy.telemetry import Telemetry
 from uavrl.envs.live import LiveEpisode
-from uavrl.mapping import Navigator
 
 
 class Wire:
     """A vehicle in lockstep, of which a flight knows what packets and messages say."""
 
-    def __init__(self, folder: Path, env: Any, task: int, memory: Navigator | None = None) -> None:
+    def __init__(self, folder: Path, env: Any, task: int, **stages: Any) -> None:
         self.episode, messages = LiveEpisode(env.base_env, task), mavlink()
         self.pilot = SimulatedAutopilot(messages, "px4")
         self.telemetry, port = Telemetry(messages, self.pilot), free_port()
@@ -41,7 +40,7 @@ class Wire:
 
         self.policy.state = read  # type: ignore[assignment]
         goal = [float(each) for each in self.episode.goal]
-        self.flight = Flight(self.policy, goal, self.link, SafetyLayer(), radius=0.01, memory=memory)
+        self.flight = Flight(self.policy, goal, self.link, SafetyLayer(), radius=0.01, **stages)
 
     def cycle(self, points: np.ndarray) -> FlightCycle:
         """A tenth of a second later, with a scan."""
