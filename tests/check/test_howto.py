@@ -69,7 +69,9 @@ def test_a_vehicle_of_ones_own_composes(tmp_path: Path) -> None:
 def test_moving_obstacles(run: Any) -> None:
     names = run("moving_obstacles")
     assert names["env"].plane_poses().shape == (5, 4) and names["env"].plane_paths(10).shape == (10, 5, 4)
+    assert names["steps"].shape == (1, 3)
     names["env"].close()
+    names["flown"].close()
 
 
 def test_a_memory(run: Any, capsys: pytest.CaptureFixture[str]) -> None:
