@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +20,12 @@ from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
 from uavrl.cli import fly
+from uavrl.deploy.flight import Flight
 from uavrl.deploy.logged_flight import LoggedFlight
 from uavrl.deploy.packets import encode_scan
 from uavrl.deploy.sources import ScanSource
 from uavrl.envs.vlp16 import firing_directions
+from uavrl.motion.evasion import Evasion
 
 RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
 GOAL = "goal=[20,0,2.5]"
@@ -148,6 +151,7 @@ def test_a_pipe_that_nobody_reads_ends_no_flight(
         (["policy=none", GOAL, "json=./flight.mcap"], "json must be another file than the log and the recording"),
         (["policy=none", GOAL, *RECORDING, f"json={RECORDED}"], "json must be another file than the log"),
         (["policy=none", GOAL, "safety.speed=1"], "There is no key 'safety.speed'"),
+        (["policy=none", GOAL, "evade=0"], "evade must be in (0, 100], got 0"),
     ],
 )
 def test_what_a_user_may_get_wrong(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,3 +172,24 @@ def test_a_port_that_is_taken(policy: Path, capsys: pytest.CaptureFixture[str]) 
 def test_the_model_is_named(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert in_process(fly.main, f"policy={policy}", GOAL, "autopilot=null", "log=null") == 1
     assert "model must be one of VLP16" in capsys.readouterr().err
+
+
+def test_evasion_knows_the_vehicle_as_the_shield_does(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = list[Evasion]()
+
+    def kept(*arguments: Any, evasion: Evasion, **stages: Any) -> Flight:
+        made.append(evasion)
+        return Flight(*arguments, evasion=evasion, **stages)
+
+    monkeypatch.setattr(fly, "Flight", kept)
+    vehicle = ("shield.radius=0.3", "shield.height=0.2", "shield.sensor=0.15", "safety.velocity=1.5")
+    recording = [*(each for each in RECORDING if each != "log=null"), f"log={tmp_path / 'flight.mcap'}"]
+    for told in (("evade=9", *vehicle), ("evade=12",), ()):
+        assert in_process(fly.main, f"policy={policy}", GOAL, *recording, *told) == 0
+    own, usual, none = made
+    assert (own.max_range, own.hull, own.sensor, own.limit) == (9.0, (0.3, 0.1), 0.15, 1.5)
+    assert (usual.max_range, usual.hull, usual.sensor, usual.limit) == (12.0, (0.35, 0.14), 0.1, 2.0)
+    assert none is None
+    assert LoggedFlight(tmp_path / "flight.mcap").about["evade"] == "9.0"
