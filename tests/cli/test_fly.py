@@ -186,10 +186,11 @@ def test_evasion_knows_the_vehicle_as_the_shield_does(
     monkeypatch.setattr(fly, "Flight", kept)
     vehicle = ("shield.radius=0.3", "shield.height=0.2", "shield.sensor=0.15", "safety.velocity=1.5")
     recording = [*(each for each in RECORDING if each != "log=null"), f"log={tmp_path / 'flight.mcap'}"]
-    for told in (("evade=9", *vehicle), ("evade=12",), ()):
+    for told in (("evade=9", *vehicle), ("evade=12",), ("evade=12", "shield.sensor=0.2"), ()):
         assert in_process(fly.main, f"policy={policy}", GOAL, *recording, *told) == 0
-    own, usual, none = made
+    own, usual, higher, none = made
     assert (own.max_range, own.hull, own.sensor, own.limit) == (9.0, (0.3, 0.1), 0.15, 1.5)
     assert (usual.max_range, usual.hull, usual.sensor, usual.limit) == (12.0, (0.35, 0.14), 0.1, 2.0)
+    assert (higher.hull, higher.sensor) == ((0.35, 0.14), 0.2)
     assert none is None
     assert LoggedFlight(tmp_path / "flight.mcap").about["evade"] == "9.0"

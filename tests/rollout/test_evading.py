@@ -15,12 +15,14 @@ from torch.testing import assert_close
 from tests.helpers.commands import in_process
 from uavrl import load_policy
 from uavrl.cli import evaluate
-from uavrl.config import compose, validate_run
+from uavrl.config import compose, validate, validate_run
+from uavrl.config.settings import EvaluateConfig
 from uavrl.errors import UavrlError
 from uavrl.motion.evasion import Evasion, evaded
 from uavrl.motion.threats import HIGH, STEPS, WIDE
 from uavrl.rollout.environment import with_sight
 from uavrl.rollout.evading import Evading
+from uavrl.rollout.policies import PACKAGED, choose
 from uavrl.rollout.rollout import fly
 from uavrl.rollout.shielded import Shielded
 
@@ -123,6 +125,16 @@ def test_arrays_and_tensors_are_evaded_alike() -> None:
     assert np.abs(arrays[0] - planned[0]).max() > 0.5 and (arrays[2] == planned[2]).all()
 
 
+def test_what_is_asked_for_counts_as_far_as_it_may_be_flown() -> None:
+    """At 2 m/s the vehicle would be past before the ball comes; at 1 m/s, which it may fly, both meet."""
+    quick, slow, still = Evasion(), Evasion(limit=1.0), np.zeros((1, 3))
+    for step in range(10):
+        scan = ball(np.array([0.4, 7.5 - 0.3 * step, 0.0]))[None], still, still, np.zeros(1)
+        free, bent = (evasion(np.array([[2.0, 0.0, 0.0]]), *scan)[0].tolist() for evasion in (quick, slow))
+    assert free == [2.0, 0.0, 0.0]
+    assert bent not in ([2.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+
+
 def test_where_less_may_be_flown_it_evades_more_slowly() -> None:
     slow, still, most = Evasion(limit=1.0), np.zeros((1, 3)), 0.0
     for step in range(12):
@@ -131,6 +143,13 @@ def test_where_less_may_be_flown_it_evades_more_slowly() -> None:
         most = max(most, float(np.linalg.norm(flown[0, 1:])))
         assert np.linalg.norm(flown) <= 1.0 + 1e-6
     assert most > 0.4
+
+
+@pytest.mark.parametrize("elapsed", [0.0, -0.1, np.nan, np.inf])
+def test_time_that_does_not_go_on_is_refused(elapsed: float) -> None:
+    still = np.zeros((1, 3))
+    with pytest.raises(UavrlError, match="elapsed must be a finite time above 0 s"):
+        Evasion()(still, np.zeros((1, 4, 3)), still, still, np.zeros(1), elapsed)
 
 
 @pytest.mark.parametrize("place", [0, 2, 3, 4])
@@ -178,6 +197,18 @@ def test_a_sensor_that_does_not_reach_as_far_is_refused() -> None:
         UavrlError, match=r"evade=12 looks farther than the LiDAR, which reaches 8 m: .* or lower evade"
     ):
         with_sight(seen, evade=12.0)
+
+
+@pytest.mark.parametrize(("evade", "more", "reaches"), [(15, [], 15.0), (8, [], 12.0), (9, ["far_range=20"], 20.0)])
+def test_a_policy_that_was_trained_to_look_less_far_looks_as_far_as_is_asked(
+    evade: float, more: list[str], reaches: float
+) -> None:
+    overrides = ["policy=best_dynamic", f"evade={evade}", *(f"perception.lidar.{each}" for each in more)]
+    config = compose(*overrides, name="evaluate")
+    folder = PACKAGED / "best_dynamic"
+    chosen = choose(validate(config, EvaluateConfig), config, overrides, folder, torch.device("cpu"))
+    assert chosen.perception["lidar"].far_range == reaches
+    assert isinstance(chosen.policy, Evading) and chosen.policy.max_range == evade
 
 
 def test_a_packaged_policys_environment_gives_what_it_reads() -> None:

@@ -103,7 +103,7 @@ class FlyConfig(LidarKeys):
         require(goal, "goal", "three numbers, [x,y,z] in m from the autopilot's origin", self.goal)
         bare = ShieldConfig()
         alone = [f"shield.{key}" for key, value in asdict(self.shield).items() if value != getattr(bare, key)]
-        shielded = self.shield.radius is not None or not alone
+        shielded = self.shield.radius is not None or self.evade is not None or not alone
         hull = f"the hull's in m with {' and '.join(alone)}: there is no shield without"
         require(shielded, "shield.radius", hull, self.shield.radius)
         dry = self.autopilot is None or self.is_live
@@ -204,11 +204,11 @@ def _shield(settings: FlyConfig) -> Shield | None:
 
 
 def _evasion(settings: FlyConfig) -> Evasion | None:
-    """What keeps out of the ways of what moves, with the hull that the shield is told of, or the simulated one."""
+    """What keeps out of the ways of what moves, of a vehicle of the size that the shield is told."""
     if settings.evade is None:
         return None
     hull = settings.shield
-    size = HULL if hull.radius is None else (hull.radius, hull.height / 2)
+    size = (hull.radius or HULL[0], hull.height / 2)
     return Evasion(max_range=settings.evade, hull=size, sensor=hull.sensor, limit=settings.safety.velocity)
 
 

@@ -112,7 +112,7 @@ class Evasion:
         objects: of each vehicle, the nearest, that count.
         hull: its radius, and half its height, m.
         sensor: m, of the LiDAR over the hull's middle.
-        limit: of the speed of what is flown instead, m/s.
+        limit: greatest component of what may be flown, m/s, and the speed of what is flown instead.
         period: time between two scans, s.
 
     Examples:
@@ -166,9 +166,12 @@ class Evasion:
             elapsed: since the scans before, s. None: ``period``.
 
         Raises:
-            UavrlError: for velocities, angles and heights that are not finite.
+            UavrlError: for velocities, angles, heights and times that are not finite.
         """
-        asked, velocities, attitudes = (np.asarray(each, float) for each in (asked, velocities, attitudes))
+        asked = np.asarray(asked, float).clip(-self.limit, self.limit)  # what is flown of it
+        velocities, attitudes, heights = (np.asarray(each, float) for each in (velocities, attitudes, heights))
+        if elapsed is not None and not 0.0 < elapsed < np.inf:
+            raise UavrlError(f"elapsed must be a finite time above 0 s, got {elapsed}: give that between two scans.")
         if not all(np.isfinite(each).all() for each in (asked, velocities, attitudes, heights)):
             raise UavrlError(
                 f"To keep out of the way of what moves takes finite numbers, got {asked} m/s asked for, velocities "

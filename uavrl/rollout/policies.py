@@ -93,7 +93,7 @@ def choose(
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
     chosen = _led(chosen)
-    chosen = chosen if settings.evade is None else _evading(chosen, settings.evade)
+    chosen = chosen if settings.evade is None else _evading(chosen, settings.evade, keys_of(overrides))
     return _shielded(chosen) if settings.shield else chosen
 
 
@@ -111,16 +111,18 @@ def _led(chosen: PolicySetup) -> PolicySetup:
     return replace(chosen, policy=Led(chosen.policy))
 
 
-def _evading(chosen: PolicySetup, max_range: float) -> PolicySetup:
+def _evading(chosen: PolicySetup, max_range: float, given: Collection[str]) -> PolicySetup:
     """The same out of the ways of what moves, for which its scans reach as far as that is looked for."""
-    from uavrl.envs.quadrotor import Airframe
     from uavrl.rollout.environment import with_sight
     from uavrl.rollout.evading import Evading
 
     require_valley(chosen.env, chosen.choices, "evade")
-    vehicle = chosen.env.get("airframe") or Airframe()
-    policy = Evading(chosen.policy, max_range, flight_level=chosen.env["world"].flight_level, airframe=vehicle)
-    return replace(chosen, policy=policy, perception=Part(with_sight(chosen.perception, evade=max_range)))
+    perception, lidar, key = chosen.perception, chosen.perception.get("lidar"), "perception.lidar.far_range"
+    if lidar is not None and key not in given and (lidar.far_range or max_range) < max_range:
+        perception = Part({**perception, "lidar": replace(lidar, far_range=None)})  # a run wrote down what it needed
+    about = {"flight_level": chosen.env["world"].flight_level, "airframe": chosen.env.get("airframe")}
+    policy = Evading(chosen.policy, max_range, **about)
+    return replace(chosen, policy=policy, perception=Part(with_sight(perception, evade=max_range)))
 
 
 def _shielded(chosen: PolicySetup) -> PolicySetup:
