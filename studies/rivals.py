@@ -25,13 +25,15 @@ import torch
 from outcomes import compared, evaluation
 from run_statistics import paired_difference
 
+from uavrl import hull
 from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.config.build import find_class
 from uavrl.errors import UavrlError
 from uavrl.machine import processors
 from uavrl.mapping import episode_map, goal_finder, lines, route
-from uavrl.rollout import evasion, hull, remembered, rrt_connect, ways
+from uavrl.motion import evade, histogram
+from uavrl.rollout import remembered, rrt_connect, ways
 from uavrl.rollout.environment import make_env
 from uavrl.rollout.policies import BASELINES, PACKAGED, named_policy
 from uavrl.rollout.rollout import rollout
@@ -48,6 +50,7 @@ RIVALS: dict[str, list[str]] = {
     "vfh": CELLS,
 }
 ROWS = ("static", "held_out", "dense")
+SHARED = [remembered, hull, histogram, evade]  # of all that remember their scans
 
 
 def fly(name: str, row: str, folder: Path, tasks: int) -> dict[str, Any]:
@@ -100,6 +103,14 @@ def lines_of(*modules: Any) -> int:
     return count
 
 
+def modules_of(name: str) -> list[Any]:
+    """Where a rival's code is, beside what it shares with the controller and the learned policies."""
+    kind = find_class(BASELINES[name], object)
+    own = [sys.modules[kind.__module__]] + SHARED * issubclass(kind, remembered.Planner)
+    own += [ways, lines] * issubclass(kind, rrt_connect.RRTConnect)
+    return own + [rrt_connect, episode_map, goal_finder, route] * (name == "rrt_map")
+
+
 def row_of(result: dict[str, Any], best: dict[str, Any] | None) -> list[str]:
     """What a table says of a row: success, difference to the best, steps per success."""
     arrived, tasks = result["outcomes"].count("S"), result["episodes"]
@@ -133,12 +144,8 @@ def main() -> None:
     print("|---" * (len(heads) + 3) + "|")
     for name in args.rivals:
         cells = [cell for row in args.rows for cell in row_of(found[name][row], told_of_best(row))]
-        kind = find_class(BASELINES[name], object)
-        own = [sys.modules[kind.__module__]] + [remembered, hull, evasion] * issubclass(kind, remembered.Planner)
-        own += [ways, lines] * issubclass(kind, rrt_connect.RRTConnect)
-        own += [rrt_connect, episode_map, goal_finder, route] * (name == "rrt_map")
         times = ", ".join(f"{milliseconds(name, vehicles):.1f}" for vehicles in (1, 16))
-        print(f"| `policy={name}` | {' | '.join(cells)} | {times} | {lines_of(*own)} |", flush=True)
+        print(f"| `policy={name}` | {' | '.join(cells)} | {times} | {lines_of(*modules_of(name))} |", flush=True)
     if args.json:
         args.json.parent.mkdir(parents=True, exist_ok=True)
         args.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")

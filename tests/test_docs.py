@@ -127,7 +127,7 @@ PLANNERS = {
     "`best`": ["uavrl/policies/best/suite.json"],
     "`best`, shield": ["docs/data/suite/shielded.json"],
     "`best`, map": ["docs/data/suite/best_memory.json"],
-    "`best`, both": ["docs/data/suite/shielded_memory.json"],
+    "`best`, all": ["docs/data/suite/evading_shielded_memory.json"],
     "`best_dynamic`": ["uavrl/policies/best_dynamic/suite.json"],
 }
 

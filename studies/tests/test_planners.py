@@ -82,6 +82,16 @@ def test_rivals_are_told_beside_the_packaged_policy(
     assert rivals.lines_of(importlib.import_module("uavrl.rollout.potential_field")) in range(30, 60)
 
 
+def test_the_page_tells_how_many_lines_each_planner_takes() -> None:
+    import rivals
+
+    page = (Path(__file__).parents[2] / "docs/howto/planners.md").read_text(encoding="utf-8")
+    names = ("potential_field", "vfh", "vfh_star", "mppi", "rrt_connect", "rrt_map")
+    lines = [str(rivals.lines_of(*rivals.modules_of(name))) for name in names]
+    assert f"| lines of code | {' | '.join(lines)} |" in page, lines
+    assert f"share {rivals.lines_of(*rivals.SHARED)} lines" in page
+
+
 def test_a_row_that_fails_is_named_in_a_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import rivals
 

@@ -18,7 +18,8 @@ from uavrl.cli import evaluate
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.settings import EvaluateConfig
 from uavrl.errors import UavrlError
-from uavrl.motion.evasion import Evasion, evaded
+from uavrl.motion.evade import evaded
+from uavrl.motion.evasion import Evasion
 from uavrl.motion.threats import HIGH, STEPS, WIDE
 from uavrl.rollout.environment import with_sight
 from uavrl.rollout.evading import Evading

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from uavrl.config.build import find_class
 from uavrl.envs import Airframe
 from uavrl.hull import hull_distances
-from uavrl.motion.evasion import evaded
+from uavrl.motion.evade import evaded
 from uavrl.motion.threats import HIGH, STEPS, WIDE
 from uavrl.rollout.policies import BASELINES, named_policy
 from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, Planner

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
-from uavrl.motion.evasion import evade
+from uavrl.motion.evade import evade
 from uavrl.motion.threats import straight_on, to_yaw
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
@@ -149,7 +149,7 @@ class VectorFieldHistogram(TensorDictModuleBase):
         return tensordict.set("action", self.to_action(cost, speed, tensordict["heading_deg"]))
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Where moving objects are thought to be, and which there are, as ``uavrl.motion.evasion.evade`` asks."""
+        """Where moving objects are thought to be, and which there are, as ``uavrl.motion.evade.evade`` asks."""
         return straight_on(tensordict["moving_objects"])
 
     def score_directions(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:

@@ -12,7 +12,7 @@ from uavrl.attitude import body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.mapping.navigator import LIDAR_ABOVE
-from uavrl.motion.evasion import evaded
+from uavrl.motion.evade import evaded
 from uavrl.motion.histogram import polar_histogram
 from uavrl.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl.motion.threats import STEPS, straight_on, to_yaw
