@@ -18,8 +18,8 @@ STANDING = 4.0  # m, how far what stands counts
 class Evasion:
     """Keeps vehicles out of the ways of what moves, whatever they are asked to fly.
 
-    :class:`~uavrl.transforms.MotionSight` finds what moves in their scans. Where a velocity that is asked for leads to it
-    within two seconds, if it flies straight on, :func:`uavrl.motion.evade.evaded` chooses another one, off what stands.
+    :class:`~uavrl.transforms.MotionSight` finds what moves in their scans. Where a velocity that is asked for leads to
+    it within two seconds, if it flies straight on, :func:`uavrl.motion.evade.evaded` chooses another, off what stands.
 
     Args:
         vehicles: N.
