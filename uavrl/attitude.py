@@ -17,3 +17,13 @@ def body_to_world(attitudes: np.ndarray) -> np.ndarray:
         [-sp, cp * sr, cp * cr],
     ]
     return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def body_to_level(attitudes: np.ndarray) -> np.ndarray:
+    """Rotations ``[N, 3, 3]`` of the same into axes that are level and point where the yaw does.
+
+    Examples:
+        >>> (body_to_level(np.array([[0.0, 0.0, 2.0]]))[0] @ [1.0, 0.0, 0.0]).tolist()
+        [1.0, 0.0, 0.0]
+    """
+    return body_to_world(attitudes * [1.0, 1.0, 0.0])

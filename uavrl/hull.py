@@ -39,6 +39,16 @@ def hull_distances(points: Array, places: Array, near: float, hull: Hull = HULL)
     return (library.sqrt(least.clip(0.0)) - hull[0]).reshape(places.shape[:-1])
 
 
+def inside(points: np.ndarray, hull: Hull = HULL) -> np.ndarray:
+    """Which of ``points [P, 3]``, m from the hull's middle in body axes, are of the vehicle itself: ``bool [P]``.
+
+    Examples:
+        >>> inside(np.array([[0.3, 0.0, 0.1], [0.3, 0.0, 0.2]])).tolist()
+        [True, False]
+    """
+    return (np.hypot(points[:, 0], points[:, 1]) < hull[0]) & (np.abs(points[:, 2]) < hull[1])
+
+
 def off_altitudes(off: Array) -> Array:
     """How far heights ``off`` the flight level, in m, lie out of where one may fly: below the ceiling, off the ground.
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavrl.attitude import body_to_world
+from uavrl.attitude import body_to_level
 from uavrl.cells import NEAREST_RETURN
 from uavrl.errors import UavrlError
+from uavrl.hull import inside
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
 SWEEPS = 20  # most corrections of a velocity
@@ -129,10 +130,9 @@ class Shield:
         with np.errstate(over="ignore", invalid="ignore"):
             squared = x * x + y * y + z * z
             near = np.flatnonzero((squared > NEAREST_RETURN**2) & (squared < self.sight**2))
-        level = body_to_world(np.array([[*tilt, 0.0]]))[0]
+        level = body_to_level(np.array([[*tilt, 0.0]]))[0]
         points = np.asarray(cloud[near], float) + np.array([0.0, 0.0, self.sensor])
-        own = (np.hypot(points[:, 0], points[:, 1]) < self.radius) & (np.abs(points[:, 2]) < self.height / 2)
-        return np.asarray(points[~own] @ level.T)
+        return np.asarray(points[~inside(points, (self.radius, self.height / 2))] @ level.T)
 
 
 def _nearest_of_each_direction(towards: np.ndarray, gaps: np.ndarray) -> np.ndarray:

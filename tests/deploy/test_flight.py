@@ -132,14 +132,6 @@ def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_moves() -> 
         assert gave_way == (rig is evading)
 
 
-def test_evasion_without_the_vehicles_velocity_lets_nothing_pass(caplog: pytest.LogCaptureFixture) -> None:
-    rig = Rig(evasion=Evasion())
-    rig.airborne()
-    rig.link.pose = lambda: Pose(rig.now, (0.0, 0.0, 3.5), (np.nan, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
-    assert rig.scan().action is None
-    assert "what moves takes finite numbers, got" in caplog.text
-
-
 def test_with_a_memory_the_policy_reads_the_heading_to_the_way_around_what_was_seen() -> None:
     """A wall of 4 m stands 2 m ahead; the goal is 20 m ahead, and once the wall is out of sight it is remembered."""
     wall = np.stack(np.broadcast_arrays(2.0, np.linspace(-1.0, 3.0, 40), -0.1), -1)
@@ -155,12 +147,22 @@ def test_with_a_memory_the_policy_reads_the_heading_to_the_way_around_what_was_s
     assert rig.policy.seen[-1][3] == without.policy.seen[-1][3], "the elevation is the goal's"
 
 
-def test_a_shield_without_the_vehicles_velocity_lets_nothing_pass(caplog: pytest.LogCaptureFixture) -> None:
-    rig = Rig(shield=Shield())
+@pytest.mark.parametrize(
+    ("stage", "told"),
+    [
+        ({"shield": Shield()}, "A shield needs finite numbers, got"),
+        ({"evasion": Evasion()}, "what moves takes finite numbers, got"),
+    ],
+    ids=["shield", "evasion"],
+)
+def test_without_the_vehicles_velocity_they_let_nothing_pass(
+    stage: dict[str, Any], told: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = Rig(**stage)
     rig.airborne()
     rig.link.pose = lambda: Pose(rig.now, (0.0, 0.0, 3.5), (np.nan, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
     assert rig.scan().action is None
-    assert "A shield needs finite numbers, got" in caplog.text
+    assert told in caplog.text
 
 
 def test_a_scan_becomes_a_setpoint() -> None:

@@ -14,6 +14,7 @@ from torch.testing import assert_close
 
 from tests.helpers.commands import in_process
 from uavrl import load_policy
+from uavrl.attitude import body_to_level, body_to_world
 from uavrl.cli import evaluate
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.settings import EvaluateConfig
@@ -54,17 +55,14 @@ class Ahead:
         self.heard.extend(actions.tolist())
 
 
-def flight(
-    policy: Evading | Ahead, begin: list[float], speed: list[float], standing: np.ndarray | None = None
-) -> float:
+def flight(policy: Evading | Ahead, begin: list[float], speed: list[float]) -> float:
     """How near a ball comes that flies straight on, while the policy flies; 1 keeps the margin, 0.66 touches."""
     place, velocity, nearest = np.zeros(3), np.array([2.0, 0.0, 0.0]), np.inf
     for step in range(40):
         apart = np.array(begin) + PERIOD * step * np.array(speed) - place
         nearest = min(nearest, max(np.hypot(*apart[:2]) / WIDE, abs(apart[2]) / HIGH))
-        seen = [ball(apart), *([] if standing is None else [standing - place])]
         state = {
-            "point_cloud": torch.from_numpy(np.concatenate(seen) - [0.0, 0.0, ABOVE]).float()[None],
+            "point_cloud": torch.from_numpy(ball(apart) - [0.0, 0.0, ABOVE]).float()[None],
             "is_init": torch.tensor([[step == 0]]),
             "altitude": torch.tensor([[LEVEL + place[2]]]).float(),
             "velocity": torch.from_numpy(velocity).float()[None],
@@ -85,6 +83,46 @@ def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_its_scans_s
 ) -> None:
     assert flight(Ahead(), begin, speed) < 0.6
     assert flight(Evading(Ahead()), begin, speed) > 0.9
+
+
+def evasive(aside: float, standing: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """What is flown instead of 2 m/s ahead by a vehicle that stands, when a ball comes, a little ``aside``."""
+    evasion, attitude = Evasion(), np.array([[*tilt, 0.0]])
+    for step in range(14):
+        points = np.concatenate([ball(np.array([8.0 - 0.3 * step, aside, 0.0])), standing])
+        cloud = points @ body_to_world(attitude)[0] - [0.0, 0.0, ABOVE]
+        flown = evasion(np.array([[2.0, 0.0, 0.0]]), cloud[None], np.zeros((1, 3)), attitude, np.zeros(1))[0]
+    return np.asarray(flown)
+
+
+def wall(side: float) -> np.ndarray:
+    """Points all along the vehicle, 0.9 m from its middle, to the left or to the right."""
+    x, z = (each.ravel() for each in np.meshgrid(np.arange(-1.0, 4.0, 0.1), np.arange(-1.5, 1.6, 0.1)))
+    return np.stack([x, np.full(len(x), 0.9 * side), z], -1)
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.2, -0.1)], ids=["level", "tilted"])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_it_gives_way_to_the_side_on_which_its_scan_shows_nothing(side: float, tilt: tuple[float, float]) -> None:
+    """The ball comes a little to the free side, to which it gives way for the wall alone."""
+    free, beside = (evasive(-0.3 * side, each, tilt) for each in (wall(side)[:0], wall(side)))
+    assert side * free[1] > 0.3, "away from the ball"
+    assert side * beside[1] <= 0, "not into the wall"
+
+
+def test_what_stands_is_reckoned_from_the_hulls_middle_in_level_axes_without_the_vehicles_own_parts() -> None:
+    """Rolled by 90 degrees the LiDAR is 0.5 m to the right, and what it sees above it lies to the right, too."""
+    rolled = body_to_level(np.array([[np.pi / 2, 0.0, 2.0]]))[0]
+    rotor, above = [0.2, 0.2, -0.45], [1.0, 0.0, 1.5]
+    found = Evasion(sensor=0.5)._around(np.array([rotor, above]), rolled)
+    assert found[0] == pytest.approx(np.array([[1.0, -2.0, 0.0]]), abs=1e-6)
+
+
+def test_what_passes_over_the_hull_is_let_pass_however_near_to_the_lidar() -> None:
+    high, still, asked = Evasion(sensor=0.5), np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])
+    for step in range(14):
+        cloud = ball(np.array([8.0 - 0.3 * step, 0.0, 0.4]), radius=0.1)[None]  # 0.9 m over the hull's middle
+        assert high(asked, cloud, still, still, np.zeros(1)).tolist() == asked.tolist()
 
 
 def test_what_stands_is_left_to_the_policy() -> None:

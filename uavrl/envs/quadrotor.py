@@ -14,6 +14,7 @@ from pydantic import Field
 
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
+from uavrl.hull import Hull
 from uavrl.ranges import Positive, Rule
 
 GRAVITY = 9.81  # m/s²
@@ -116,6 +117,11 @@ class Airframe:
     def total_mass(self) -> float:
         """Mass with the LiDAR in kg."""
         return self.mass + self.lidar_mass
+
+    @property
+    def hull(self) -> Hull:
+        """Radius and half the height of the collision cylinder in m."""
+        return self.collision_radius, self.collision_height / 2
 
     @property
     def centre_of_mass(self) -> Vector:

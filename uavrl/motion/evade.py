@@ -74,14 +74,12 @@ def evaded(
         >>> evaded(ahead, ahead, ways, np.array([[False]]), *around).tolist()
         [[2.0, 0.0, 0.0]]
     """
-    library = library_of(planned)
+    library, others = library_of(planned), like(OTHERS * np.float32(limit / SPEED), planned)
     worst = greatest_threats(planned, velocity, ways, known)
     flown = planned + 0.0
     for one in library.where(worst > 0)[0].tolist():
         own = slice(one, one + 1)
-        tried = library.concatenate([planned[own], like(OTHERS * np.float32(limit / SPEED), planned)])[
-            None
-        ]  # [1, C, 3]
+        tried = library.concatenate([planned[own], others])[None]  # [1, C, 3]
         path = predict_path(tried, velocity[own, None])[0, :, :SOON]  # [C, T, 3]
         beside = hull_distances(points[one], path, NEAR, hull)
         off = library.amax(off_altitudes(height[one] + path[..., 2]), -1)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from uavrl.attitude import body_to_world
+from uavrl.attitude import body_to_level
 from uavrl.errors import UavrlError
-from uavrl.hull import HULL, Hull
+from uavrl.hull import HULL, Hull, inside
 from uavrl.motion.evade import SPEED, evaded
 from uavrl.motion.histogram import polar_histogram
 from uavrl.motion.occlusion import find_returns
@@ -96,17 +96,20 @@ class Evasion:
             return asked
         objects = self._sight.look(_thinned(clouds), velocities, attitudes, elapsed=elapsed)
         ways, known = straight_on(objects.reshape(len(objects), -1).astype(float))
-        tilts = body_to_world(attitudes * [1.0, 1.0, 0.0])
-        above = self.sensor * tilts[:, :, 2]
-        ways, own = ways + above[:, None, None], to_yaw(velocities, attitudes[:, 2])
-        threatened = np.flatnonzero(greatest_threats(asked, own, ways, known) > 0)
+        tilts, own = body_to_level(attitudes), to_yaw(velocities, attitudes[:, 2])
+        ways = ways + (self.sensor * tilts[:, :, 2])[:, None, None]  # from the hull's middle
         flown = asked.copy()
-        for one in threatened:
-            mine, points = slice(one, one + 1), find_returns(clouds[one, None], STANDING).points
-            around = polar_histogram((tilts[one] @ points).T + above[one], np.zeros(points.shape[1], int), 1)
+        for one in np.flatnonzero(greatest_threats(asked, own, ways, known) > 0):
+            mine, around = slice(one, one + 1), self._around(clouds[one], tilts[one])
             told = asked[mine], own[mine], ways[mine], known[mine], around, heights[mine, None]
             flown[mine] = evaded(*told, self.hull, self.limit)
         return flown
+
+    def _around(self, cloud: np.ndarray, tilt: np.ndarray) -> list[np.ndarray]:
+        """The nearest return of each direction that is not of the vehicle itself, from its middle in level axes."""
+        points = find_returns(cloud[None], STANDING).points.T + np.array([0.0, 0.0, self.sensor])
+        points = points[~inside(points, self.hull)] @ tilt.T
+        return polar_histogram(points, np.zeros(len(points), int), 1)
 
 
 def _thinned(clouds: np.ndarray) -> np.ndarray:

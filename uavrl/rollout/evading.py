@@ -52,8 +52,7 @@ class Evading(Filtered):
     def velocities(self, asked: np.ndarray, seen: Mapping[str, np.ndarray]) -> np.ndarray:
         """Those out of the ways of what moves."""
         if self._evasion is None or self._evasion.vehicles != len(asked):
-            hull = (self.airframe.collision_radius, self.airframe.collision_height / 2)
-            sensor = self.airframe.lidar_position[2]
+            hull, sensor = self.airframe.hull, self.airframe.lidar_position[2]
             self._evasion = Evasion(len(asked), self.max_range, hull=hull, sensor=sensor)
         self._evasion.reset(seen["is_init"][:, 0])
         heights = seen["altitude"][:, 0] - self.flight_level

@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from uavrl.attitude import body_to_world
+from uavrl.attitude import body_to_level, body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
 from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.mapping.navigator import LIDAR_ABOVE
@@ -174,7 +174,7 @@ class Planner(TensorDictModuleBase):
         self.motion = motion
         self.out_keys = ["action"]
         vehicle = airframe or Airframe()
-        self.hull = (vehicle.collision_radius, vehicle.collision_height / 2)
+        self.hull = vehicle.hull
         self.flight_level = flight_level
         self.memory = ScanMemory(sight, seconds, above=vehicle.lidar_position[2])
 
@@ -226,6 +226,6 @@ class Planner(TensorDictModuleBase):
             count = len(tensordict["is_init"])
             return torch.zeros(count, 0, STEPS, 3), torch.zeros(count, 0, dtype=torch.bool)
         ways, known = straight_on(tensordict["moving_objects"])  # from the LiDAR
-        tilt = tensordict["attitude"].double().numpy() * [1.0, 1.0, 0.0]
-        sensor = self.memory.above * torch.from_numpy(body_to_world(tilt)[:, :, 2]).to(ways)
+        tilts = body_to_level(tensordict["attitude"].double().numpy())
+        sensor = self.memory.above * torch.from_numpy(tilts[:, :, 2]).to(ways)
         return ways + sensor[:, None, None], known
