@@ -7,7 +7,7 @@ DOCS := $(VENV)/.ready-docs
 # The newest fitting Python here, unless make PYTHON=/path/to/python3 names one.
 fits = -c 'import sys, ensurepip, venv; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null
 PYTHON ?= $(shell for name in python3.13 python3.12 python3.11 python3; do $$name $(fits) && echo $$name && break; done)
-install = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e
+install = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e ./onboard -e
 export OMP_NUM_THREADS ?= 1
 export PYTHONDONTWRITEBYTECODE :=   # else each process would compile torch anew, for ten seconds
 ifndef RUN
@@ -23,7 +23,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # What trains, evaluates and draws.
-$(READY): pyproject.toml constraints.txt | $(BIN)/python
+$(READY): pyproject.toml onboard/pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing PyTorch and the rest into $(VENV): 6 GB, some minutes. Without CUDA it is 1.4 GB: see README.md."
 	$(install) '.[report]'
 	touch $@

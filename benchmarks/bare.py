@@ -12,11 +12,11 @@ from flights import Row
 from scipy.spatial.transform import Rotation
 
 from uavrl.envs.bullet import STATIC, add_fixed, add_vehicle, pybullet, silenced
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, PHYSICS_RATE
 from uavrl.envs.quadrotor import GRAVITY, Airframe
-from uavrl.envs.vlp16 import NUM_RAYS, firing_directions
 from uavrl.envs.world import World
+from uavrl_onboard.lidar.vlp16 import NUM_RAYS, firing_directions
+from uavrl_onboard.mesh import Mesh
 
 
 @dataclass(frozen=True)

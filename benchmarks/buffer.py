@@ -25,7 +25,7 @@ import torch
 from common import machine
 from tensordict import TensorDict
 
-from uavrl.cli.errors import one_sentence
+from uavrl_onboard.cli.process import one_sentence
 
 FRAMES, WIDTH, ACTION, STEPS, BATCH, BATCHES = 3, 35, 4, 100, 100, 32
 ROWS = ("uavrl", "uavrl, whole states", "TorchRL's LazyTensorStorage", "Stable-Baselines3")

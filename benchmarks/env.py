@@ -25,14 +25,14 @@ from scaling import print_scaling, scaling
 from torchrl.collectors import BaseCollector
 from torchrl.envs import CatFrames
 
-from uavrl.cli.errors import one_sentence
 from uavrl.envs.bullet import pybullet
 from uavrl.envs.lidar import Lidar
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.simulation import Simulation
-from uavrl.envs.vlp16 import NUM_RAYS
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
 from uavrl.transforms import NavigationObservation, NavigationReward, PointCloudReduction
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.lidar.vlp16 import NUM_RAYS
 
 PHYSICS, RAYS = "bare PyBullet physics", "bare Embree rays"
 COLLECTOR = "TorchRL: collector, TensorDict, TransformedEnv"

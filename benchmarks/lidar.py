@@ -23,13 +23,13 @@ from common import machine
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from uavrl.cli.errors import one_sentence
 from uavrl.envs.bullet import STATIC, add_fixed, pybullet, silenced
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.envs.mesh import Mesh
-from uavrl.envs.vlp16 import NUM_RAYS, firing_directions
 from uavrl.envs.world import World, WorldConfig
 from uavrl.transforms.icosahedron import truncated_icosahedron
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.lidar.vlp16 import NUM_RAYS, firing_directions
+from uavrl_onboard.mesh import Mesh
 
 CUT, UNCUT = 4.0, 100.0
 PYBULLET_BATCH = 16_000  # PyBullet takes fewer than 16,384 rays a call

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from common import machine
 
-from uavrl.cli.errors import one_sentence
-from uavrl.deploy.logged_flight import LoggedFlight
-from uavrl.deploy.safety import State
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import wilson
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.flight.logged_flight import LoggedFlight
+from uavrl_onboard.flight.safety import State
 
 PORTS = (23_680, 24_540)  # of LiDAR and autopilot
 LETTERS = {"success": "S", "collision": "C", "time_out": "T"}

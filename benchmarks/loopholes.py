@@ -23,12 +23,12 @@ from common import experiment, machine
 from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 
-from uavrl.cli.errors import one_sentence
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import World
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
 from uavrl.runs.episodes import outcome, wilson
 from uavrl.transforms.state import ACTION_LIMIT
+from uavrl_onboard.cli.process import one_sentence
 
 Way = Callable[[np.ndarray, np.ndarray, np.random.Generator], list[np.ndarray]]
 REACHED = 0.5  # m from a point of its way at which a UAV turns to the next one

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import machine, sb3_td3, valley_with_prize
 
-from uavrl.cli.errors import one_sentence
+from uavrl_onboard.cli.process import one_sentence
 
 DEFAULT, FAST, SB3 = "default", "fast", "Stable-Baselines3's TD3"
 OURS = {

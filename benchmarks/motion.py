@@ -16,8 +16,8 @@ import torch
 from common import experiment, machine
 from flights import Row, measure
 
-from uavrl.cli.errors import one_sentence
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
+from uavrl_onboard.cli.process import one_sentence
 
 ROWS = {
     "neither": [],

@@ -13,9 +13,9 @@ import numpy as np
 from uavrl.envs.bullet import STATIC, add_fixed, pybullet, silenced
 from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import NavigationEnv
-from uavrl.envs.vlp16 import firing_directions
+from uavrl_onboard.lidar.vlp16 import firing_directions
+from uavrl_onboard.mesh import Mesh
 
 BATCH = pybullet.MAX_RAY_INTERSECTION_BATCH_SIZE - 1  # rays a call takes
 

@@ -10,7 +10,7 @@ from flights import flights, flying, measure, settings
 from torchrl.collectors import Collector, RandomPolicy
 
 from uavrl.config import TrainConfig
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
 
 
 def sweep(configs: dict[str, TrainConfig], steps: int, repeats: int) -> dict[str, float]:

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from common import compose, machine, sb3_td3
 
-from uavrl.cli.errors import one_sentence
+from uavrl_onboard.cli.process import one_sentence
 
 RANDOM_STEPS = 1024  # of the uavrl rows; flights are learned from when they end, so that 8 UAVs need some to get going
 FEW_RANDOM_STEPS = 200  # of the others: two batches
@@ -78,7 +78,7 @@ def peak_rss() -> float:
 
 def uavrl_train(overrides: list[str], steps: int, warm_up: int, threads: int) -> Clock:
     """The default experiment of `uavrl-train`, but for ``overrides``."""
-    from uavrl.cli.errors import configure_logging
+    from uavrl_onboard.cli.process import configure_logging
 
     configure_logging()  # as the command does, before TorchRL is imported
     from uavrl.training import build, run

@@ -26,8 +26,8 @@ import numpy as np
 from common import machine, sb3_td3, valley_with_prize
 from torchrl.checkpoint import Checkpoint
 
-from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
+from uavrl_onboard.cli.process import one_sentence
 
 RECIPE, SB3, CONTROLLER = "preset=best", "Stable-Baselines3's TD3", "the scripted controller"
 VALLEYS = "valleys=[100,101,102,103,104,105,106,107,108,109]"

@@ -31,12 +31,12 @@ from torchrl.data import Bounded
 from torchrl.objectives import LossModule, SoftUpdate
 from torchrl.objectives import TD3Loss as StockTD3Loss
 
-from uavrl.cli.errors import one_sentence
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.training.compiled import Execution
 from uavrl.training.matmul import MatmulBackend, matmul_backend, multiply_by
 from uavrl.training.update import ActorCriticStepper
+from uavrl_onboard.cli.process import one_sentence
 
 STATE, ACTION, BATCH, HIDDEN = 105, 4, 100, (400, 300)
 Row = Callable[[], object]

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Annotated, Any, Union
 
 from uavrl import ranges
-from uavrl.ranges import Rule, bounds, words
+from uavrl_onboard.ranges import Rule, bounds, words
 
 
 class MadeAnew:
@@ -65,7 +65,7 @@ def in_words(hint: Any) -> str:
 
 
 def ranges_in_words() -> str:
-    """The types of :mod:`uavrl.ranges` as a table in Markdown."""
+    """The types of :mod:`uavrl_onboard.ranges` as a table in Markdown."""
     named = {name: hint for name, hint in vars(ranges).items() if typing.get_origin(hint) is Annotated}
     rows = [f"| `{name}` | {in_words(hint)} |" for name, hint in named.items() if has_range(hint)]
     return "\n".join(["| name | type |", "|---|---|", *rows])

@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.image import imsave
 
 from uavrl.envs.bullet import pybullet, silenced
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.traps import KINDS, wall
 from uavrl.envs.world import World, WorldConfig
+from uavrl_onboard.mesh import Mesh
 
 GROUND, ROCK, WOOD, FIR = (0.62, 0.57, 0.42), (0.58, 0.54, 0.5), (0.45, 0.32, 0.2), (0.2, 0.42, 0.22)
 BRICK, START, GOAL, LINE = (0.62, 0.32, 0.22), (0.1, 0.3, 0.9), (0.1, 0.8, 0.2), (0.95, 0.85, 0.2)

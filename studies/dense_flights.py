@@ -19,9 +19,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from run_statistics import named_folder, opened
 
-from uavrl.cli.errors import one_sentence
 from uavrl.reporting.learning_curves import moving_mean
 from uavrl.runs.episodes import read_episodes, wilson
+from uavrl_onboard.cli.process import one_sentence
 
 COLUMNS = ("run", "total_steps", "outcome", "world_seed")
 FEWEST = 20  # flights of which a share is told

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from run_statistics import FEWEST, difference, difference_of_rates
 
-from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError, reason
 from uavrl.runs.episodes import wilson
+from uavrl_onboard.cli.process import one_sentence
 
 
 def arrivals(place: str) -> tuple[int, int]:

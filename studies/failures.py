@@ -22,11 +22,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
 
-from uavrl.cli.errors import one_sentence
 from uavrl.envs.navigation import CONTROL_RATE
 from uavrl.errors import UavrlError
-from uavrl.rollout.recording import RecordedFlight, Scenery, load_recording
+from uavrl.evaluation.recording import RecordedFlight, Scenery, load_recording
 from uavrl.runs.episodes import OUTCOMES, SAID
+from uavrl_onboard.cli.process import one_sentence
 
 REACH = 1.5  # m below
 ROUND = 2.5  # m, that is drawn around a way

@@ -26,10 +26,10 @@ import torch
 from passes import TIMES, moments
 from torch import nn
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
-from uavrl.rollout.policies import named_policy
+from uavrl.evaluation.policies import named_policy
 from uavrl.runs.provenance import versions
+from uavrl_onboard.cli.process import one_sentence
 
 TAUGHT = 0.75  # share of the steps, from the first on
 QUESTIONS = {"above or below": (2, 0.2), "left or right": (1, 0.3)}  # the axis, and m beside the middle that count

@@ -20,10 +20,10 @@ from tensordict import TensorDictBase
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from uavrl.buffers import FrameStorage
-from uavrl.cli.errors import one_sentence
 from uavrl.models import RewardNet, SystemNet
 from uavrl.runs.checkpoint import latest_checkpoint
 from uavrl.runs.episodes import read_episodes
+from uavrl_onboard.cli.process import one_sentence
 
 FRAME = 35
 

@@ -5,7 +5,8 @@
     python studies/goal_behind.py policy=best --angle 0          # the same tasks, facing the goal
 
 The tasks of an evaluation, each turned so that its goal lies at 180 degrees, give or take one. Of the first 20 steps it
-tells how often the yaw rate reverses (uavrl.rollout.smoothness), how often it does so while the goal lies more than 90
+tells how often the yaw rate reverses (uavrl.evaluation.smoothness), how often it does so while the goal lies more
+than 90
 degrees off the head, to which side the commanded yaw rates turn in sum, and the angle to the goal after them; then how
 many starts are solved. Arguments are those of uavrl-evaluate.
 """
@@ -22,14 +23,14 @@ import numpy as np
 import torch
 from torchrl.envs import EnvBase
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.envs import NavigationEnv
-from uavrl.rollout.environment import make_device, make_env
-from uavrl.rollout.policies import choose, policy_folder
-from uavrl.rollout.rollout import Policy, rollout
-from uavrl.rollout.smoothness import YAW_RATE, yaw_reversals
+from uavrl.evaluation.environment import make_device, make_env
+from uavrl.evaluation.policies import choose, policy_folder
+from uavrl.evaluation.rollout import Policy, rollout
+from uavrl.evaluation.smoothness import YAW_RATE, yaw_reversals
 from uavrl.runs.episodes import outcome, wilson
+from uavrl_onboard.cli.process import one_sentence
 
 
 class GoalAtAngle(NavigationEnv):

@@ -28,15 +28,15 @@ from scipy.spatial import cKDTree
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.build import build
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.tasks import FlightMap
-from uavrl.rollout.rollout import fly
-from uavrl.rollout.summary import scenarios
+from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.summary import scenarios
 from uavrl.runs.episodes import LETTERS, wilson
 from uavrl.transforms.state import ACTION_LIMIT
+from uavrl_onboard.cli.process import one_sentence
 
 ROWS = ("static", "held_out", "dense", "denser")
 AHEAD = 16  # places of the way that are looked at

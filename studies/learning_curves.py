@@ -17,10 +17,10 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 
-from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import moving_mean, moving_rates, steps_to
 from uavrl.runs.episodes import OUTCOMES, Episode, read_episodes
+from uavrl_onboard.cli.process import one_sentence
 
 
 def plot(runs: dict[str, list[Episode]], output: Path, window: int) -> None:

@@ -18,9 +18,9 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule as Mod
 from torch.nn.functional import normalize
 
-from uavrl.cli.errors import one_sentence
 from uavrl.losses import DDPGLoss, LifeGuard
 from uavrl.models import Actor, Critic
+from uavrl_onboard.cli.process import one_sentence
 
 
 def risk(side: torch.Tensor, action: torch.Tensor) -> torch.Tensor:

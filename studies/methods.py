@@ -26,7 +26,6 @@ from omegaconf import OmegaConf
 from run_statistics import FEWEST, Flights, cut, difference, iqm, named_folder, opened
 from torchrl.checkpoint import Checkpoint
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose
 from uavrl.errors import UavrlError
 from uavrl.reporting.groups import below
@@ -35,6 +34,7 @@ from uavrl.reporting.runs import flatten
 from uavrl.runs.config import HOW_IT_RUNS
 from uavrl.runs.episodes import OUTCOMES, read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT
+from uavrl_onboard.cli.process import one_sentence
 
 LETTERS = {outcome: outcome[0] for outcome in OUTCOMES}
 

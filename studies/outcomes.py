@@ -17,9 +17,9 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from uavrl.cli.errors import one_sentence
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import LETTERS, outcomes_of, wilson
+from uavrl_onboard.cli.process import one_sentence
 
 TASKS = ("seed", "episodes", "env", "valleys", "planes")  # what tells whether two evaluations flew the same tasks
 SUCCESS = LETTERS["arrived"]

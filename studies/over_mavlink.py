@@ -5,8 +5,8 @@
     PYTHONPATH=. python studies/over_mavlink.py FOLDER --row dynamic --tasks 60 --evade 12
 
 The tasks are those of the suite's row `traps`, or `dynamic`. In each the simulator stands still until a set-point has
-come: whole scans as VLP-16 packets, the pose as MAVLink, `uavrl.deploy.flight.Flight` as in `uavrl-fly`. One letter a
-task tells how it ended: S for success, C for collision, T for time-out.
+come: whole scans as VLP-16 packets, the pose as MAVLink, `uavrl_onboard.flight.loop.Flight` as in `uavrl-fly`. One
+letter a task tells how it ended: S for success, C for collision, T for time-out.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from pathlib import Path
 import torch
 
 from tests.helpers.wire import Wire
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
-from uavrl.deploy.contract import read_contract
-from uavrl.mapping import Navigator
-from uavrl.motion.evasion import Evasion
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
 from uavrl.runs.episodes import wilson
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.map import Navigator
+from uavrl_onboard.policy.contract import read_contract
 
 SENSES = ["perception=range_image", "perception.last_action=true", "perception.lidar.max_range=14"]
 ROWS = {

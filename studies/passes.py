@@ -14,11 +14,11 @@ from torchrl.envs.utils import step_mdp
 
 from uavrl.config import TrainConfig, compose, validate_run
 from uavrl.envs import NavigationEnv
-from uavrl.motion import OBJECT
-from uavrl.rollout.actor import read_policy
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import with_overrides
+from uavrl.evaluation.actor import read_policy
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.policies import with_overrides
 from uavrl.transforms import PointCloudReduction
+from uavrl_onboard.perception.motion import OBJECT
 
 VEHICLES, SEED = 16, 20_000
 FRAMES = 3  # of the history that is kept of points and planes

@@ -20,14 +20,14 @@ import numpy as np
 from passes import among_planes
 from tensordict import TensorDictBase
 
-from uavrl.cli.errors import one_sentence
 from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import policy_folder
-from uavrl.rollout.rollout import fly
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.policies import policy_folder
+from uavrl.evaluation.rollout import fly
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
+from uavrl_onboard.cli.process import one_sentence
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 ROOM = 0.5  # m between hull and plane, along z, that the reflex wants

@@ -21,9 +21,9 @@ import torch
 from passes import TIMES, among_planes, moments
 from tensordict import TensorDict, TensorDictBase
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import TrainConfig
-from uavrl.rollout.policies import policy_folder
+from uavrl.evaluation.policies import policy_folder
+from uavrl_onboard.cli.process import one_sentence
 
 
 @torch.no_grad()

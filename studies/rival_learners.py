@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uavrl.cli.errors import one_sentence
 from uavrl.runs.episodes import wilson
+from uavrl_onboard.cli.process import one_sentence
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = ROOT / "studies/learners"

@@ -25,19 +25,19 @@ import torch
 from outcomes import compared, evaluation
 from run_statistics import paired_difference
 
-from uavrl import hull
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
 from uavrl.config.build import find_class
 from uavrl.errors import UavrlError
-from uavrl.machine import processors
-from uavrl.mapping import episode_map, goal_finder, lines, route
-from uavrl.motion import evade, histogram
-from uavrl.rollout import remembered, rrt_connect, ways
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import BASELINES, PACKAGED, named_policy
-from uavrl.rollout.rollout import rollout
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.policies import BASELINES, PACKAGED, named_policy
+from uavrl.evaluation.rollout import rollout
+from uavrl.planners import ompl_search, point_memory, rrt_connect
 from uavrl.runs.episodes import wilson
+from uavrl.runs.machine import processors
+from uavrl_onboard import geometry
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.guards import evade, histogram
+from uavrl_onboard.guards.map import episode_map, goal_finder, lines, route
 
 BEST = PACKAGED / "best/suite.json"
 CELLS = ["perception=range_image", "perception.last_action=true"]
@@ -50,7 +50,7 @@ RIVALS: dict[str, list[str]] = {
     "vfh": CELLS,
 }
 ROWS = ("static", "held_out", "dense")
-SHARED = [remembered, hull, histogram, evade]  # of all that remember their scans
+SHARED = [point_memory, geometry, histogram, evade]  # of all that remember their scans
 
 
 def fly(name: str, row: str, folder: Path, tasks: int) -> dict[str, Any]:
@@ -106,8 +106,8 @@ def lines_of(*modules: Any) -> int:
 def modules_of(name: str) -> list[Any]:
     """Where a rival's code is, beside what it shares with the controller and the learned policies."""
     kind = find_class(BASELINES[name], object)
-    own = [sys.modules[kind.__module__]] + SHARED * issubclass(kind, remembered.Planner)
-    own += [ways, lines] * issubclass(kind, rrt_connect.RRTConnect)
+    own = [sys.modules[kind.__module__]] + SHARED * issubclass(kind, point_memory.Planner)
+    own += [ompl_search, lines] * issubclass(kind, rrt_connect.RRTConnect)
     return own + [rrt_connect, episode_map, goal_finder, route] * (name == "rrt_map")
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import torch
 from tensordict import TensorDict
 
-from uavrl.cli.errors import one_sentence
+from uavrl.evaluation.actor import read_policy
 from uavrl.pretraining import read_states
-from uavrl.rollout.actor import read_policy
+from uavrl_onboard.cli.process import one_sentence
 
 ACTIONS = ("forward", "sideways", "up", "turn")
 

@@ -23,15 +23,15 @@ from run_statistics import difference_of_rates
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
-from uavrl.motion.threats import TIMES, to_yaw
-from uavrl.rollout.baselines import VectorFieldHistogram
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.rollout import fly
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.rollout import fly
+from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.runs.episodes import wilson
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.mesh import Mesh
+from uavrl_onboard.perception.motion.threats import TIMES, to_yaw
 
 SIGHTS = {"nothing": 0.0, "in view within 8 m": 8.0, "in view within 10 m": 10.0, "in view within 14 m": 14.0}
 ALL = "all within 14 m, as they will fly"

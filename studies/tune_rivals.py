@@ -20,17 +20,17 @@ import numpy as np
 import torch
 from tune_vfh import SEED, VALLEYS
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.mppi import MPPI, MPPIWeights
-from uavrl.rollout.potential_field import FieldWeights, PotentialField
-from uavrl.rollout.rollout import fly
-from uavrl.rollout.rrt_connect import RRTConnect, RRTConnectWeights
-from uavrl.rollout.rrt_map import RRTMap
-from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.rollout import fly
+from uavrl.planners.mppi import MPPI, MPPIWeights
+from uavrl.planners.potential_field import FieldWeights, PotentialField
+from uavrl.planners.rrt_connect import RRTConnect, RRTConnectWeights
+from uavrl.planners.rrt_map import RRTMap
+from uavrl.planners.vfh_star import VFHStar, VFHStarWeights
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
+from uavrl_onboard.cli.process import one_sentence
 
 OBSTACLES = 90
 VEHICLES = 4  # at a time; how many changes no task, and fewer idle while the last ones fly

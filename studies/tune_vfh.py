@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
-from uavrl.rollout.baselines import COSTS, VectorFieldHistogram, VFHWeights
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.rollout import fly
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.rollout import fly
+from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
+from uavrl_onboard.cli.process import one_sentence
 
 VALLEYS = list(range(200, 210))
 OBSTACLES = (45, 90)

@@ -19,12 +19,12 @@ from unittest.mock import patch
 
 import torch
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
-from uavrl.rollout import baselines
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.rollout import fly
-from uavrl.rollout.summary import summarize
+from uavrl.evaluation import baselines
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.summary import summarize
+from uavrl_onboard.cli.process import one_sentence
 
 SEEN = ("range_image", "proximity")
 FAST = {"TURN_GAIN": 3.0, "TURN_LIMIT": 2.0}

@@ -19,7 +19,7 @@ from typing import Any
 from common import compose, machine
 from profiling import Stopwatch
 
-from uavrl.cli.errors import one_sentence
+from uavrl_onboard.cli.process import one_sentence
 
 RANDOM_STEPS, WARM_UP = 300, 100
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/walker"
@@ -31,7 +31,7 @@ class EnoughError(Exception):
 
 def measure(steps: int, overrides: list[str]) -> dict[str, Any]:
     """Steps per second and the share of each part, over whole episodes of at least ``steps`` in all."""
-    from uavrl.cli.errors import configure_logging
+    from uavrl_onboard.cli.process import configure_logging
 
     configure_logging()
     from walker.env import BipedalEnv

@@ -22,15 +22,15 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
-from uavrl.cli.errors import one_sentence
 from uavrl.config import compose, validate
+from uavrl.evaluation.actor import load_actor
+from uavrl.evaluation.environment import make_env, network_sizes
+from uavrl.evaluation.policies import policy_folder
 from uavrl.losses import LifeGuard, TD3Loss
 from uavrl.models import Critic
-from uavrl.rollout.actor import load_actor
-from uavrl.rollout.environment import make_env, network_sizes
-from uavrl.rollout.policies import policy_folder
 from uavrl.runs.provenance import versions
 from uavrl.training.build import make_collector
+from uavrl_onboard.cli.process import one_sentence
 
 FORMS: dict[str, dict[str, Any]] = {"linear (the thesis)": {"model": "linear"}, "mlp": {"model": "mlp"}}
 BEFORE = range(16)  # steps

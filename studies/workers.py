@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import experiment, machine
 
-from uavrl.cli.errors import one_sentence
+from uavrl_onboard.cli.process import one_sentence
 
 UPDATES = (1.0, 0.25)  # a step
 MODELLED = (1, 2, 4, 8, 16)  # workers with a core each
@@ -90,8 +90,8 @@ def wire() -> dict[str, float]:
     import torch
     from tensordict import TensorDict
 
-    from uavrl.rollout.actor import make_actor
-    from uavrl.rollout.environment import make_env, network_sizes
+    from uavrl.evaluation.actor import make_actor
+    from uavrl.evaluation.environment import make_env, network_sizes
     from uavrl.training.build import make_collector
 
     settings = experiment("env.num_uavs=1", "collector=sync")

@@ -10,7 +10,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uavrl.command_line import command_line, readable
+from uavrl.config.command_line import command_line, readable
 
 NAMES = [
     "runs/a b",

@@ -18,7 +18,7 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
 from uavrl.envs import NavigationEnv
 from uavrl.errors import UavrlError
-from uavrl.rollout.record import reduction_of
+from uavrl.evaluation.record import reduction_of
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms import NavigationReward, TruncatedIcosahedron
 

@@ -17,9 +17,9 @@ from tests.helpers.commands import content
 from tests.helpers.exported import policy_folder
 from tools import package_policy as tool
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import load_actor
-from uavrl.rollout.policies import load_policy
-from uavrl.rollout.summary import scenarios
+from uavrl.evaluation.actor import load_actor
+from uavrl.evaluation.policies import load_policy
+from uavrl.evaluation.summary import scenarios
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import logging
 
 import pytest
 
-from uavrl import progress_line
-from uavrl.progress_line import ProgressLine
+from uavrl.runs import progress_line
+from uavrl.runs.progress_line import ProgressLine
 
 log = logging.getLogger(__name__)
 

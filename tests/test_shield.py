@@ -17,9 +17,9 @@ from uavrl.cli import evaluate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.rollout import fly
-from uavrl.rollout.shielded import Shielded
-from uavrl.shield import Shield, fitted
+from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.shielded import Shielded
+from uavrl_onboard.guards.shield import Shield, fitted
 
 LEVEL = (0.0, 0.0)
 STILL = np.zeros(3)

@@ -17,7 +17,19 @@ from uavrl.config import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.losses import Imitation, TD3Loss
 from uavrl.models import Actor
-from uavrl.ranges import Count, Discount, Folder, Fraction, NonNegative, Pairs, Positive, Share, Text, Whole, Widths
+from uavrl_onboard.ranges import (
+    Count,
+    Discount,
+    Folder,
+    Fraction,
+    NonNegative,
+    Pairs,
+    Positive,
+    Share,
+    Text,
+    Whole,
+    Widths,
+)
 
 
 @pytest.fixture(scope="module")

@@ -20,12 +20,12 @@ from typing import Any
 import torch
 
 from tests.helpers.recorded import record_actions
-from uavrl.cli.errors import one_sentence
-from uavrl.deploy.export import export_policy
 from uavrl.errors import UavrlError
-from uavrl.rollout.policies import PACKAGED
-from uavrl.rollout.summary import scenarios
+from uavrl.evaluation.policies import PACKAGED
+from uavrl.evaluation.summary import scenarios
+from uavrl.export.export import export_policy
 from uavrl.runs.provenance import commit
+from uavrl_onboard.cli.process import one_sentence
 
 TASKS = 500  # of each scenario
 

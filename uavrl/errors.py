@@ -1,19 +1,17 @@
-"""What the command line turns into one sentence."""
+"""Errors that a command prints as one sentence."""
 
-import signal
-from typing import Any
+from uavrl_onboard.errors import OtherFormat, Stopped, UavrlError, reason, was_interrupted
 
-
-class UavrlError(ValueError):
-    """A mistake that the user can mend: what was expected, what came, and what to do."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Whole out of another process: pickle would make it anew of its sentence, where other arguments are asked."""
-        return _made_again, (type(self), self.args), self.__dict__
-
-
-def _made_again(kind: type[UavrlError], args: tuple[Any, ...]) -> UavrlError:
-    return kind.__new__(kind, *args)  # which keeps them; __init__ made the sentence once
+__all__ = [
+    "FlyingEnded",
+    "FolderTaken",
+    "MissingSimulator",
+    "OtherFormat",
+    "Stopped",
+    "UavrlError",
+    "reason",
+    "was_interrupted",
+]
 
 
 class MissingSimulator(UavrlError, ImportError):
@@ -30,13 +28,6 @@ class FolderTaken(UavrlError):
     """The folder is somebody else's: another process trains in it, or it holds something already. It stays as it is."""
 
 
-class OtherFormat(UavrlError):
-    """A file of the right name, perhaps whole, is not of the kind that is read."""
-
-    def __init__(self, path: object, lacks: str, writer: str = "uavrl-train") -> None:
-        super().__init__(f"{path} has no {lacks}: it was not written by this version of {writer}.")
-
-
 class FlyingEnded(UavrlError):
     """A process that flies has died: a run cannot go on, and what it has learned is safe."""
 
@@ -45,41 +36,3 @@ class FlyingEnded(UavrlError):
         super().__init__(
             f"A process that flies has ended ({self.reason}); what it printed stands above. The run {how_to_go_on}"
         )
-
-
-class Stopped(KeyboardInterrupt):
-    """A command that a signal has ended: how to go on, and the exit code that shells expect."""
-
-    def __init__(self, how_to_go_on: str = "stopped.", number: int = signal.SIGINT) -> None:
-        super().__init__(how_to_go_on)
-        self.number, self.exit_code = number, 128 + number
-
-
-def reason(error: BaseException | None) -> str:
-    """What went wrong, in the words of the error; of the system's with the file, and without its number.
-
-    Examples:
-        >>> reason(OSError(28, "No space left on device", "page.html"))
-        'page.html: No space left on device'
-        >>> reason(ValueError("expected a number"))
-        'expected a number'
-    """
-    if not isinstance(error, OSError) or error.strerror is None:
-        return str(error)
-    return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-
-
-def was_interrupted(error: BaseException | None) -> bool:
-    """Whether an error is Ctrl-C, or came out of its handling.
-
-    TensorDict's ``to_module`` answers an exception inside its ``with`` block by one of its own.
-
-    Examples:
-        >>> was_interrupted(KeyboardInterrupt()), was_interrupted(ValueError())
-        (True, False)
-    """
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__context__
-    return False

@@ -33,7 +33,7 @@ _ = (folder / "my_parts" / "rewards.py").write_text(
     """
 from torchrl.envs import Transform
 
-from uavrl.ranges import NonNegative, Positive
+from uavrl_onboard.ranges import NonNegative, Positive
 
 
 class Hurry(Transform):

@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from shell import sh, size
 
-from uavrl.rollout.recording import load_recording
+from uavrl.evaluation.recording import load_recording
 
 FLIGHTS = size("FLIGHTS", 150)
 folder = Path(tempfile.mkdtemp())

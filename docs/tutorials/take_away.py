@@ -13,8 +13,8 @@ import torch
 from safetensors.torch import load_file
 from shell import sh, size
 
-from uavrl.rollout.policies import PACKAGED
-from uavrl.rollout.recording import load_recording
+from uavrl.evaluation.policies import PACKAGED
+from uavrl.evaluation.recording import load_recording
 from uavrl.transforms.range_image import range_image
 
 folder = Path(tempfile.mkdtemp())

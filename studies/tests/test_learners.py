@@ -15,7 +15,7 @@ from uavrl.cli.evaluate import main as evaluate
 from uavrl.cli.train import main as train
 from uavrl.config import compose, validate
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import read_policy
+from uavrl.evaluation.actor import read_policy
 
 LEARNERS = Path(__file__).resolve().parents[1] / "learners"
 DOOR = ["--config-dir", str(LEARNERS / "conf")]
@@ -100,7 +100,7 @@ def test_the_controller_does_from_the_state_what_it_does_from_the_scan(last_acti
 
     from uavrl.envs import NavigationEnv
     from uavrl.envs.world import WorldConfig
-    from uavrl.rollout.baselines import VectorFieldHistogram
+    from uavrl.policies.baselines import VectorFieldHistogram
     from uavrl.transforms import NavigationState
 
     world = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=4.0)

@@ -20,8 +20,8 @@ from matplotlib.image import imread
 from tests.helpers.flights import small_recording
 from uavrl.envs.tasks import FlightMap, FreeSpace
 from uavrl.errors import UavrlError
-from uavrl.rollout.mppi import MPPIWeights
-from uavrl.rollout.recording import save_recording
+from uavrl.evaluation.recording import save_recording
+from uavrl.planners.mppi import MPPIWeights
 
 Said = Callable[..., str]
 
@@ -79,7 +79,7 @@ def test_rivals_are_told_beside_the_packaged_policy(
     assert sorted(commands) == asked
     kept = json.loads((tmp_path / "t.json").read_text())["mppi"]
     assert set(kept) == {"dense", "real"} and "flights" not in kept["real"]
-    assert rivals.lines_of(importlib.import_module("uavrl.rollout.potential_field")) in range(30, 60)
+    assert rivals.lines_of(importlib.import_module("uavrl.planners.potential_field")) in range(30, 60)
 
 
 def test_the_page_tells_how_many_lines_each_planner_takes() -> None:

@@ -14,14 +14,14 @@ from tests.helpers.flights import small_recording
 from tests.helpers.folders import several_runs
 from tests.helpers.logged import write_log
 from tests.helpers.packets import RECORDED
-from uavrl.deploy.logged_flight import LoggedFlight
-from uavrl.deploy.sources import ScanSource
-from uavrl.deploy.summary import ScanSummary
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 from uavrl.viewer.flight_page import make_page, write_data
 from uavrl.viewer.logged_page import logged_page_data
-from uavrl.viewer.scan_page import write_scan_page
+from uavrl_onboard.flight.logged_flight import LoggedFlight
+from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.summary import ScanSummary
+from uavrl_onboard.pages.scan_page import write_scan_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 CHROMEDRIVER = shutil.which("chromedriver")

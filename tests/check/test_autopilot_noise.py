@@ -8,7 +8,7 @@ import tracemalloc
 
 from tests.helpers.autopilot_peer import OFFBOARD, Peer, garbage
 from tests.helpers.measured import measured
-from uavrl.deploy.vehicle import Control
+from uavrl_onboard.autopilot.vehicle_state import Control
 
 pytestmark = measured
 

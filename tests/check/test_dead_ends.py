@@ -14,8 +14,8 @@ from tests.helpers.wire import Wire
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.config import compose, validate
-from uavrl.mapping import Navigator
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
+from uavrl_onboard.guards.map import Navigator
 
 AMONG = ["env.world.traps=3", "env.world.obstacles=20"]
 SEEN = ["perception=range_image", "perception.last_action=true", "perception.lidar.max_range=12"]

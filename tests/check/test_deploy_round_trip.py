@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers.lidar_scans import same_after, tilted_scans
-from uavrl.deploy.packets import decode_vlp16, encode_scan
-from uavrl.deploy.scans import make_decoder
+from uavrl_onboard.lidar.packets import decode_vlp16, encode_scan
+from uavrl_onboard.lidar.scans import make_decoder
 
 
 @pytest.mark.parametrize("decode", [decode_vlp16, make_decoder("VLP16")], ids=["ours", "velodyne-decoder"])

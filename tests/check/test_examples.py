@@ -17,7 +17,7 @@ from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from uavrl.envs import WorldConfig
-from uavrl.rollout.policies import PACKAGED
+from uavrl.evaluation.policies import PACKAGED
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

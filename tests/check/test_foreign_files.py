@@ -30,8 +30,8 @@ from uavrl.cli import export as export_command
 from uavrl.cli import pretrain as pretrain_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
+from uavrl.evaluation import recording
 from uavrl.models.psae import packaged_artifact
-from uavrl.rollout import recording
 from uavrl.runs.trust import check_archive
 
 

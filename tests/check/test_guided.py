@@ -7,8 +7,8 @@ from pathlib import Path
 from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import small_config
 from uavrl.config.validation import validate
+from uavrl.evaluation.actor import read_policy
 from uavrl.losses.imitation import action_distance
-from uavrl.rollout.actor import read_policy
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_training_env
 from uavrl.training.run import create_run, train

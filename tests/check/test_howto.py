@@ -13,7 +13,7 @@ from tests.helpers.commands import in_process
 from tests.helpers.folders import ROOT
 from uavrl.cli import export
 from uavrl.config import compose, validate
-from uavrl.deploy.reduction import truncated_icosahedron
+from uavrl_onboard.perception.reductions import truncated_icosahedron
 
 PAGES = {page.stem: page for page in sorted((ROOT / "docs/howto").glob("*.md"))}
 

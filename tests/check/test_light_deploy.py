@@ -40,7 +40,7 @@ def without(blocked: list[str], run: str, folder: Path) -> subprocess.CompletedP
 
 def test_an_exported_policy_needs_neither_torch_nor_the_simulator(tmp_path: Path) -> None:
     run = """
-from uavrl.deploy.policy import Policy
+from uavrl_onboard.policy.policy import Policy
 try:
     Policy("nowhere")
 except ValueError as error:
@@ -56,7 +56,7 @@ import uavrl.deploy
 for module in pkgutil.iter_modules(uavrl.deploy.__path__):
     if module.name not in {CHECKED!r}:
         importlib.import_module("uavrl.deploy." + module.name)
-from uavrl.deploy.sources import ScanSource
+from uavrl_onboard.lidar.sources import ScanSource
 print(len(list(ScanSource({str(RECORDED)!r}, "VLP16"))))
 print(sorted(set(sys.modules) & {{"hydra", "pydantic", "torch", "scipy", "rosbags", "velodyne_decoder"}}))
 """
@@ -68,7 +68,7 @@ print(sorted(set(sys.modules) & {{"hydra", "pydantic", "torch", "scipy", "rosbag
 
 def test_the_command_looks_at_a_scan_and_draws_it(tmp_path: Path) -> None:
     run = f"""
-from uavrl.cli.scan import main
+from uavrl_onboard.cli.scan import main
 sys.argv = ["uavrl-scan", "source=" + {str(RECORDED)!r}, "model=VLP16", "json=facts.json"]
 main()
 """
@@ -81,7 +81,7 @@ main()
 def test_the_command_flies_a_recording(tmp_path: Path) -> None:
     folder = exported(tmp_path, "algo.hidden=[16,8]")
     run = f"""
-from uavrl.cli.fly import main
+from uavrl_onboard.cli.fly import main
 sys.argv = ["uavrl-fly", "policy=" + {str(folder)!r}, "goal=[20,0,2.5]", "lidar=" + {str(RECORDED)!r}, "model=VLP16"]
 sys.argv += ["autopilot=null", "log=null", "json=facts.json"]
 main()

@@ -46,7 +46,7 @@ for module, missing in (("uavrl.envs.simulation", "pybullet"), ("uavrl.envs.lida
 
 def test_importing_uavrl_loads_nothing_heavy() -> None:
     heavy = ("torch", "pybullet", "embreex", "hydra", "wandb")
-    modules = "sys, uavrl, uavrl.deploy.contract, uavrl.deploy.policy"
+    modules = "sys, uavrl, uavrl_onboard.policy.contract, uavrl_onboard.policy.policy"
     code = f"import {modules}; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"

@@ -8,7 +8,7 @@ from torchrl.envs import TransformedEnv
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
-from uavrl.rollout.baselines import VectorFieldHistogram
+from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.transforms import NavigationState
 
 VEHICLES, STEPS = 10, 100

@@ -15,12 +15,12 @@ import numpy as np
 
 from tests.helpers.measured import measured
 from tests.helpers.ports import free_ports
-from uavrl.deploy.autopilot import Autopilot
-from uavrl.deploy.feeds import UdpScans
-from uavrl.deploy.flight import Flight, fly
-from uavrl.deploy.packets import encode_scan
-from uavrl.deploy.safety import SafetyLayer
-from uavrl.envs.vlp16 import firing_directions
+from uavrl_onboard.autopilot.mavlink import Autopilot
+from uavrl_onboard.flight.loop import Flight, fly
+from uavrl_onboard.flight.safety import SafetyLayer
+from uavrl_onboard.lidar.feeds import UdpScans
+from uavrl_onboard.lidar.packets import encode_scan
+from uavrl_onboard.lidar.vlp16 import firing_directions
 
 pytestmark = measured
 

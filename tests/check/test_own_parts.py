@@ -16,7 +16,7 @@ from tests.helpers.flights import unpack
 from tests.helpers.own_parts import CHOSEN, CONFIG_DIR, SMALL, TRUSTED
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
-from uavrl.rollout.recording import RecordedFlight, load_recording
+from uavrl.evaluation.recording import RecordedFlight, load_recording
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.viewer.flight_page import page_data
 

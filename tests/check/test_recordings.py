@@ -10,11 +10,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.helpers.folders import ROOT
-from uavrl.deploy.bags import read_packets
-from uavrl.deploy.packets import PACKET
-from uavrl.deploy.scans import Skipped
-from uavrl.deploy.sources import ScanSource
-from uavrl.envs.vlp16 import LASER_ELEVATIONS
+from uavrl_onboard.lidar.bags import read_packets
+from uavrl_onboard.lidar.packets import PACKET
+from uavrl_onboard.lidar.scans import Skipped
+from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.vlp16 import LASER_ELEVATIONS
 
 FOLDER = Path(os.environ.get("UAVRL_RECORDINGS", ROOT.parent / "shared/data/vlp16"))
 FIELDS = "x y z intensity return_type channel azimuth elevation distance time"

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uavrl.deploy.dds import idl_type
-from uavrl.deploy.messages import CLOUD, ODOMETRY, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT, TWIST
-from uavrl.envs.vlp16 import firing_directions
+from uavrl_onboard.lidar.ros_messages import CLOUD, ODOMETRY, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT, TWIST
+from uavrl_onboard.lidar.vlp16 import firing_directions
+from uavrl_onboard.ros2.dds import idl_type
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 

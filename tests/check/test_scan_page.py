@@ -8,10 +8,10 @@ import numpy as np
 
 from tests.helpers.browser import browser_with
 from tests.helpers.packets import RECORDED
-from uavrl.deploy.reduction import range_image
-from uavrl.deploy.sources import ScanSource
-from uavrl.deploy.summary import ScanSummary
-from uavrl.viewer.scan_page import write_scan_page
+from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.summary import ScanSummary
+from uavrl_onboard.pages.scan_page import write_scan_page
+from uavrl_onboard.perception.reductions import range_image
 
 
 def test_a_browser_shows_scans_and_cells_without_errors(tmp_path: Path) -> None:

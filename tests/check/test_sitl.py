@@ -23,13 +23,13 @@ from tests.helpers.measured import measured
 from tests.helpers.sitl import Ground, Scripted, fly, running
 from tests.helpers.valleys import NEAR, SMALL
 from uavrl.config import compose, validate
-from uavrl.deploy.autopilot import Autopilot
-from uavrl.deploy.frames import to_goal
-from uavrl.deploy.packets import decode_vlp16
-from uavrl.deploy.sitl import Sitl
-from uavrl.deploy.vehicle import Control
 from uavrl.envs import NavigationEnv
-from uavrl.envs.live import PIECE, LiveEpisode
+from uavrl.sitl.live import PIECE, LiveEpisode
+from uavrl.sitl.sitl import Sitl
+from uavrl_onboard.autopilot.frames import to_goal
+from uavrl_onboard.autopilot.mavlink import Autopilot
+from uavrl_onboard.autopilot.vehicle_state import Control
+from uavrl_onboard.lidar.packets import decode_vlp16
 
 pytestmark = measured
 

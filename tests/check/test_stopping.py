@@ -143,7 +143,7 @@ def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, 
 
 SUITE = """
 import signal, sys, threading, time
-from uavrl.cli.errors import command_process
+from uavrl_onboard.cli.process import command_process
 from uavrl.cli.suite import _processes, _result
 
 def hear():
@@ -190,7 +190,7 @@ def test_a_suite_that_is_ended_leaves_nothing_behind(
 
 ON_A_TERMINAL = """
 import fcntl, sys, termios
-from uavrl.cli.errors import command_process
+from uavrl_onboard.cli.process import command_process
 
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 with command_process():

@@ -14,7 +14,7 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import replay as replay_command
 from uavrl.config import validate_run
-from uavrl.rollout.policies import PACKAGED, packaged_policies
+from uavrl.evaluation.policies import PACKAGED, packaged_policies
 from uavrl.runs.config import load_config
 
 

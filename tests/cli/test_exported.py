@@ -17,9 +17,9 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, compose, validate
-from uavrl.rollout.policies import choose
-from uavrl.rollout.recording import load_recording
-from uavrl.shield import Shield
+from uavrl.evaluation.policies import choose
+from uavrl.evaluation.recording import load_recording
+from uavrl_onboard.guards.shield import Shield
 
 Refused = Callable[..., str]
 SHORT = [*VALLEY, "episodes=3", "num_uavs=2", "env.max_steps=8", "progress=false"]  # a vehicle begins a second episode

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from uavrl.cli.flight_lines import FlightLines
-from uavrl.deploy.flight_summary import FlightSummary
-from uavrl.deploy.safety import Reason, SafetyStatus, State
-from uavrl.deploy.stages import FlightCycle
-from uavrl.deploy.vehicle import Control, VehicleStatus
+from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
+from uavrl_onboard.cli.flight_lines import FlightLines
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.safety import Reason, SafetyStatus, State
+from uavrl_onboard.flight.summary import FlightSummary
 
 
 def printed(*states: tuple[State, Reason], pose_age: float = 0.12) -> list[str]:

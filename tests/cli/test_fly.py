@@ -20,12 +20,12 @@ from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
 from uavrl.cli import fly
-from uavrl.deploy.flight import Flight
-from uavrl.deploy.logged_flight import LoggedFlight
-from uavrl.deploy.packets import encode_scan
-from uavrl.deploy.sources import ScanSource
-from uavrl.envs.vlp16 import firing_directions
-from uavrl.motion.evasion import Evasion
+from uavrl_onboard.flight.logged_flight import LoggedFlight
+from uavrl_onboard.flight.loop import Flight
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.lidar.packets import encode_scan
+from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.vlp16 import firing_directions
 
 RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
 GOAL = "goal=[20,0,2.5]"
@@ -117,7 +117,9 @@ def test_a_pipe_that_nobody_reads_ends_no_flight(
     numbers, (reader, writer) = tmp_path / "flight.json", os.pipe()
     os.close(reader)
     monkeypatch.setattr(sys, "stdout", os.fdopen(writer, "w"))
-    monkeypatch.setattr("uavrl.cli.telling._LONGEST_END", 30.0)  # on a machine that has much else to do
+    monkeypatch.setattr(
+        "uavrl_onboard.cli.nonblocking_output._LONGEST_END", 30.0
+    )  # on a machine that has much else to do
     where = (f"lidar=udp://127.0.0.1:{free_ports()[0]}", "model=VLP16", "autopilot=null", "log=null", "seconds=0.5")
     assert in_process(fly.main, f"policy={policy}", GOAL, *where, f"json={numbers}") == 141
     assert json.loads(numbers.read_text())["seconds"] >= 0.5

@@ -29,8 +29,8 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
-from uavrl.rollout.policies import file_of_policy, packaged_policies
-from uavrl.rollout.sb3 import NEGATIVE, StableBaselinesPolicy, _untouched
+from uavrl.evaluation.policies import file_of_policy, packaged_policies
+from uavrl.evaluation.sb3 import NEGATIVE, StableBaselinesPolicy, _untouched
 
 SHORT = ["episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
 CLIMBER = '''

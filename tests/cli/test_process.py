@@ -19,8 +19,8 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import main as main_command
 from uavrl.cli import train as train_command
 from uavrl.cli.command import explained
-from uavrl.cli.errors import SAFE_PATH, command_process, one_sentence, sentence
-from uavrl.machine import processors
+from uavrl.runs.machine import processors
+from uavrl_onboard.cli.process import SAFE_PATH, command_process, one_sentence, sentence
 
 
 @pytest.mark.parametrize("before", [None, "", "1"])
@@ -65,7 +65,7 @@ def test_a_command_that_is_ended_says_so_and_cleans_up(
 
 def test_nothing_of_a_torch_that_is_half_loaded_is_told() -> None:
     code = (
-        "import logging; from uavrl.cli.errors import configure_logging; configure_logging()\n"
+        "import logging; from uavrl_onboard.cli.process import configure_logging; configure_logging()\n"
         "logging.getLogger('torch._subclasses.fake_tensor').info('of caches')\n"
         "logging.getLogger('uavrl.training').info('of a run')"
     )

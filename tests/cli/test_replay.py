@@ -21,8 +21,8 @@ from tests.helpers.logged import write_log
 from tests.helpers.pages import Page
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as command
-from uavrl.rollout.actor import read_policy
-from uavrl.rollout.recording import load_recording
+from uavrl.evaluation.actor import read_policy
+from uavrl.evaluation.recording import load_recording
 
 WORLD = ["env.world.size=[26,20]", "env.world.obstacles=6"]
 SMALL = ["progress=false", "points=40"]

@@ -15,14 +15,14 @@ from tests.helpers.commands import in_process
 from tests.helpers.flights import unpack
 from tests.helpers.packets import RECORDED
 from tests.helpers.pages import Page
-from uavrl.cells import Statistic
 from uavrl.cli import scan
-from uavrl.deploy.reduction import REDUCTIONS, STATISTICS, Reduction
-from uavrl.deploy.scans import Scan
-from uavrl.deploy.sources import ScanSource, read_bare
-from uavrl.deploy.summary import SECTORS, ScanSummary
-from uavrl.viewer.assembly import filled
-from uavrl.viewer.scan_page import scan_page_data
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.lidar.sources import ScanSource, read_bare
+from uavrl_onboard.lidar.summary import SECTORS, ScanSummary
+from uavrl_onboard.pages.assembly import filled
+from uavrl_onboard.pages.scan_page import scan_page_data
+from uavrl_onboard.perception.cells import Statistic
+from uavrl_onboard.perception.reductions import REDUCTIONS, STATISTICS, Reduction
 
 
 def test_a_recording_is_told_in_numbers_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,12 +101,12 @@ def test_ctrl_c_while_listening_loses_nothing_that_came(
 
     facts = tmp_path / "facts.json"
     arguments = ("source=udp://:2368", "model=VLP16", "output=null", f"json={facts}")
-    monkeypatch.setattr("uavrl.deploy.sources.read_udp", interrupted(100))
+    monkeypatch.setattr("uavrl_onboard.lidar.sources.read_udp", interrupted(100))
     assert in_process(scan.main, *arguments) == 130
     assert json.loads(facts.read_text())["scans"] == 1
     assert capsys.readouterr().err == "uavrl: stopped: the numbers are those of the scans that came until then.\n"
     facts.unlink()
-    monkeypatch.setattr("uavrl.deploy.sources.read_udp", interrupted(10))
+    monkeypatch.setattr("uavrl_onboard.lidar.sources.read_udp", interrupted(10))
     assert in_process(scan.main, *arguments) == 130
     assert capsys.readouterr().err == "uavrl: stopped.\n" and not facts.exists()
 

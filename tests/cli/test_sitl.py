@@ -10,7 +10,7 @@ import pytest
 from tests.helpers.autopilot_peer import free_port
 from tests.helpers.commands import VALLEY, in_process
 from uavrl.cli import sitl
-from uavrl.deploy.sitl import Result
+from uavrl.sitl.sitl import Result
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,10 @@ from tests.helpers.configs import composed
 from tests.helpers.folders import evaluation
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.config import EvaluateConfig, validate
-from uavrl.config.values import to_plain
 from uavrl.errors import UavrlError
-from uavrl.rollout.policies import PACKAGED
-from uavrl.rollout.summary import scenarios
+from uavrl.evaluation.policies import PACKAGED
+from uavrl.evaluation.summary import scenarios
+from uavrl_onboard.values import to_plain
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]
 

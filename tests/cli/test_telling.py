@@ -10,7 +10,7 @@ import time
 import pytest
 
 from uavrl.cli import telling
-from uavrl.cli.telling import beside
+from uavrl_onboard.cli.nonblocking_output import beside
 
 
 def test_all_comes_in_its_order(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,8 +17,8 @@ from uavrl.config.build import arguments, build, find_class
 from uavrl.errors import UavrlError
 from uavrl.losses import TD3Loss
 from uavrl.models import Actor
-from uavrl.ranges import Discount
 from uavrl.transforms import TraditionalReward
+from uavrl_onboard.ranges import Discount
 
 REFUSED = [
     ("os.system", "os is no package that you have listed"),
@@ -32,8 +32,8 @@ REFUSED = [
     ("torch.nn.Linear", "torch is no package"),
     ("uavrl_evil.Reward", "uavrl_evil is no package"),
     ("uavrl.errors.signal.Signals", "there is no class"),
-    ("uavrl.runs.files.shutil.rmtree", "there is no class"),
-    ("uavrl.runs.files.replacing", "there is no class"),
+    ("uavrl_onboard.files.shutil.rmtree", "there is no class"),
+    ("uavrl_onboard.files.replacing", "there is no class"),
     ("uavrl.training.run.train", "there is no class"),
     ("uavrl.transforms.rewards.TradtionalReward", "did you mean TraditionalReward?"),
     ("uavrl..x", "which is no name of a class"),
@@ -59,7 +59,7 @@ def test_what_is_not_trusted_is_refused_before_it_is_imported(target: str, said:
         ("uavrl.envs.navigation.NavigationEnv", Transform),
         ("uavrl.transforms.rewards.traditional_reward", Transform),
         ("uavrl.transforms.rewards.TraditionalReward", EnvBase),
-        ("uavrl.runs.files.shutil.rmtree", Transform),
+        ("uavrl_onboard.files.shutil.rmtree", Transform),
         ("uavrl.cli.train.Path", Logger),
         ("uavrl.training.run.torch.nn.Linear", nn.Module),  # a class of the right kind, by a way through ours
         ("uavrl.models.actor_critic.nn.Linear", nn.Module),
@@ -107,7 +107,7 @@ def test_a_subclass_takes_what_its_base_takes(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "own_rewards.py").write_text(
         "from __future__ import annotations\n"
         "from typing import TYPE_CHECKING\n"
-        "from uavrl.ranges import Positive\n"
+        "from uavrl_onboard.ranges import Positive\n"
         "from uavrl.transforms import TraditionalReward\n"
         "if TYPE_CHECKING:\n"
         "    from elsewhere import Thing\n"

@@ -26,9 +26,9 @@ from uavrl.config.context import CONTEXT, context_of
 from uavrl.config.parts import PARTS
 from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
-from uavrl.rollout import actor as actor_module
-from uavrl.rollout import environment
-from uavrl.rollout.environment import NetworkSizes
+from uavrl.evaluation import actor as actor_module
+from uavrl.evaluation import environment
+from uavrl.evaluation.environment import NetworkSizes
 from uavrl.training import build as build_module
 from uavrl.training import loggers
 

@@ -14,8 +14,8 @@ from uavrl.config import resolve, validate, validate_run
 from uavrl.config.build import TARGET, find_class
 from uavrl.config.recorded import GONE, MOVED, renewed
 from uavrl.errors import UavrlError
+from uavrl.evaluation.policies import PACKAGED, packaged_policies
 from uavrl.reporting.runs import read_run
-from uavrl.rollout.policies import PACKAGED, packaged_policies
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, fingerprints, load_config
 from uavrl.training.run import resume_config
 

@@ -12,8 +12,8 @@ from omegaconf import OmegaConf
 from tests.helpers.configs import composed
 from uavrl.config import EvaluateConfig, TrainConfig, compose, conf_dir, learner_name, resolve, validate
 from uavrl.config.parts import PARTS
-from uavrl.config.values import to_plain
 from uavrl.errors import UavrlError
+from uavrl_onboard.values import to_plain
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
 CHOICES = [file for file in FILES if file[0] not in ("pretrain", "reward_preset", "experiment", "learner", "preset")]

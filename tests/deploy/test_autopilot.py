@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from tests.helpers.autopilot_peer import ARDUPILOT, GUIDED, LOITER, OFFBOARD, POSCTL, PX4, Peer, garbage
-from uavrl.deploy.autopilot import Autopilot
-from uavrl.deploy.frames import to_goal
-from uavrl.deploy.safety import Cycle, SafetyLayer, State
-from uavrl.deploy.vehicle import Control
 from uavrl.errors import UavrlError
+from uavrl_onboard.autopilot.frames import to_goal
+from uavrl_onboard.autopilot.mavlink import Autopilot
+from uavrl_onboard.autopilot.vehicle_state import Control
+from uavrl_onboard.flight.safety import Cycle, SafetyLayer, State
 
 SET_MODE, ARM, SET_INTERVAL = 176, 400, 511
 

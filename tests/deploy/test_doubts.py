@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl.deploy.doubts import Doubts
-from uavrl.deploy.frames import Pose
-from uavrl.deploy.safety import Reason, SafetyStatus, State
-from uavrl.deploy.scans import Scan
-from uavrl.deploy.stages import FlightCycle
-from uavrl.deploy.vehicle import Control, VehicleStatus
+from uavrl_onboard.autopilot.frames import Pose
+from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
+from uavrl_onboard.flight.health import Doubts
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.safety import Reason, SafetyStatus, State
+from uavrl_onboard.lidar.scans import Scan
 
 WALL, NOTHING = np.array([[3.0, 0.0, 0.0]], np.float32), np.full((5, 3), np.nan, np.float32)
 

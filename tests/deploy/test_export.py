@@ -15,8 +15,8 @@ from tests.helpers.commands import VALLEY
 from tests.helpers.recorded import READ, SCANNED, SCANS, states, unmistakable
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.settings import TrainConfig
-from uavrl.deploy.export import as_text, contract
 from uavrl.envs import NavigationEnv
+from uavrl.export.export import as_text, contract
 
 Values = dict[str, np.ndarray]
 

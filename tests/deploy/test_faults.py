@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from uavrl.deploy.faults import Faults
 from uavrl.errors import UavrlError
+from uavrl.sitl.faults import Faults
 
 PACKETS = [bytes([number % 256]) * 1206 for number in range(2000)]
 

@@ -14,21 +14,21 @@ import numpy as np
 import pytest
 
 from tests.helpers.ports import free_ports
-from uavrl.deploy.dry_run import DryRun
-from uavrl.deploy.feeds import UdpScans
-from uavrl.deploy.flight import Flight, fly, rehearse
-from uavrl.deploy.flight_summary import FlightSummary
-from uavrl.deploy.frames import Pose, Vector
-from uavrl.deploy.packets import encode_scan
-from uavrl.deploy.safety import Reason, SafetyLayer, State
-from uavrl.deploy.scans import Scan
-from uavrl.deploy.stages import FlightCycle
-from uavrl.deploy.vehicle import Control, VehicleStatus
-from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
-from uavrl.mapping import Navigator
-from uavrl.motion.evasion import Evasion
-from uavrl.shield import Shield
+from uavrl_onboard.autopilot.dry_run import DryRun
+from uavrl_onboard.autopilot.frames import Pose, Vector
+from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.loop import Flight, fly, rehearse
+from uavrl_onboard.flight.safety import Reason, SafetyLayer, State
+from uavrl_onboard.flight.summary import FlightSummary
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.map import Navigator
+from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.lidar.feeds import UdpScans
+from uavrl_onboard.lidar.packets import encode_scan
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.lidar.vlp16 import firing_directions
 
 GOAL = (20.0, 0.0, 2.5)
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tests.helpers.captures import KINDS, PACKETS, captured, recorded
-from uavrl.deploy import libraries
-from uavrl.deploy.sources import ScanSource
 from uavrl.errors import UavrlError
+from uavrl_onboard import libraries
+from uavrl_onboard.lidar.sources import ScanSource
 
 
 def foreign_files(folder: Path) -> dict[str, tuple[Path, str]]:

@@ -9,9 +9,17 @@ import pytest
 from pymavlink.rotmat import Matrix3, Vector3
 from scipy.spatial.transform import Rotation
 
-from uavrl.deploy.frames import Pose, roll_pitch_yaw, swap_attitude, swap_world, swap_yaw, to_command, to_goal
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
+from uavrl_onboard.autopilot.frames import (
+    Pose,
+    roll_pitch_yaw,
+    swap_attitude,
+    swap_world,
+    swap_yaw,
+    to_command,
+    to_goal,
+)
 
 QUARTER = math.pi / 2
 

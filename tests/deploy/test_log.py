@@ -25,15 +25,15 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.helpers.logged import ATTITUDE, GOAL, SILENT, START, YAW, contract, cycles, write_log
-from uavrl.deploy.log import FlightLog
-from uavrl.deploy.log_messages import ACTION, CELLS, CHANGES, POINTS, POSE, SETPOINT, STATUS, TOPICS, VELOCITY
-from uavrl.deploy.logged_flight import LoggedFlight
-from uavrl.deploy.mcap_file import MAGIC, McapFile, unpacked
-from uavrl.deploy.safety import State
-from uavrl.deploy.sources import ScanSource
-from uavrl.deploy.stages import FlightCycle
-from uavrl.deploy.vehicle import Control, VehicleStatus
 from uavrl.errors import UavrlError
+from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.log import FlightLog
+from uavrl_onboard.flight.log_messages import ACTION, CELLS, CHANGES, POINTS, POSE, SETPOINT, STATUS, TOPICS, VELOCITY
+from uavrl_onboard.flight.logged_flight import LoggedFlight
+from uavrl_onboard.flight.safety import State
+from uavrl_onboard.lidar.mcap_file import MAGIC, McapFile, unpacked
+from uavrl_onboard.lidar.sources import ScanSource
 
 NEAR = {"abs": 2e-9}  # s: a log's times are whole nanoseconds
 
@@ -207,7 +207,7 @@ def test_a_log_that_ends_in_the_middle_is_read_up_to_there(
 def test_what_was_written_is_soon_in_the_file_of_a_loop_that_dies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uavrl.deploy.log.FLUSH", 0.1)
+    monkeypatch.setattr("uavrl_onboard.flight.log.FLUSH", 0.1)
     log = FlightLog(tmp_path / "f.mcap", contract(), GOAL, clock=lambda: START)
     flown = list(cycles(13))
     for cycle in flown:
@@ -231,7 +231,7 @@ def test_no_log_replaces_another(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_told_once_and_stops_no_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uavrl.deploy.log.FLUSH", 0.01)
+    monkeypatch.setattr("uavrl_onboard.flight.log.FLUSH", 0.01)
     log = FlightLog(tmp_path / "f.mcap", contract(), GOAL, clock=lambda: START)
     flown = list(cycles(20))
     said = list[str]()
@@ -239,7 +239,7 @@ def test_a_full_disk_is_told_once_and_stops_no_flight(tmp_path: Path, monkeypatc
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("uavrl.deploy.log.os.fsync", full)
+    monkeypatch.setattr("uavrl_onboard.flight.log.os.fsync", full)
 
     def write_all() -> None:
         for cycle in flown:
@@ -259,11 +259,11 @@ def test_a_full_disk_is_told_once_and_stops_no_flight(tmp_path: Path, monkeypatc
 
 
 def test_a_disk_that_hangs_holds_nothing_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uavrl.deploy.log.FLUSH", 0.01)
+    monkeypatch.setattr("uavrl_onboard.flight.log.FLUSH", 0.01)
     log = FlightLog(tmp_path / "f.mcap", contract(), GOAL, clock=lambda: START)
     (cycle,) = cycles(1)
     hangs, goes_on, over = threading.Event(), threading.Event(), threading.Event()
-    monkeypatch.setattr("uavrl.deploy.log.os.fsync", lambda _: (hangs.set(), goes_on.wait(60.0), over.set()))
+    monkeypatch.setattr("uavrl_onboard.flight.log.os.fsync", lambda _: (hangs.set(), goes_on.wait(60.0), over.set()))
     log.write(cycle)
     assert hangs.wait(60.0), "the thread saves"
     for _ in range(70):
@@ -367,7 +367,7 @@ def test_a_message_of_other_contents_is_refused(change: dict[str, Any], tmp_path
 def test_a_chunk_that_unpacks_to_more_than_it_says_is_not_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uavrl.deploy.mcap_file.LARGEST", 2**20)
+    monkeypatch.setattr("uavrl_onboard.lidar.mcap_file.LARGEST", 2**20)
 
     def zeros(writer: Any) -> None:
         channel = writer.register_channel("/x", "cdr", writer.register_schema("x", "ros2msg", b""))

@@ -17,17 +17,17 @@ from torchrl.envs import Transform
 from tests.helpers.exported import exported, refusal
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.parts import Part
-from uavrl.deploy.contract import read_contract
-from uavrl.deploy.dry_run import DryRun
-from uavrl.deploy.export import contract
-from uavrl.deploy.flight import Flight, map_for
-from uavrl.deploy.policy import Policy
-from uavrl.deploy.safety import SafetyLayer
-from uavrl.deploy.scans import Scan
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.led import Led
-from uavrl.rollout.policies import choose
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.led import Led
+from uavrl.evaluation.policies import choose
+from uavrl.export.export import contract
 from uavrl.transforms import Waypoint
+from uavrl_onboard.autopilot.dry_run import DryRun
+from uavrl_onboard.flight.loop import Flight, map_for
+from uavrl_onboard.flight.safety import SafetyLayer
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.policy.contract import read_contract
+from uavrl_onboard.policy.policy import Policy
 
 WALL = np.stack(np.broadcast_arrays(2.0, np.linspace(-1.0, 3.0, 40), -0.1), -1)
 LEARNED = ("algo.hidden=[16]", "perception=range_image", "perception.memory=10", "env.world.flight_level=3.0")

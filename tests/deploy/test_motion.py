@@ -20,16 +20,16 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tests.helpers.commands import VALLEY
 from tests.helpers.exported import edit_contract, exported, refusal
 from uavrl.config import validate_run
-from uavrl.deploy.dry_run import DryRun
-from uavrl.deploy.flight import Flight
-from uavrl.deploy.frames import Pose
-from uavrl.deploy.policy import Policy
-from uavrl.deploy.safety import SafetyLayer, State
-from uavrl.deploy.scans import Scan
-from uavrl.deploy.simulated import ExportedPolicy
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import read_policy
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.actor import read_policy
+from uavrl.evaluation.environment import make_env
+from uavrl.export.simulated import ExportedPolicy
+from uavrl_onboard.autopilot.dry_run import DryRun
+from uavrl_onboard.autopilot.frames import Pose
+from uavrl_onboard.flight.loop import Flight
+from uavrl_onboard.flight.safety import SafetyLayer, State
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.policy.policy import Policy
 
 SEES = ("perception=range_image", "perception.last_action=true", "perception.motion=12", "algo.hidden=[16,8]")
 WORLD = (*VALLEY, "env.world.seeds=[0]", "env.world.planes=4", "env.world.plane_keep_out=2")

@@ -10,10 +10,10 @@ import torch
 from torchrl.envs import CatFrames, TransformedEnv
 
 from tests.helpers.clouds import CloudEnv
-from uavrl.deploy.observation import NavigationState, navigation_observation
-from uavrl.envs.goal import goal_elevation_deg, goal_heading_deg
 from uavrl.errors import UavrlError
 from uavrl.transforms import navigation_observation as in_torch
+from uavrl_onboard.perception.goal import goal_elevation_deg, goal_heading_deg
+from uavrl_onboard.perception.observation import NavigationState, navigation_observation
 
 
 @pytest.mark.parametrize("angles", ["folded", "turns", "raw"])

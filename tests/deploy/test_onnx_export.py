@@ -16,9 +16,9 @@ from torch import Tensor, nn
 
 from tests.helpers.commands import content
 from tests.helpers.exported import exported, policy_folder
-from uavrl.deploy.export import export_policy
-from uavrl.deploy.onnx_export import OPSET, policy_onnx
 from uavrl.errors import UavrlError
+from uavrl.export.export import export_policy
+from uavrl.export.onnx_export import OPSET, policy_onnx
 from uavrl.models import Actor
 
 TERMS = {"state": {"size": 6}, "action": {"low": [-2.0] * 4, "high": [2.0] * 4}}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests.helpers.lidar_scans import same_after, tilted_scans
-from uavrl.deploy.packets import PACKET, PacketStream, decode_vlp16, encode_scan
-from uavrl.deploy.scans import ScanAssembler, make_decoder
-from uavrl.envs.vlp16 import FIRING_TIMES, firing_directions
 from uavrl.errors import UavrlError
+from uavrl_onboard.lidar.packets import PACKET, PacketStream, decode_vlp16, encode_scan
+from uavrl_onboard.lidar.scans import ScanAssembler, make_decoder
+from uavrl_onboard.lidar.vlp16 import FIRING_TIMES, firing_directions
 
 
 def wall(distance: float = 3.0) -> np.ndarray:

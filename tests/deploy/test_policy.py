@@ -22,13 +22,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tests.helpers.exported import edit_contract, exported, put_network
 from tests.helpers.recorded import READ, SCANNED, SCANS, RecordedScans
 from uavrl.config import validate_run
-from uavrl.deploy.policy import Policy
-from uavrl.deploy.simulated import ExportedPolicy
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import read_policy
-from uavrl.rollout.environment import build
-from uavrl.rollout.rollout import rollout
+from uavrl.evaluation.actor import read_policy
+from uavrl.evaluation.environment import build
+from uavrl.evaluation.rollout import rollout
+from uavrl.export.simulated import ExportedPolicy
 from uavrl.transforms import NavigationState, PointCloudReduction
+from uavrl_onboard.policy.policy import Policy
 
 STATES = 10_000
 KINDS = {

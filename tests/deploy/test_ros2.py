@@ -13,12 +13,12 @@ import pybullet
 import pytest
 
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, cloud, odometry, same, until
-from uavrl.deploy.dds import Arrived, Node, check_topic, idl_type, topic_of
-from uavrl.deploy.frames import Pose
-from uavrl.deploy.messages import CLOUD, ODOMETRY, TWIST
-from uavrl.deploy.ros2 import Ros2Scans, Ros2Vehicle, Stamps, pose_of, twist_of
-from uavrl.deploy.vehicle import Control
 from uavrl.errors import UavrlError
+from uavrl_onboard.autopilot.frames import Pose
+from uavrl_onboard.autopilot.vehicle_state import Control
+from uavrl_onboard.lidar.ros_messages import CLOUD, ODOMETRY, TWIST
+from uavrl_onboard.ros2.dds import Arrived, Node, check_topic, idl_type, topic_of
+from uavrl_onboard.ros2.vehicle import Ros2Scans, Ros2Vehicle, Stamps, pose_of, twist_of
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 
@@ -205,19 +205,19 @@ def test_a_node_that_is_closed_leaves_no_thread(node: RosNode) -> None:
 def test_of_two_writers_the_first_is_heard_until_it_falls_silent(
     node: RosNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uavrl.deploy.dds.SILENCE", 600.0)
+    monkeypatch.setattr("uavrl_onboard.ros2.dds.SILENCE", 600.0)
     first, second = (node.writer("rt/points", idl_type(CLOUD)) for _ in range(2))
     with Ros2Scans(f"ros2://{DOMAIN}/points") as scans:
         assert scans.trouble().startswith("no message has come on /points: does a node in this domain")
         until(lambda: first.get_matched_subscriptions() and second.get_matched_subscriptions(), "a match")
         first.write(cloud(np.ones((2, 3), np.float32), 1.0))
         until(lambda: scans.poll(0.0), "the first's cloud")
-        monkeypatch.setattr("uavrl.deploy.ros2.SILENCE", 0.0)
+        monkeypatch.setattr("uavrl_onboard.ros2.vehicle.SILENCE", 0.0)
         assert scans.trouble().startswith("no message has come on /points for 0 s, where there were some")
         second.write(cloud(np.ones((3, 3), np.float32), 2.0))
         time.sleep(0.05)
         assert scans.poll(0.0) is None
-        monkeypatch.setattr("uavrl.deploy.dds.SILENCE", 0.02)
+        monkeypatch.setattr("uavrl_onboard.ros2.dds.SILENCE", 0.02)
         time.sleep(0.1)
         second.write(cloud(np.ones((3, 3), np.float32), 3.0))
         assert until(lambda: scans.poll(0.0), "the second's cloud").rays == 3

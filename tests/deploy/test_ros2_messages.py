@@ -13,9 +13,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.helpers.ros2_peer import same
-from uavrl.deploy.dds import idl_type
-from uavrl.deploy.messages import CLOUD, DEFINITIONS, PX4_CONTROL_MODE, PX4_SETPOINT
-from uavrl.deploy.ros2 import twist_of
+from uavrl_onboard.lidar.ros_messages import CLOUD, DEFINITIONS, PX4_CONTROL_MODE, PX4_SETPOINT
+from uavrl_onboard.ros2.dds import idl_type
+from uavrl_onboard.ros2.vehicle import twist_of
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 

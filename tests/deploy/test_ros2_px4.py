@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, px4_mode, px4_odometry, until
-from uavrl.deploy.dds import idl_type
-from uavrl.deploy.frames import Pose
-from uavrl.deploy.messages import PX4_CONTROL_MODE, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT
-from uavrl.deploy.ros2_px4 import Px4Ros2, px4_pose, px4_setpoint
-from uavrl.deploy.vehicle import Control
+from uavrl_onboard.autopilot.frames import Pose
+from uavrl_onboard.autopilot.vehicle_state import Control
+from uavrl_onboard.lidar.ros_messages import PX4_CONTROL_MODE, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT
+from uavrl_onboard.ros2.dds import idl_type
+from uavrl_onboard.ros2.px4 import Px4Ros2, px4_pose, px4_setpoint
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 

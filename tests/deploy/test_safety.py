@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uavrl.deploy.limits import SafetyLimits, limit
-from uavrl.deploy.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyStatus, State
 from uavrl.errors import UavrlError
+from uavrl_onboard.flight.limits import SafetyLimits, limit
+from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyStatus, State
 
 START = 100.0  # of the clock, s
 

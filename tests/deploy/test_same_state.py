@@ -14,8 +14,8 @@ from tests.helpers.commands import VALLEY
 from tests.helpers.exported import exported
 from tests.helpers.wire import Wire
 from uavrl.config import compose, validate
-from uavrl.deploy.safety import State
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
+from uavrl_onboard.flight.safety import State
 
 TASK, STEPS = 1, 15
 

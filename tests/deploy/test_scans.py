@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.helpers.packets import turns
-from uavrl.deploy import scans
-from uavrl.deploy.packets import PACKET, PRODUCTS, encode_scan
-from uavrl.deploy.scans import Scan, ScanAssembler
-from uavrl.envs.vlp16 import firing_directions
 from uavrl.errors import UavrlError
+from uavrl_onboard.lidar import scans
+from uavrl_onboard.lidar.packets import PACKET, PRODUCTS, encode_scan
+from uavrl_onboard.lidar.scans import Scan, ScanAssembler
+from uavrl_onboard.lidar.vlp16 import firing_directions
 
 
 def pushed(packets: list[bytes], model: str = "VLP16", product: int | None = None) -> tuple[list[Scan], ScanAssembler]:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from uavrl.deploy.autopilot import TYPE_MASK
-from uavrl.deploy.frames import to_command
-from uavrl.deploy.setpoints import BODY_NED, LOCAL_NED, read_setpoint
 from uavrl.errors import UavrlError
+from uavrl.sitl.setpoints import BODY_NED, LOCAL_NED, read_setpoint
+from uavrl_onboard.autopilot.frames import to_command
+from uavrl_onboard.autopilot.mavlink import TYPE_MASK
 
 NOTHING = (0.0, 0.0, 0.0)
 EAST, NORTH = 0.0, math.pi / 2

@@ -10,8 +10,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from tests.helpers.autopilot_peer import garbage
-from uavrl.deploy.autopilot import BODY_NED, TYPE_MASK
-from uavrl.deploy.simulated_autopilot import FirmwareName, SimulatedAutopilot
+from uavrl.sitl.simulated_autopilot import FirmwareName, SimulatedAutopilot
+from uavrl_onboard.autopilot.mavlink import BODY_NED, TYPE_MASK
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
 SET_MODE, ARM = 176, 400

@@ -13,11 +13,11 @@ from pymavlink.dialects.v20 import common
 
 from tests.helpers.autopilot_peer import garbage
 from tests.helpers.sitl import Ground, Scripted
-from uavrl.deploy.faults import Faults
-from uavrl.deploy.packets import PACKET, decode_vlp16
-from uavrl.deploy.sitl import Sitl
-from uavrl.envs.live import PIECE
 from uavrl.errors import UavrlError
+from uavrl.sitl.faults import Faults
+from uavrl.sitl.live import PIECE
+from uavrl.sitl.sitl import Sitl
+from uavrl_onboard.lidar.packets import PACKET, decode_vlp16
 
 
 @pytest.fixture

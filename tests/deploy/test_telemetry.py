@@ -9,10 +9,10 @@ import pytest
 from pymavlink.dialects.v20 import common
 from scipy.spatial.transform import Rotation
 
-from uavrl.deploy.simulated_autopilot import SimulatedAutopilot
-from uavrl.deploy.telemetry import RATES, Telemetry
-from uavrl.deploy.vehicle import Control, Vehicle
-from uavrl.envs.live import Motion
+from uavrl.sitl.live import Motion
+from uavrl.sitl.simulated_autopilot import SimulatedAutopilot
+from uavrl.sitl.telemetry import RATES, Telemetry
+from uavrl_onboard.autopilot.vehicle_state import Control, Vehicle
 
 MOTION = Motion(
     position=np.array([2.0, 10.0, 3.5]),

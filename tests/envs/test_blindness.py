@@ -15,7 +15,7 @@ from uavrl.config import validate
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.world import WorldConfig
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
 
 STAY = torch.zeros(1, 4)
 FACES = 32

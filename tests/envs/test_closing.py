@@ -14,11 +14,11 @@ from torchrl.collectors import Collector
 from uavrl.envs.bullet import mesh_shape, pybullet
 from uavrl.envs.gym import ValleyEnv
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
+from uavrl_onboard.mesh import Mesh
 
 SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0)
 

@@ -10,11 +10,12 @@ from pybullet_utils.bullet_client import BulletClient
 
 from tests.helpers.geometry import bullet_world, convex_body, embree, pierced
 from uavrl.envs.lanes import BELOW_CEILING, LOWEST, Airspace, Lane, plan_lanes
-from uavrl.envs.mesh import Mesh, icosphere, loft, turned
+from uavrl.envs.mesh import icosphere, turned
 from uavrl.envs.terrain import HeightField
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import Valley, World, WorldConfig
 from uavrl.errors import UavrlError
+from uavrl_onboard.mesh import Mesh, loft
 
 CONFIG = WorldConfig(planes=3)
 PLANE = plane_mesh(CONFIG.plane_wingspan)

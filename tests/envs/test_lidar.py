@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from tests.helpers.geometry import bullet_world
 from tests.helpers.scenes import LEVEL, ORIGIN, box, clutter, poses
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.envs.mesh import Mesh, turned
-from uavrl.envs.vlp16 import FIRING_TIMES, NUM_RAYS
+from uavrl.envs.mesh import turned
 from uavrl.transforms.icosahedron import truncated_icosahedron
+from uavrl_onboard.lidar.vlp16 import FIRING_TIMES, NUM_RAYS
+from uavrl_onboard.mesh import Mesh
 
 
 def ranges(cloud: np.ndarray) -> np.ndarray:

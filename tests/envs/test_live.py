@@ -14,8 +14,8 @@ import torch
 from tests.helpers.valleys import SMALL
 from uavrl.envs import NavigationEnv, Randomization
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.live import PIECE, PIECES, LiveEpisode
-from uavrl.envs.vlp16 import FIRING_TIMES, NUM_RAYS
+from uavrl.sitl.live import PIECE, PIECES, LiveEpisode
+from uavrl_onboard.lidar.vlp16 import FIRING_TIMES, NUM_RAYS
 
 Make = Callable[..., NavigationEnv]
 SHAKEN = Randomization(

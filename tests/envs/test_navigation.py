@@ -16,12 +16,12 @@ from torchrl.collectors import Collector
 from torchrl.envs import check_env_specs
 
 from tests.helpers.valleys import SMALL, act, differing, rollout
-from uavrl.envs.goal import goal_elevation_deg, goal_heading_deg, wrap_degrees
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics
 from uavrl.envs.randomization import Randomization
 from uavrl.envs.world import WorldConfig
+from uavrl_onboard.perception.goal import goal_elevation_deg, goal_heading_deg, wrap_degrees
 
 
 def place(env: NavigationEnv, uav: int, position: list[float] | np.ndarray, yaw: float = 0.0) -> None:

@@ -17,7 +17,7 @@ from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.traffic import Traffic
 from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.policies import PACKAGED
+from uavrl.evaluation.policies import PACKAGED
 from uavrl.runs.config import load_config
 
 SEVERAL = WorldConfig(seeds=(3, 4, 5, 6), size=(14.0, 12.0), obstacles=(3, 2, 4), min_goal_distance=5.0)

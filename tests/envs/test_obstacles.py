@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.helpers.geometry import assert_closed, point_triangle_distance
-from uavrl.envs.mesh import Mesh, icosphere, loft, signed_volume
+from uavrl.envs.mesh import icosphere
 from uavrl.envs.obstacles import KINDS, make_obstacle, wall_places
 from uavrl.envs.tasks import surface_points
 from uavrl.envs.world import Valley, World, WorldConfig
+from uavrl_onboard.mesh import Mesh, loft, signed_volume
 
 HALF = np.array([20.0, 15.0])  # m, from the middle of a valley to its border
 CEILING = 5.0  # m above ground

@@ -12,13 +12,13 @@ from tests.helpers.vehicles import world
 from uavrl.envs.bullet import pybullet
 from uavrl.envs.controller import most_load
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import LIMITS, Plant, Randomization, draw_plant
 from uavrl.envs.simulation import Simulation
-from uavrl.envs.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, NUM_RAYS
 from uavrl.errors import UavrlError
+from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, NUM_RAYS
+from uavrl_onboard.mesh import Mesh
 
 NO_DRAG = Aerodynamics(force_coefficients=(0.0, 0.0, 0.0), moment_coefficients=(0.0, 0.0, 0.0))
 QUAD = [[0, 1, 2], [0, 2, 3]]

@@ -14,7 +14,7 @@ from tests.helpers.valleys import SMALL, act, differing, rollout
 from uavrl.config import compose, validate
 from uavrl.envs import NavigationEnv, Plant, Randomization
 from uavrl.envs.randomization import LIMITS
-from uavrl.rollout.environment import make_env
+from uavrl.evaluation.environment import make_env
 
 REAL = validate(compose("randomize=real")).env.randomize
 PLANES = replace(SMALL, planes=1, plane_wingspan=1.2, plane_keep_out=2.0)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.helpers.scenes import LEVEL, ORIGIN, box, clutter, poses
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.envs.mesh import Mesh
+from uavrl_onboard.mesh import Mesh
 
 
 def with_and_without(meshes: list[Mesh], max_range: float, positions: np.ndarray, rotations: np.ndarray):

@@ -7,11 +7,11 @@ import pytest
 
 from tests.helpers.vehicles import GRID, seen, world
 from uavrl.envs.bullet import SAMPLE_SPACING, pybullet, surface_samples
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World, WorldConfig
+from uavrl_onboard.mesh import Mesh
 
 NO_DRAG = Aerodynamics(force_coefficients=(0.0, 0.0, 0.0), moment_coefficients=(0.0, 0.0, 0.0))
 QUAD = [[0, 1, 2], [0, 2, 3]]

@@ -14,10 +14,11 @@ from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import cKDTree
 
 from tests.helpers.geometry import bullet_world, point_triangle_distance
-from uavrl.envs.mesh import Mesh, blob, icosphere, loft
+from uavrl.envs.mesh import blob, icosphere
 from uavrl.envs.tasks import FlightMap, FreeSpace, Task, flight_map, surface_points
 from uavrl.envs.terrain import HeightField
 from uavrl.envs.world import Valley, World, WorldConfig
+from uavrl_onboard.mesh import Mesh, loft
 
 LEVEL, CEILING = 3.5, 5.0  # m
 RADIUS = 0.35  # m, of the ball around a UAV

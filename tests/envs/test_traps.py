@@ -8,14 +8,14 @@ from scipy.sparse.csgraph import dijkstra
 
 from tests.helpers.geometry import assert_closed, cast, embree
 from uavrl.config import compose, validate
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.tasks import Task
 from uavrl.envs.traps import KINDS, LONGEST_WAY, PASSAGE, SIGHT, along, pocket, ways_at
 from uavrl.envs.world import Valley, World, WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import named_policy
-from uavrl.rollout.rollout import fly
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.policies import named_policy
+from uavrl.evaluation.rollout import fly
+from uavrl_onboard.mesh import Mesh
 
 LEVEL = 3.5  # m
 TRAPPED = WorldConfig(seeds=(200, 201), obstacles=12, traps=3)

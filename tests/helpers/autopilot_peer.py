@@ -8,8 +8,8 @@ from typing import Any, Self
 
 from pymavlink.dialects.v20 import common
 
-from uavrl.deploy.autopilot import Autopilot
-from uavrl.deploy.vehicle import VehicleStatus
+from uavrl_onboard.autopilot.mavlink import Autopilot
+from uavrl_onboard.autopilot.vehicle_state import VehicleStatus
 
 PX4, ARDUPILOT, QUADROTOR, ARMED, CUSTOM = 12, 3, 2, 128, 1
 OFFBOARD, POSCTL, GUIDED, LOITER = 6 << 16, 3 << 16, 4, 5

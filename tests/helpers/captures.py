@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tests.helpers.packets import turns
 from tests.helpers.recordings import SCAN, scan_message, store, write_bag
-from uavrl.deploy.pcap import write_pcap
+from uavrl_onboard.lidar.pcap import write_pcap
 
 PACKETS = turns(3)
 TIMES = [100.0 + 0.001327 * n for n in range(len(PACKETS))]

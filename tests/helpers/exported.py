@@ -14,11 +14,11 @@ import torch
 from omegaconf import OmegaConf
 
 from uavrl.config import compose, resolve, validate
-from uavrl.deploy.export import as_text, export_policy
-from uavrl.deploy.policy import Policy
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import make_actor, saved_sizes
+from uavrl.evaluation.actor import make_actor, saved_sizes
+from uavrl.export.export import as_text, export_policy
 from uavrl.runs.weights import POLICY
+from uavrl_onboard.policy.policy import Policy
 
 
 def policy_folder(folder: Path, *overrides: str) -> Path:

@@ -12,10 +12,10 @@ from torchrl.envs import TransformedEnv
 
 from tests.helpers.configs import composed
 from uavrl.config import validate
-from uavrl.rollout.baselines import StraightPolicy
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.record import record_flights
-from uavrl.rollout.recording import Recording
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.record import record_flights
+from uavrl.evaluation.recording import Recording
+from uavrl.policies.baselines import StraightPolicy
 
 STEPS = 12
 SEED = 20_000

@@ -8,7 +8,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from pybullet_utils.bullet_client import BulletClient
 
-from uavrl.envs.mesh import Mesh, signed_volume
+from uavrl_onboard.mesh import Mesh, signed_volume
 
 LIDAR_RANGE = 100.0  # m
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from tests.helpers.scenes import clutter, poses
-from uavrl.cells import NEAREST_RETURN, icosahedron
-from uavrl.deploy.reduction import REDUCTIONS
 from uavrl.envs.lidar import Lidar
+from uavrl_onboard.perception.cells import NEAREST_RETURN, icosahedron
+from uavrl_onboard.perception.reductions import REDUCTIONS
 
 MM2 = 0.002 + 1e-6  # m
 

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from uavrl.deploy.contract import Contract, read_contract
-from uavrl.deploy.frames import Pose, to_goal
-from uavrl.deploy.log import FlightLog
-from uavrl.deploy.reduction import range_image
-from uavrl.deploy.safety import Cycle, SafetyLayer
-from uavrl.deploy.scans import Scan
-from uavrl.deploy.stages import FlightCycle
-from uavrl.deploy.vehicle import Control, VehicleStatus
-from uavrl.envs.vlp16 import firing_directions
-from uavrl.rollout.policies import PACKAGED
+from uavrl.evaluation.policies import PACKAGED
+from uavrl_onboard.autopilot.frames import Pose, to_goal
+from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.log import FlightLog
+from uavrl_onboard.flight.safety import Cycle, SafetyLayer
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.lidar.vlp16 import firing_directions
+from uavrl_onboard.perception.reductions import range_image
+from uavrl_onboard.policy.contract import Contract, read_contract
 
 GOAL = (12.0, 1.0, 2.5)
 WALLS = 3.0  # m from the corridor's middle, y = 0

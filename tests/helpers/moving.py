@@ -13,10 +13,10 @@ from torchrl.envs import EnvBase
 
 from tests.helpers.scenes import box, terrain
 from tests.helpers.small_env import SmallEnv
-from uavrl.attitude import body_to_world
 from uavrl.envs.lidar import Lidar
-from uavrl.envs.mesh import Mesh
-from uavrl.motion import MotionSight
+from uavrl_onboard.geometry import body_to_world
+from uavrl_onboard.mesh import Mesh
+from uavrl_onboard.perception.motion import MotionSight
 
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from uavrl.deploy.reduction import range_image, truncated_icosahedron
 from uavrl.transforms import REDUCTIONS
+from uavrl_onboard.perception.reductions import range_image, truncated_icosahedron
 
 PAIRS = [(truncated_icosahedron, "truncated_icosahedron"), (range_image, "range_image")]
 MISSES = ([np.nan] * 3, [np.inf, 0, 0], [0.0, -np.inf, np.nan], [0.0, 0.0, 0.0], [0.03, 0.03, 0.0])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tests.helpers.folders import ROOT
-from uavrl.deploy.packets import HOUR, PACKET, encode_scan
-from uavrl.envs.vlp16 import firing_directions
+from uavrl_onboard.lidar.packets import HOUR, PACKET, encode_scan
+from uavrl_onboard.lidar.vlp16 import firing_directions
 
 RECORDED = ROOT / "tests/data/vlp16/einride_160_packets.bin"
 

@@ -27,10 +27,10 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from uavrl.config import TrainConfig, compose, validate, validate_run
 from uavrl.config.build import build
-from uavrl.rollout.actor import read_policy
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
-from uavrl.rollout.rollout import Policy, rollout
+from uavrl.evaluation.actor import read_policy
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.policies import PACKAGED, packaged_policies, with_overrides
+from uavrl.evaluation.rollout import Policy, rollout
 from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 

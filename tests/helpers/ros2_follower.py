@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 
-from uavrl.deploy.reduction import is_return
-from uavrl.deploy.ros2 import Ros2Scans, Ros2Vehicle
-from uavrl.deploy.ros2_px4 import Px4Ros2
+from uavrl_onboard.perception.reductions import is_return
+from uavrl_onboard.ros2.px4 import Px4Ros2
+from uavrl_onboard.ros2.vehicle import Ros2Scans, Ros2Vehicle
 
 SETPOINT = (1.0, 0.5, -0.25, 1.25)
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from uavrl.deploy.dds import idl_type
-from uavrl.deploy.messages import CLOUD, HEADER, ODOMETRY, PX4_CONTROL_MODE, PX4_ODOMETRY
+from uavrl_onboard.lidar.ros_messages import CLOUD, HEADER, ODOMETRY, PX4_CONTROL_MODE, PX4_ODOMETRY
+from uavrl_onboard.ros2.dds import idl_type
 
 LOOPBACK = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pybullet
 
-from uavrl.envs.mesh import Mesh
+from uavrl_onboard.mesh import Mesh
 
 LEVEL = np.eye(3)[None]
 

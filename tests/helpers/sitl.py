@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from tests.helpers.autopilot_peer import free_port
-from uavrl.deploy.autopilot import Autopilot
-from uavrl.deploy.sitl import Sitl
-from uavrl.deploy.vehicle import Control
-from uavrl.envs.live import PIECE, PIECES, Motion
-from uavrl.envs.vlp16 import AZIMUTH_STEPS, firing_directions
+from uavrl.sitl.live import PIECE, PIECES, Motion
+from uavrl.sitl.sitl import Sitl
+from uavrl_onboard.autopilot.mavlink import Autopilot
+from uavrl_onboard.autopilot.vehicle_state import Control
+from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEPS, firing_directions
 
 DIRECTIONS = firing_directions()
 

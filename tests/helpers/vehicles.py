@@ -8,8 +8,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.simulation import Simulation
+from uavrl_onboard.mesh import Mesh
 
 GRID = np.array(list(itertools.product((-2.0, -1.0, 0.0, 1.0, 2.0), repeat=4)))
 

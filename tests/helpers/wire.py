@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from tests.helpers.autopilot_peer import free_port
-from uavrl.deploy.autopilot import Autopilot, mavlink
-from uavrl.deploy.flight import Flight
-from uavrl.deploy.packets import encode_scan
-from uavrl.deploy.policy import Policy
-from uavrl.deploy.safety import SafetyLayer
-from uavrl.deploy.scans import ScanAssembler
-from uavrl.deploy.setpoints import read_setpoint
-from uavrl.deploy.simulated_autopilot import SimulatedAutopilot
-from uavrl.deploy.sitl_ports import SitlPorts
-from uavrl.deploy.stages import FlightCycle
-from uavrl.deploy.telemetry import Telemetry
-from uavrl.envs.live import LiveEpisode
+from uavrl.sitl.live import LiveEpisode
+from uavrl.sitl.ports import SitlPorts
+from uavrl.sitl.setpoints import read_setpoint
+from uavrl.sitl.simulated_autopilot import SimulatedAutopilot
+from uavrl.sitl.telemetry import Telemetry
+from uavrl_onboard.autopilot.mavlink import Autopilot, mavlink
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.loop import Flight
+from uavrl_onboard.flight.safety import SafetyLayer
+from uavrl_onboard.lidar.packets import encode_scan
+from uavrl_onboard.lidar.scans import ScanAssembler
+from uavrl_onboard.policy.policy import Policy
 
 
 class Wire:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl.hull import HULL
-from uavrl.mapping import EpisodeMap, GoalFinder
-from uavrl.mapping.route import SEEN_AROUND, route, waypoint
+from uavrl_onboard.geometry import HULL
+from uavrl_onboard.guards.map import EpisodeMap, GoalFinder
+from uavrl_onboard.guards.map.route import SEEN_AROUND, route, waypoint
 
 CELL = 0.25
 GOAL = np.array([9.0, 0.0])

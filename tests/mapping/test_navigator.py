@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.mapping.test_wayfinder import ALTITUDE, STILL, scanned, wall
-from uavrl.mapping import EpisodeMap, Navigator
-from uavrl.mapping.navigator import ELSEWHERE, EVERY
+from uavrl_onboard.guards.map import EpisodeMap, Navigator
+from uavrl_onboard.guards.map.navigator import ELSEWHERE, EVERY
 
 GOAL, NOTHING = np.array([105.0, 50.0]), np.full((1, 3), np.nan)
 START = np.array([100.0, 50.0, ALTITUDE])  # anywhere in the world's axes
@@ -103,7 +103,7 @@ def test_one_that_does_not_know_where_it_is_turns_nowhere_and_remembers(broken: 
 def test_nothing_is_imported_in_flight() -> None:
     """The first scan would otherwise be answered a third of a second late."""
     program = (
-        "import sys, numpy as np; from uavrl.mapping import Navigator;"
+        "import sys, numpy as np; from uavrl_onboard.guards.map import Navigator;"
         "navigator = Navigator(); known = set(sys.modules);"
         "navigator.look(np.ones((9, 3)), np.zeros(3), np.array([0.0, 0.0, 3.5]), np.array([9.0, 0.0]));"
         "print(sorted(set(sys.modules) - known))"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl.attitude import body_to_world
-from uavrl.mapping import Wayfinder
-from uavrl.mapping.navigator import EVERY, LIDAR_ABOVE
+from uavrl_onboard.geometry import body_to_world
+from uavrl_onboard.guards.map import Wayfinder
+from uavrl_onboard.guards.map.navigator import EVERY, LIDAR_ABOVE
 
 ALTITUDE = 3.5
 STILL = np.zeros((1, 3))

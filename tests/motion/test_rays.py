@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.helpers.moving import BODY, Vehicle, straight, valley
-from uavrl.attitude import body_to_world
-from uavrl.deploy.packets import decode_vlp16, encode_scan
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.motion import MotionSight
-from uavrl.motion.rays import far_rays
+from uavrl_onboard.geometry import body_to_world
+from uavrl_onboard.lidar.packets import decode_vlp16, encode_scan
+from uavrl_onboard.perception.motion import MotionSight
+from uavrl_onboard.perception.motion.rays import far_rays
 
 WAY = straight((8.0, 0.5, 0.3), 3.5, 2.3, 8)
 

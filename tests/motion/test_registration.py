@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tests.helpers.scenes import box, terrain
-from uavrl.attitude import body_to_world
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.world import World, WorldConfig
-from uavrl.motion.occlusion import Grid, find_returns, range_images
-from uavrl.motion.registration import (
+from uavrl_onboard.geometry import body_to_world
+from uavrl_onboard.perception.motion.occlusion import Grid, find_returns, range_images
+from uavrl_onboard.perception.motion.registration import (
     LEAST_COMPARED,
     Alignment,
     orthonormal,

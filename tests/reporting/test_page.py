@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 from tests.helpers.commands import in_process
 from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder
 from uavrl.cli.report import main
-from uavrl.command_line import override
+from uavrl.config.command_line import override
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
 

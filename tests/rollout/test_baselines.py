@@ -11,9 +11,9 @@ from uavrl.config.build import find_class
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.baselines import COSTS, VectorFieldHistogram, VFHWeights
-from uavrl.rollout.policies import BASELINES, named_policy
-from uavrl.rollout.remembered import Planner
+from uavrl.evaluation.policies import BASELINES, named_policy
+from uavrl.planners.point_memory import Planner
+from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.transforms import NavigationState
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import REDUCTIONS, Reduction

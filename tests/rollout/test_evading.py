@@ -14,19 +14,19 @@ from torch.testing import assert_close
 
 from tests.helpers.commands import in_process
 from uavrl import load_policy
-from uavrl.attitude import body_to_level, body_to_world
 from uavrl.cli import evaluate
 from uavrl.config import compose, validate, validate_run
 from uavrl.config.settings import EvaluateConfig
 from uavrl.errors import UavrlError
-from uavrl.motion.evade import evaded
-from uavrl.motion.evasion import Evasion
-from uavrl.motion.threats import HIGH, STEPS, WIDE
-from uavrl.rollout.environment import with_sight
-from uavrl.rollout.evading import Evading
-from uavrl.rollout.policies import PACKAGED, choose
-from uavrl.rollout.rollout import fly
-from uavrl.rollout.shielded import Shielded
+from uavrl.evaluation.environment import with_sight
+from uavrl.evaluation.evading import Evading
+from uavrl.evaluation.policies import PACKAGED, choose
+from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.shielded import Shielded
+from uavrl_onboard.geometry import body_to_level, body_to_world
+from uavrl_onboard.guards.evade import evaded
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
 
 ABOVE = 0.1  # m, of the LiDAR over the hull's middle
 PERIOD = 0.1

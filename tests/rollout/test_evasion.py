@@ -11,11 +11,11 @@ from tensordict import TensorDict
 
 from uavrl.config.build import find_class
 from uavrl.envs import Airframe
-from uavrl.hull import hull_distances
-from uavrl.motion.evade import evaded
-from uavrl.motion.threats import HIGH, STEPS, WIDE
-from uavrl.rollout.policies import BASELINES, named_policy
-from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, Planner
+from uavrl.evaluation.policies import BASELINES, named_policy
+from uavrl.planners.point_memory import LIDAR_ABOVE, PERIOD, Planner
+from uavrl_onboard.geometry import hull_distances
+from uavrl_onboard.guards.evade import evaded
+from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
 
 PLANNERS = ("vfh_star", "mppi", "potential_field", *["rrt_connect", "rrt_map"] * bool(find_spec("ompl")))
 NOTHING = torch.full((1, 16, 3), torch.nan)

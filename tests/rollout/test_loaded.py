@@ -12,7 +12,7 @@ import uavrl
 from tests.helpers.commands import VALLEY
 from tests.helpers.recorded import recorded
 from uavrl.errors import UavrlError
-from uavrl.rollout.policies import PACKAGED
+from uavrl.evaluation.policies import PACKAGED
 from uavrl.transforms import RangeImage, TruncatedIcosahedron
 
 

@@ -15,17 +15,17 @@ from torch.testing import assert_close
 
 from tests.helpers.recorded import LARGEST, SCANS, as_evaluated, evaluation, recorded, states, suite
 from uavrl.config import compose, validate, validate_run
-from uavrl.config.values import to_plain
-from uavrl.deploy.export import contract
-from uavrl.rollout.actor import read_policy
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.policies import PACKAGED, packaged_policies, with_overrides
-from uavrl.rollout.rollout import fly
-from uavrl.rollout.summary import scenarios
+from uavrl.evaluation.actor import read_policy
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.policies import PACKAGED, packaged_policies, with_overrides
+from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.summary import scenarios
+from uavrl.export.export import contract
 from uavrl.runs.config import load_config
 from uavrl.runs.episodes import LETTERS
 from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
+from uavrl_onboard.values import to_plain
 
 TASKS = 150  # of its evaluation's 500, which are flown again
 IMPLAUSIBLE = 1e-3  # so seldom does chance alone bring fewer arrivals than are taken here

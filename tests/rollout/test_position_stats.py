@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavrl.envs.world import World, WorldConfig
-from uavrl.rollout.position_stats import PositionStats, summarize_places, whereabouts_lines
+from uavrl.evaluation.position_stats import PositionStats, summarize_places, whereabouts_lines
 
 
 def test_percentiles_quarters_and_histogram_of_known_places() -> None:

@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 from tests.helpers.flights import PERCEPTION, SEED, STEPS, flying_env, small_env, small_recording
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
-from uavrl.rollout.baselines import StraightPolicy
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.record import record_flight, record_flights
-from uavrl.rollout.recording import load_recording, save_recording, thinned
-from uavrl.rollout.rollout import fly
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.record import record_flight, record_flights
+from uavrl.evaluation.recording import load_recording, save_recording, thinned
+from uavrl.evaluation.rollout import fly
+from uavrl.policies.baselines import StraightPolicy
 from uavrl.transforms.icosahedron import truncated_icosahedron
 
 

@@ -11,19 +11,19 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from uavrl.cells import LASERS
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.build import find_class
 from uavrl.envs import Airframe
-from uavrl.hull import HULL
-from uavrl.motion.histogram import polar_histogram
-from uavrl.rollout.environment import make_env
-from uavrl.rollout.mppi import MPPI, STEPS, MPPIWeights, places_of
-from uavrl.rollout.policies import BASELINES, choose, named_policy
-from uavrl.rollout.potential_field import FieldWeights, PotentialField
-from uavrl.rollout.remembered import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory
-from uavrl.rollout.rollout import fly
-from uavrl.rollout.vfh_star import VFHStar, VFHStarWeights, look_along
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.policies import BASELINES, choose, named_policy
+from uavrl.evaluation.rollout import fly
+from uavrl.planners.mppi import MPPI, STEPS, MPPIWeights, places_of
+from uavrl.planners.point_memory import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory
+from uavrl.planners.potential_field import FieldWeights, PotentialField
+from uavrl.planners.vfh_star import VFHStar, VFHStarWeights, look_along
+from uavrl_onboard.geometry import HULL
+from uavrl_onboard.guards.histogram import polar_histogram
+from uavrl_onboard.perception.cells import LASERS
 
 Rival = Callable[[TensorDictBase], TensorDictBase]
 PLANNERS = ("vfh_star", "mppi")

@@ -18,9 +18,9 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
-from uavrl.rollout.baselines import StraightPolicy
-from uavrl.rollout.rollout import Flight, fly
-from uavrl.rollout.summary import suite_table, summarize, table
+from uavrl.evaluation.rollout import Flight, fly
+from uavrl.evaluation.summary import suite_table, summarize, table
+from uavrl.policies.baselines import StraightPolicy
 from uavrl.runs.provenance import processor, versions
 
 OUTCOMES = ("arrived", "collided", "timed_out")

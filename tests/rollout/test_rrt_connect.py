@@ -10,9 +10,9 @@ import torch
 
 from tests.rollout.test_rivals import flown, grid, scan, seen
 from uavrl.errors import UavrlError
-from uavrl.mapping.lines import Obstacles, clearances
-from uavrl.rollout.rrt_connect import EVERY, RRTConnect, RRTConnectWeights
-from uavrl.rollout.ways import filled, length, search
+from uavrl.planners.ompl_search import filled, length, search
+from uavrl.planners.rrt_connect import EVERY, RRTConnect, RRTConnectWeights
+from uavrl_onboard.guards.map.lines import Obstacles, clearances
 
 START, END = np.zeros(3), np.array([3.0, 0.0, 0.0])
 BOX = np.array([[-4.0, -4.0, -0.5], [4.0, 4.0, 0.5]])
@@ -74,7 +74,7 @@ def test_it_plans_twice_a_second_and_keeps_its_path_meanwhile(ompl: None, monkey
         plans.append(int(told[-1]))  # type: ignore[call-overload]
         return np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
 
-    monkeypatch.setattr("uavrl.rollout.rrt_connect.search", counted)
+    monkeypatch.setattr("uavrl.planners.rrt_connect.search", counted)
     rival = RRTConnect(costs=RRTConnectWeights(ahead=3.5))  # to a point behind the wall
     cloud = scan(grid(2.5, (-3.0, 0.7), (-1.0, 1.0)))
     actions = [rival(seen(cloud, fresh=step == 0))["action"][0] for step in range(EVERY + 1)]

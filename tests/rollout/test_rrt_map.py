@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from tests.rollout.test_rivals import grid, scan, seen
-from uavrl.cells import LASERS
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.errors import UavrlError
-from uavrl.rollout.policies import choose
-from uavrl.rollout.rrt_connect import EVERY, RRTConnect
-from uavrl.rollout.rrt_map import RRTMap
+from uavrl.evaluation.policies import choose
+from uavrl.planners.rrt_connect import EVERY, RRTConnect
+from uavrl.planners.rrt_map import RRTMap
+from uavrl_onboard.perception.cells import LASERS
 
 CELL = 0.25
 needs_ompl = pytest.mark.skipif(not find_spec("ompl"), reason="needs OMPL: pip install 'uavrl[planners]'")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl.rollout.smoothness import action_change, smoothness_lines, summarize_smoothness, yaw_reversals
+from uavrl.evaluation.smoothness import action_change, smoothness_lines, summarize_smoothness, yaw_reversals
 
 
 def turning(*rates: float) -> np.ndarray:

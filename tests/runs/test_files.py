@@ -13,9 +13,10 @@ import pytest
 from tests.helpers.commands import in_process
 from tests.helpers.runs import SMALL
 from uavrl.cli import train as train_command
-from uavrl.cli.errors import one_sentence
 from uavrl.errors import FolderTaken, Stopped, UavrlError
-from uavrl.runs.files import made_folder, writable
+from uavrl.runs.folders import made_folder
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.files import writable
 
 
 @pytest.mark.parametrize("mistake", [[], ["backward_reward=abr_plus", "backward_reward.artifact=/nowhere"]])
@@ -88,7 +89,7 @@ def test_no_file_takes_the_place_of_a_device_or_a_pipe(tmp_path: Path) -> None:
 
 def test_no_file_takes_the_place_of_the_link_to_standard_output(tmp_path: Path) -> None:
     """Where that goes into a file it is no device."""
-    program = "from pathlib import Path; from uavrl.runs.files import writable; writable(Path('/dev/stdout'))"
+    program = "from pathlib import Path; from uavrl_onboard.files import writable; writable(Path('/dev/stdout'))"
     with (tmp_path / "out").open("w") as out:
         ended = subprocess.run(
             [sys.executable, "-c", program], stdout=out, stderr=subprocess.PIPE, text=True, check=False

@@ -29,8 +29,8 @@ from tests.helpers.foreign import (
 )
 from uavrl.config import validate
 from uavrl.errors import UavrlError
-from uavrl.rollout.actor import read_policy
-from uavrl.rollout.recording import load_recording
+from uavrl.evaluation.actor import read_policy
+from uavrl.evaluation.recording import load_recording
 from uavrl.runs.checkpoint import DamagedCheckpoint, RandomState, check_checkpoint
 from uavrl.runs.config import read_config
 from uavrl.runs.trust import check_archive

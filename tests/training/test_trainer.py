@@ -19,8 +19,8 @@ from uavrl.collectors.stall_notice import StallNotice
 from uavrl.config import validate
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
+from uavrl.evaluation.actor import load_actor
 from uavrl.losses import LifeGuard
-from uavrl.rollout.actor import load_actor
 from uavrl.runs.episodes import Episode, read_episodes
 from uavrl.training.build import build_trainer
 from uavrl.training.run import create_run, seed_everything, train

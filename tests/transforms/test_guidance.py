@@ -15,10 +15,10 @@ from tests.helpers.runs import small_config
 from uavrl.config import compose
 from uavrl.config.validation import validate
 from uavrl.errors import UavrlError
+from uavrl.evaluation.actor import make_actor
+from uavrl.evaluation.environment import NetworkSizes, inner_transforms, network_sizes
 from uavrl.losses import ActionRate, Enhancer
-from uavrl.rollout.actor import make_actor
-from uavrl.rollout.baselines import VectorFieldHistogram
-from uavrl.rollout.environment import NetworkSizes, inner_transforms, network_sizes
+from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_buffer, make_loss, make_training_env
 from uavrl.training.progress import warn_of_late_learning

@@ -15,7 +15,7 @@ from uavrl.config import compose, validate_run
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.environment import make_env, with_sight
+from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.training.build import _make_mirror
 from uavrl.transforms import MotionSight, MovingObjects, NavigationState, mirror_observation
 

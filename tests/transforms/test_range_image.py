@@ -12,14 +12,14 @@ from torchrl.envs import TransformedEnv, check_env_specs
 
 from tests.helpers.clouds import OfClouds
 from tests.helpers.contracts import TransformContract
-from uavrl.cells import ROW_BORDERS
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.vlp16 import LASER_ELEVATIONS
 from uavrl.envs.world import WorldConfig
 from uavrl.transforms import REDUCTIONS, Mirror, NavigationState, RangeImage
 from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image, range_image_directions
+from uavrl_onboard.lidar.vlp16 import LASER_ELEVATIONS
+from uavrl_onboard.perception.cells import ROW_BORDERS
 
 
 def towards(azimuth_deg: float, elevation_deg: float, distance: float) -> list[float]:

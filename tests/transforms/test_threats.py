@@ -10,9 +10,9 @@ from torchrl.envs import EnvBase, TransformedEnv
 
 from tests.helpers.contracts import TransformContract
 from tests.helpers.moving import ScanEnv
-from uavrl.motion.threats import GREATEST, HIGH, LAG, WIDE
 from uavrl.transforms import MovingObjects, mirror_observation
 from uavrl.transforms.threats import DIRECTIONS, Threats
+from uavrl_onboard.perception.motion.threats import GREATEST, HIGH, LAG, WIDE
 
 AHEAD, LEFT, BEHIND, STANDING = 1, 19, 37, 72
 MET = 1 / GREATEST  # what a way has at least on which an object is met

@@ -22,9 +22,9 @@ from uavrl.config.settings import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.errors import UavrlError
-from uavrl.rollout.led import Led
-from uavrl.rollout.overrides import with_overrides
-from uavrl.rollout.policies import choose
+from uavrl.evaluation.led import Led
+from uavrl.evaluation.overrides import with_overrides
+from uavrl.evaluation.policies import choose
 from uavrl.transforms import NavigationState, Waypoint
 from uavrl.transforms.guidance import GUIDE_ACTION, Guidance
 

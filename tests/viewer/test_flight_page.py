@@ -16,12 +16,12 @@ from tests.helpers.flights import small_recording, unpack
 from tests.helpers.pages import Page
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
-from uavrl.rollout.recording import Recording
+from uavrl.evaluation.recording import Recording
 from uavrl.transforms import RangeImage, TruncatedIcosahedron
 from uavrl.transforms.icosahedron import truncated_icosahedron_faces
 from uavrl.transforms.range_image import range_image
 from uavrl.viewer.flight_page import above_ground, make_page, page_data, write_page
-from uavrl.viewer.flight_shapes import Shell, belt, football, shell
+from uavrl_onboard.pages.shapes import Shell, belt, football, shell
 
 
 @pytest.fixture(scope="module")

@@ -14,20 +14,20 @@ from scipy.spatial.transform import Rotation
 
 from tests.helpers.flights import unpack
 from tests.helpers.logged import GOAL, SILENT, START, WALLS, contract, cycles, write_log
-from uavrl.deploy.log import FlightLog
-from uavrl.deploy.logged_flight import LoggedFlight
-from uavrl.deploy.scans import Scan
-from uavrl.deploy.simulated_autopilot import SimulatedAutopilot
-from uavrl.deploy.stages import FlightCycle
-from uavrl.deploy.telemetry import POSE, Telemetry
-from uavrl.deploy.vehicle import Vehicle
 from uavrl.envs.lidar import Lidar
-from uavrl.envs.live import Motion
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
+from uavrl.sitl.live import Motion
+from uavrl.sitl.simulated_autopilot import SimulatedAutopilot
+from uavrl.sitl.telemetry import POSE, Telemetry
 from uavrl.viewer import logged_page
 from uavrl.viewer.logged_page import logged_page_data
+from uavrl_onboard.autopilot.vehicle_state import Vehicle
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.log import FlightLog
+from uavrl_onboard.flight.logged_flight import LoggedFlight
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.mesh import Mesh
 
 
 @pytest.fixture(scope="module")

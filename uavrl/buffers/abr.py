@@ -9,8 +9,8 @@ from uavrl.buffers.backward_reward import BackwardReward
 from uavrl.errors import UavrlError
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import TrajectoryClassifier, packaged_artifact
-from uavrl.ranges import Count, Folder, NonNegative, Share, Whole
 from uavrl.runs.weights import ARTIFACT
+from uavrl_onboard.ranges import Count, Folder, NonNegative, Share, Whole
 
 
 class ABR(BackwardReward):

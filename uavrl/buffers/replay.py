@@ -8,7 +8,7 @@ from torchrl.data.replay_buffers import Sampler
 from torchrl.envs import Transform
 
 from uavrl.buffers.storage import FrameStorage
-from uavrl.ranges import Count, Fraction
+from uavrl_onboard.ranges import Count, Fraction
 
 
 class EpisodeFilter(Protocol):

@@ -7,7 +7,7 @@ _otherwise = sys.excepthook
 
 
 def _tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Ctrl-C while the modules of a command are still being imported is told as later (:mod:`uavrl.cli.errors`)."""
+    """Report Ctrl-C during the imports of a command as :mod:`uavrl_onboard.cli.process` does later."""
     if issubclass(kind, KeyboardInterrupt):
         print("uavrl: stopped.", file=sys.stderr)
     else:

@@ -17,16 +17,17 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from uavrl.cli.errors import command_process, configure_logging, one_sentence
 from uavrl.cli.help import ABOUT, EXAMPLES, show
 from uavrl.cli.keys import check_choices, choices_with, known_keys
-from uavrl.command_line import readable
+from uavrl.cli.logs import configure_logging
 from uavrl.config import conf_dir
+from uavrl.config.command_line import readable
 from uavrl.config.parts import PARTS, names_taken
-from uavrl.config.sentences import did_you_mean
 from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
 from uavrl.runs.config import today
+from uavrl_onboard.cli.process import command_process, one_sentence
+from uavrl_onboard.sentences import did_you_mean
 
 SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
 LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings

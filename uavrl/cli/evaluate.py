@@ -10,9 +10,9 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.cli.suite import evaluate_suite
-from uavrl.command_line import command_line, override
 from uavrl.config import EvaluateConfig, validate
-from uavrl.rollout.policies import (
+from uavrl.config.command_line import command_line, override
+from uavrl.evaluation.policies import (
     PLAIN_KEYS,
     choose,
     output_name,
@@ -21,8 +21,8 @@ from uavrl.rollout.policies import (
     require_named,
     result_overrides,
 )
-from uavrl.runs.files import replacing, writable
 from uavrl.runs.provenance import processor, versions
+from uavrl_onboard.files import replacing, writable
 
 NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown to it
 
@@ -37,7 +37,7 @@ def main(config: DictConfig) -> None:
         return
     output = _output(settings, given_overrides())
     result = evaluate(config, given_overrides(), output)
-    from uavrl.rollout.summary import reached, table
+    from uavrl.evaluation.summary import reached, table
 
     print(table(result))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
@@ -58,10 +58,10 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     import torch
 
     from uavrl.envs.navigation import NavigationEnv
-    from uavrl.rollout.environment import make_device, make_env
-    from uavrl.rollout.position_stats import PositionStats
-    from uavrl.rollout.rollout import fly
-    from uavrl.rollout.summary import summarize
+    from uavrl.evaluation.environment import make_device, make_env
+    from uavrl.evaluation.position_stats import PositionStats
+    from uavrl.evaluation.rollout import fly
+    from uavrl.evaluation.summary import summarize
     from uavrl.training.matmul import matmul_backend
 
     torch.set_num_threads(settings.threads)

@@ -6,13 +6,13 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
-from uavrl.command_line import command_line
 from uavrl.config import validate
-from uavrl.counted import counted
+from uavrl.config.command_line import command_line
 from uavrl.errors import UavrlError
-from uavrl.ranges import Folder, Text
-from uavrl.rollout.policies import packaged_policies, policy_folder, unknown_policy
-from uavrl.runs.names import CONTRACT
+from uavrl.evaluation.policies import packaged_policies, policy_folder, unknown_policy
+from uavrl_onboard.pluralize import counted
+from uavrl_onboard.policy.contract import CONTRACT
+from uavrl_onboard.ranges import Folder, Text
 
 
 @dataclass
@@ -40,7 +40,7 @@ def main(config: DictConfig) -> None:
     if folder is None:
         raise unknown_policy(str(settings.policy), packaged_policies(), "to export your own give run=RUN_FOLDER.")
     # Imported here: --help and a mistyped key answer without loading torch.
-    from uavrl.deploy.export import export_policy
+    from uavrl.export.export import export_policy
 
     about = export_policy(folder, settings.checkpoint, output, settings.packages)
     steps = counted(about["training_steps"], "step") if "training_steps" in about else "its steps"

@@ -16,8 +16,6 @@ ABOUT = {
     "replay": ("uavrl-replay", "Writes a page that plays a few tasks back, flown without noise."),
     "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
     "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
-    "scan": ("uavrl-scan", "Shows what a LiDAR sees, and what a policy would see of it."),
-    "fly": ("uavrl-fly", "Flies a vehicle by its LiDAR with an exported policy, or pretends to."),
     "sitl": ("uavrl-sitl", "Plays a vehicle in the simulator: VLP-16 packets and MAVLink by UDP."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
@@ -27,11 +25,6 @@ EXAMPLES = {
     "replay": ["policy=best tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
     "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
-    "scan": ["source=udp://:2368 model=VLP16", "source=FILE model=VLP16 json=FILE", "source=ROSBAG topic=/points"],
-    "fly": [
-        "policy=FOLDER model=VLP16 goal=[20,5,2.5] set_mode=true",
-        "policy=FOLDER model=VLP16 goal=[20,0,2.5] autopilot=null",
-    ],
     "sitl": ["task=3 json=task.json", "valleys=[100] randomize=real", "speed=lockstep firmware=ardupilot"],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
@@ -42,8 +35,6 @@ MOST_USED = {
     "replay": "run policy task tasks output checkpoint",
     "report": "runs output window threshold title",
     "export": "run policy output checkpoint",
-    "scan": "source model topic seconds vehicle reduction statistic radius output json",
-    "fly": "policy goal lidar model vehicle autopilot set_mode arm standing radius hold seconds log json",
     "sitl": "task seed valleys lidar autopilot firmware armed speed patience linger pilot_takes_over json",
     "pretrain": "run output seed",
 }

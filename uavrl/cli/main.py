@@ -3,12 +3,15 @@
 import sys
 from importlib import import_module
 
-from uavrl.cli.errors import command_process
 from uavrl.cli.help import ABOUT, show_version
-from uavrl.config.sentences import did_you_mean
 from uavrl.errors import UavrlError
+from uavrl_onboard.cli.fly import ABOUT as FLY
+from uavrl_onboard.cli.process import command_process
+from uavrl_onboard.cli.scan import ABOUT as SCAN
+from uavrl_onboard.sentences import did_you_mean
 
-COMMANDS = {command.removeprefix("uavrl-"): about for command, about in ABOUT.values()}
+COMMANDS = {command.removeprefix("uavrl-"): about for command, about in [*ABOUT.values(), SCAN[:2], FLY[:2]]}
+ON_BOARD = ("scan", "fly")  # commands of uavrl-onboard
 
 
 def main() -> None:
@@ -29,7 +32,7 @@ def _run(name: str, *rest: str) -> None:
             told = did_you_mean(name, list(COMMANDS), ": ", "uavrl --help lists them.")
             raise UavrlError(f"There is no command {name!r}{told}")
         sys.argv = [f"uavrl-{name}", *rest]
-        import_module(f"uavrl.cli.{name}").main()
+        import_module(f"{'uavrl_onboard' if name in ON_BOARD else 'uavrl'}.cli.{name}").main()
 
 
 if __name__ == "__main__":

@@ -5,9 +5,9 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command
-from uavrl.command_line import command_line
 from uavrl.config import validate
-from uavrl.counted import counted
+from uavrl.config.command_line import command_line
+from uavrl_onboard.pluralize import counted
 
 
 @command("pretrain")

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.command_line import command_line
 from uavrl.config import validate
-from uavrl.config.sentences import require
+from uavrl.config.command_line import command_line
 from uavrl.config.settings import FlyingConfig
-from uavrl.counted import counted
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count, Folder
-from uavrl.rollout.policies import choose, output_name, policy_folder, require_named, result_overrides
-from uavrl.runs.files import writable
+from uavrl.evaluation.policies import choose, output_name, policy_folder, require_named, result_overrides
 from uavrl.runs.weights import POLICY
+from uavrl_onboard.files import writable
+from uavrl_onboard.pluralize import counted
+from uavrl_onboard.ranges import Count, Folder
+from uavrl_onboard.sentences import require
 
 if TYPE_CHECKING:
-    from uavrl.rollout.recording import Recording
+    from uavrl.evaluation.recording import Recording
 
 
 MOST_FLIGHTS = 50  # in one page
@@ -76,13 +76,13 @@ def main(config: DictConfig) -> None:
         _show_log(settings, Path(settings.flight))
         return
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
-    from uavrl.rollout.position_stats import whereabouts_lines
-    from uavrl.rollout.recording import load_recording, save_recording
-    from uavrl.rollout.smoothness import smoothness_lines
+    from uavrl.evaluation.position_stats import whereabouts_lines
+    from uavrl.evaluation.recording import load_recording, save_recording
+    from uavrl.evaluation.smoothness import smoothness_lines
     from uavrl.runs.episodes import SAID
     from uavrl.training.matmul import matmul_backend
-    from uavrl.viewer.assembly import needs_plotly
     from uavrl.viewer.flight_page import write_page
+    from uavrl_onboard.pages.assembly import needs_plotly
 
     needs_plotly()
     # All that can be wrong with the input is found before a folder is made or the first step.
@@ -110,10 +110,10 @@ def main(config: DictConfig) -> None:
 
 def _show_log(settings: ReplayConfig, log: Path) -> None:
     """Makes the page of a real flight."""
-    from uavrl.deploy.logged_flight import LoggedFlight
-    from uavrl.viewer.assembly import needs_plotly
     from uavrl.viewer.flight_page import write_data
     from uavrl.viewer.logged_page import logged_page_data
+    from uavrl_onboard.flight.logged_flight import LoggedFlight
+    from uavrl_onboard.pages.assembly import needs_plotly
 
     require(settings.data is None, "data", "left out with a log, which holds the numbers itself", settings.data)
     needs_plotly()
@@ -141,9 +141,9 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     """Loads policy and environment; the call that it returns records the episodes."""
     import torch
 
-    from uavrl.rollout.actor import checkpoint_path
-    from uavrl.rollout.environment import make_device, make_env
-    from uavrl.rollout.record import record_flights
+    from uavrl.evaluation.actor import checkpoint_path
+    from uavrl.evaluation.environment import make_device, make_env
+    from uavrl.evaluation.record import record_flights
     from uavrl.training.build import load_risk
 
     torch.set_num_threads(settings.threads)

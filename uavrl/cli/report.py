@@ -8,10 +8,10 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.config import validate
-from uavrl.config.sentences import require
-from uavrl.counted import counted
-from uavrl.ranges import Count, Folder, Share
-from uavrl.runs.files import replacing, writable
+from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.pluralize import counted
+from uavrl_onboard.ranges import Count, Folder, Share
+from uavrl_onboard.sentences import require
 
 
 @dataclass

@@ -5,12 +5,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uavrl.cli.errors import command_process, configure_logging
-from uavrl.command_line import command_line
-from uavrl.counted import counted
+from uavrl.cli.logs import configure_logging
+from uavrl.config.command_line import command_line
 from uavrl.errors import UavrlError, reason
 from uavrl.runs.config import read_config
 from uavrl.runs.names import SUMMARY
+from uavrl_onboard.cli.process import command_process
+from uavrl_onboard.pluralize import counted
 
 
 def main() -> None:

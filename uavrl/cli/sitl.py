@@ -12,24 +12,24 @@ from typing import TYPE_CHECKING, Any, Literal
 from omegaconf import DictConfig
 
 from uavrl.cli.command import command, given_overrides
-from uavrl.cli.errors import terminable
 from uavrl.config import validate
 from uavrl.config.parts import Part
-from uavrl.config.sentences import require
 from uavrl.config.settings import Valleys
-from uavrl.deploy.autopilot import mavlink
-from uavrl.deploy.faults import Faults
-from uavrl.deploy.simulated_autopilot import FirmwareName
-from uavrl.deploy.sitl import AUTOPILOT, LIDAR
-from uavrl.deploy.udp import address
 from uavrl.errors import Stopped, UavrlError
-from uavrl.ranges import Folder, NonNegative, Positive, Seed, Text, Whole
-from uavrl.runs.files import replacing, writable
+from uavrl.sitl.faults import Faults
+from uavrl.sitl.simulated_autopilot import FirmwareName
+from uavrl.sitl.sitl import AUTOPILOT, LIDAR
+from uavrl_onboard.autopilot.mavlink import mavlink
+from uavrl_onboard.cli.process import terminable
+from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.lidar.udp import address
+from uavrl_onboard.ranges import Folder, NonNegative, Positive, Seed, Text, Whole
+from uavrl_onboard.sentences import require
 
 if TYPE_CHECKING:
-    from uavrl.deploy.sitl import Result
-    from uavrl.envs.live import LiveEpisode
     from uavrl.envs.navigation import NavigationEnv
+    from uavrl.sitl.live import LiveEpisode
+    from uavrl.sitl.sitl import Result
 
 
 @dataclass
@@ -86,8 +86,8 @@ def main(config: DictConfig) -> None:
 
 def _play(settings: SitlConfig, env: NavigationEnv, file: Path | None) -> Result:
     """Flies the task, and writes it before and after."""
-    from uavrl.deploy.sitl import Sitl
-    from uavrl.envs.live import LiveEpisode
+    from uavrl.sitl.live import LiveEpisode
+    from uavrl.sitl.sitl import Sitl
 
     episode = LiveEpisode(env, settings.task)
     told = _task(settings, episode)
@@ -109,7 +109,7 @@ def _play(settings: SitlConfig, env: NavigationEnv, file: Path | None) -> Result
 
 def _environment(settings: SitlConfig) -> NavigationEnv:
     from uavrl.envs.navigation import NavigationEnv
-    from uavrl.rollout.environment import make_env
+    from uavrl.evaluation.environment import make_env
 
     if settings.valleys is not None:
         settings.env["world"] = replace(settings.env.world, seeds=settings.valleys)

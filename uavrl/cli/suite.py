@@ -16,17 +16,17 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uavrl.cli.errors import configure_logging
+from uavrl.cli.logs import configure_logging
 from uavrl.config import EvaluateConfig
 from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError, was_interrupted
-from uavrl.machine import processors
-from uavrl.rollout.policies import file_of_policy, output_name, policy_folder, result_overrides
+from uavrl.evaluation.policies import file_of_policy, output_name, policy_folder, result_overrides
 from uavrl.runs.episodes import outcomes_of
-from uavrl.runs.files import replacing, writable
 from uavrl.runs.interrupts import interrupts_held_back
+from uavrl.runs.machine import processors
 from uavrl.runs.trust import check_links
 from uavrl.runs.weights import POLICY
+from uavrl_onboard.files import replacing, writable
 
 log = logging.getLogger(__name__)
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
@@ -39,7 +39,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     Each has a file of its own; one that is there already, of the same policy and tasks, is not made again.
     ``suite.json`` has these and all others of the policy that lie beside them.
     """
-    from uavrl.rollout.summary import reached, scenarios, suite_table
+    from uavrl.evaluation.summary import reached, scenarios, suite_table
 
     kept = result_overrides(overrides, OWN)
     for override in kept:
@@ -159,6 +159,6 @@ def _changed(settings: EvaluateConfig) -> float:
         return 0.0 if named is None else named.stat().st_mtime
     if settings.checkpoint is None and POLICY.is_in(folder):
         return (folder / POLICY.json).stat().st_mtime
-    from uavrl.rollout.actor import checkpoint_path
+    from uavrl.evaluation.actor import checkpoint_path
 
     return checkpoint_path(folder, settings.checkpoint).stat().st_mtime

@@ -14,16 +14,17 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.cli import sweep_runs
 from uavrl.cli.command import command
-from uavrl.cli.errors import configure_logging, one_sentence, sentence
+from uavrl.cli.logs import configure_logging
 from uavrl.cli.memory import require_memory
-from uavrl.command_line import command_line
 from uavrl.config import TrainConfig, resolve, validate, validate_run
-from uavrl.config.values import to_plain
-from uavrl.counted import counted
+from uavrl.config.command_line import command_line
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.episodes import RATES
-from uavrl.runs.files import made_folder
+from uavrl.runs.folders import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
+from uavrl_onboard.cli.process import one_sentence, sentence
+from uavrl_onboard.pluralize import counted
+from uavrl_onboard.values import to_plain
 
 log = logging.getLogger(__name__)
 LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
@@ -123,7 +124,7 @@ def _check(settings: TrainConfig) -> None:
 
 def _check_machine(config: DictConfig) -> None:
     """Finds what this machine has not, before a folder is made."""
-    from uavrl.rollout.environment import make_device
+    from uavrl.evaluation.environment import make_device
     from uavrl.training.matmul import chosen_matmul
 
     make_device(config.device)

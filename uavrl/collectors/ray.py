@@ -22,10 +22,10 @@ from torchrl.collectors import Collector
 from torchrl.collectors.distributed import RayCollector as TorchRLRayCollector
 from torchrl.envs import EnvBase
 
-from uavrl.counted import counted
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.upstream import ray_job
+from uavrl_onboard.pluralize import counted
 
 log = logging.getLogger(__name__)
 SAFE_PATH = "PYTHONSAFEPATH"  # set in a command: nothing is imported from the working folder

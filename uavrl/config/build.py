@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from typing import Any, TypeVar, get_type_hints
 
 from uavrl.config.context import refuse_context, to_networks
-from uavrl.config.sentences import below, did_you_mean
 from uavrl.errors import UavrlError
+from uavrl_onboard.sentences import below, did_you_mean
 
 T = TypeVar("T")
 TARGET = "_target_"  # the key that names a class; null where the part is left out

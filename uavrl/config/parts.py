@@ -7,10 +7,10 @@ from pydantic import Field
 
 from uavrl.config.build import TARGET, arguments, find_class, is_part, require_allowed
 from uavrl.config.context import CONTEXT, context_of, refuse_context
-from uavrl.config.sentences import require, require_known
-from uavrl.config.values import validated
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count, NonNegative, Rule, Whole, Widths
+from uavrl_onboard.ranges import Count, NonNegative, Rule, Whole, Widths
+from uavrl_onboard.sentences import require, require_known
+from uavrl_onboard.values import validated
 
 PARTS = (
     "perception",

@@ -13,7 +13,7 @@ from uavrl.errors import UavrlError
 log = logging.getLogger(__name__)
 # Where a class lies today, by the name that it was recorded under.
 MOVED = {
-    "uavrl.flying.baselines.VectorFieldHistogram": "uavrl.rollout.baselines.VectorFieldHistogram",
+    "uavrl.flying.baselines.VectorFieldHistogram": "uavrl.policies.baselines.VectorFieldHistogram",
     "uavrl.training.async_collector.AsyncCollector": "uavrl.collectors.async_.AsyncCollector",
     "uavrl.training.ray_collector.RayCollector": "uavrl.collectors.ray.RayCollector",
     "uavrl.training.sync_collector.SyncCollector": "uavrl.collectors.sync.SyncCollector",

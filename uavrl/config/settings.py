@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from uavrl.config.parts import Part
-from uavrl.config.sentences import require
-from uavrl.ranges import Count, Folder, Rule, Seed, Share, Text
+from uavrl_onboard.ranges import Count, Folder, Rule, Seed, Share, Text
+from uavrl_onboard.sentences import require
 
 Execution = Literal["eager", "captured", "compiled", "auto"]
 MatmulBackend = Literal["mkl", "onednn", "auto"]

@@ -10,10 +10,10 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from uavrl.config.build import TARGET
 from uavrl.config.parts import PARTS, validated_parts
 from uavrl.config.recorded import renewed
-from uavrl.config.sentences import require_known
 from uavrl.config.settings import TrainConfig
-from uavrl.config.values import to_plain, validated
 from uavrl.errors import UavrlError
+from uavrl_onboard.sentences import require_known
+from uavrl_onboard.values import to_plain, validated
 
 T = TypeVar("T")
 

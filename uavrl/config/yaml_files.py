@@ -9,7 +9,7 @@ from hydra import initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from uavrl.command_line import readable
+from uavrl.config.command_line import readable
 from uavrl.errors import UavrlError
 
 NONE = "none"  # the choice that leaves a part out

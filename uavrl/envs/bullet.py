@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh, cut_up, edge_lengths
+from uavrl.envs.mesh import cut_up, edge_lengths
 from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import MissingSimulator
+from uavrl_onboard.mesh import Mesh
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

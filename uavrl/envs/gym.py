@@ -15,12 +15,12 @@ from torchrl.envs import Compose, TransformedEnv
 from uavrl.envs.bullet import connect, mesh_shape, pybullet
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.limits import whole
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.state import ACTION_LIMIT, Reduction
+from uavrl_onboard.mesh import Mesh
 
 WIDTH, HEIGHT = 480, 360  # pixels
 BEHIND, ABOVE, AHEAD = 3.0, 1.2, 2.0  # m from the UAV: the camera's place, and the point that it looks at

@@ -4,10 +4,10 @@ import numpy as np
 import torch
 from torchrl.data import Binary, Composite, Unbounded
 
-from uavrl.envs.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 from uavrl.envs.simulation import Simulation
-from uavrl.envs.vlp16 import NUM_RAYS
 from uavrl.errors import UavrlError
+from uavrl_onboard.lidar.vlp16 import NUM_RAYS
+from uavrl_onboard.perception.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 
 
 def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[Composite, Composite]:

@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.tasks import Surface, grid_points
 from uavrl.errors import UavrlError
+from uavrl_onboard.mesh import Mesh
 
 GRID = 0.5  # m, between two points of the map of clearances
 STEP = 0.25  # m, between two places of a lane that are looked at, along the ground and along z: lanes dive at 45°

@@ -10,13 +10,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from uavrl.cells import FAR_EVERY
 from uavrl.envs.lidar_flaws import add_noise, hide_sector
 from uavrl.envs.limits import require_finite
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.randomization import Plant
 from uavrl.envs.ray_culling import RayCuller
-from uavrl.envs.vlp16 import (
+from uavrl.errors import MissingSimulator
+from uavrl_onboard.lidar.vlp16 import (
     AZIMUTH_STEP,
     AZIMUTH_STEPS,
     FIRING_TIMES,
@@ -24,7 +23,8 @@ from uavrl.envs.vlp16 import (
     NUM_RAYS,
     firing_directions,
 )
-from uavrl.errors import MissingSimulator
+from uavrl_onboard.mesh import Mesh
+from uavrl_onboard.perception.cells import FAR_EVERY
 
 try:
     from embreex.mesh_construction import TriangleMesh
@@ -103,7 +103,7 @@ class Lidar:
         config: range and imperfections of the sensor, `LidarConfig()` if None.
 
     Attributes:
-        directions: ``float32 [28928, 3]``, read-only, as `uavrl.envs.vlp16.firing_directions` gives them.
+        directions: ``float32 [28928, 3]``, read-only, as `uavrl_onboard.lidar.vlp16.firing_directions` gives them.
 
     Examples:
         A wall 2 m ahead, seen from the origin:

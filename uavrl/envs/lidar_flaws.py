@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavrl.envs.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS
+from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS
 
 
 def add_noise(ranges: np.ndarray, noise: Sequence[float], dropout: Sequence[float], rng: np.random.Generator) -> None:

@@ -13,11 +13,9 @@ from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
 from uavrl.envs.controller import most_load
-from uavrl.envs.goal import goal_distance
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import check_hull, whole
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import Plant, Randomization, draw_plants, require_flyable
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
@@ -25,6 +23,8 @@ from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
 from uavrl.transforms.state import ACTION_LIMIT
+from uavrl_onboard.mesh import Mesh
+from uavrl_onboard.perception.goal import goal_distance
 
 Hidden = Literal["planes"]
 TICKS = PHYSICS_RATE // CONTROL_RATE  # physics steps in a step

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh, blob, tube, turned
+from uavrl.envs.mesh import blob, tube, turned
 from uavrl.envs.terrain import HeightField
+from uavrl_onboard.mesh import Mesh
 
 ROOT = -1.2  # m: obstacles reach this far below the ground at their middle, so that none floats over a slope
 GAP = 1.3  # m that the circles around two obstacles keep between them where there is room

@@ -3,7 +3,7 @@
 import numpy as np
 
 from uavrl.envs.bullet import CLOSEST_DISTANCE_CAP, PLANE, add_fixed, pybullet
-from uavrl.envs.mesh import Mesh
+from uavrl_onboard.mesh import Mesh
 
 ASIDE = -1e4  # m, the height of planes that no vehicle is near; they stand apart, so that they are no pairs to Bullet
 ROOM = 2.0  # m, more than a vehicle flies in a control period, and its hull

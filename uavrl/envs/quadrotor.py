@@ -14,8 +14,8 @@ from pydantic import Field
 
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
-from uavrl.hull import Hull
-from uavrl.ranges import Positive, Rule
+from uavrl_onboard.geometry import Hull
+from uavrl_onboard.ranges import Positive, Rule
 
 GRAVITY = 9.81  # m/s²
 Vector = tuple[float, float, float]

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh, cut_up
+from uavrl.envs.mesh import cut_up
+from uavrl_onboard.mesh import Mesh
 
 __all__ = ["RayCuller"]
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from uavrl.envs.bullet import STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.past import Past
 from uavrl.envs.plane_bodies import PlaneBodies
 from uavrl.envs.plants import Plants
@@ -22,6 +21,7 @@ from uavrl.envs.quadrotor import (
     rotation_from_quaternion,
 )
 from uavrl.errors import UavrlError
+from uavrl_onboard.mesh import Mesh
 
 if TYPE_CHECKING:
     from uavrl.envs.lidar import Lidar

@@ -7,8 +7,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from uavrl.envs.mesh import Mesh, edge_lengths
+from uavrl.envs.mesh import edge_lengths
 from uavrl.envs.terrain import FLOOR_AMPLITUDE, HeightField
+from uavrl_onboard.mesh import Mesh
 
 CELL = 0.25  # m, between two points of the map along x and y
 RISE = 0.5  # m, between two points of the map along z

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uavrl.envs.mesh import Mesh
+from uavrl_onboard.mesh import Mesh
 
 GRID_STEP = 0.4  # m between two heights of the field
 TILE_CELLS = 64  # along each side of a mesh of the surface: 8,192 triangles

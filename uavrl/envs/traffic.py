@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from uavrl.envs.lanes import Lane
-from uavrl.envs.mesh import Mesh, loft, tube
+from uavrl.envs.mesh import tube
 from uavrl.envs.world import World
+from uavrl_onboard.mesh import Mesh, loft
 
 WING_GAP = 0.36  # between the two wings of a plane, as a share of its wingspan
 

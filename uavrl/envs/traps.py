@@ -7,11 +7,11 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from uavrl.envs.mesh import Mesh
 from uavrl.envs.obstacles import TALL, Obstacle
 from uavrl.envs.tasks import CELL, JITTER, FlightMap
 from uavrl.envs.terrain import FLOOR_AMPLITUDE, WALL_WIDTH
 from uavrl.errors import UavrlError
+from uavrl_onboard.mesh import Mesh
 
 THICKNESS = (0.3, 0.5)  # m, of a wall
 DEEP = -2.5  # m, world z of a wall's foot: below all ground inside the valley

@@ -7,16 +7,16 @@ from itertools import cycle
 
 import numpy as np
 
-from uavrl.counted import counted
 from uavrl.envs.lanes import Lane, plan_lanes
 from uavrl.envs.limits import require_finite, whole
-from uavrl.envs.mesh import MOST_FACES, Mesh
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
 from uavrl.envs.traps import LONGEST_WAY, Trap, place_traps, trap_top, trapped
 from uavrl.errors import UavrlError
-from uavrl.machine import processors
+from uavrl.runs.machine import processors
+from uavrl_onboard.mesh import MOST_FACES, Mesh
+from uavrl_onboard.pluralize import counted
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 LANES = 12  # ways of planes through a valley

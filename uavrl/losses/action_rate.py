@@ -11,7 +11,7 @@ from torch import Tensor
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer
 from uavrl.losses.imitation import action_distance
-from uavrl.ranges import Count, NonNegative, Positive
+from uavrl_onboard.ranges import Count, NonNegative, Positive
 
 
 class ActionRate(Enhancer):

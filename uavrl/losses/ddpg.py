@@ -12,7 +12,7 @@ from torchrl.objectives import DDPGLoss as _DDPGLoss
 from torchrl.objectives import ValueEstimators
 
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.ranges import Discount
+from uavrl_onboard.ranges import Discount
 
 
 class DDPGLoss(ActorCriticLoss, _DDPGLoss):

@@ -15,7 +15,7 @@ from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import AuxiliaryModel, Enhancer
 from uavrl.losses.functional import check_episodes, clamped_smooth_l1, episode_returns, fork_objective, fork_weight
 from uavrl.losses.gate import Gate
-from uavrl.ranges import Count, Discount, NonNegative, Positive
+from uavrl_onboard.ranges import Count, Discount, NonNegative, Positive
 
 
 class Fork(Enhancer):

@@ -13,7 +13,7 @@ from torch import Tensor
 from uavrl.errors import UavrlError
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import Enhancer
-from uavrl.ranges import Count, NonNegative, Positive
+from uavrl_onboard.ranges import Count, NonNegative, Positive
 
 
 def action_distance(action: Tensor, other: Tensor, limit: float) -> Tensor:

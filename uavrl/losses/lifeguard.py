@@ -13,7 +13,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.enhancer import AuxiliaryModel, Enhancer, Sample
 from uavrl.models.collision import CollisionClassifier, confusion_rates
-from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
+from uavrl_onboard.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
 _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes each
 

@@ -16,7 +16,7 @@ from torchrl.objectives.utils import distance_loss
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.critics import is_stackable, stacked_values
-from uavrl.ranges import Discount
+from uavrl_onboard.ranges import Discount
 
 
 class SACLoss(ActorCriticLoss, _SACLoss):

@@ -11,7 +11,7 @@ from torchrl.objectives import ValueEstimators
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.critics import is_stackable, stacked_values
-from uavrl.ranges import Discount, NonNegative
+from uavrl_onboard.ranges import Discount, NonNegative
 
 
 class TD3Loss(ActorCriticLoss, _TD3Loss):

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from uavrl.models.actor_critic import mlp
-from uavrl.ranges import Widths
+from uavrl_onboard.ranges import Widths
 
 
 class SystemNet(nn.Module):

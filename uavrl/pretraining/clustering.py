@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from uavrl.errors import UavrlError
-from uavrl.progress_line import ProgressLine
+from uavrl.runs.progress_line import ProgressLine
 
 log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from uavrl.errors import UavrlError
 from uavrl.losses import PSAELoss
 from uavrl.models import PSAE
 from uavrl.pretraining.settings import PretrainRecipe
-from uavrl.progress_line import ProgressLine
+from uavrl.runs.progress_line import ProgressLine
 
 
 def train_psae(

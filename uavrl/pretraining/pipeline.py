@@ -15,7 +15,6 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
-from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.models import PSAE, OneShotClassifier, TrajectoryClassifier
 from uavrl.pretraining.clustering import Clusters, cluster, cluster_each, draw, elbow, standardization
@@ -23,9 +22,10 @@ from uavrl.pretraining.networks import predict, train_classifier, train_psae
 from uavrl.pretraining.settings import PretrainConfig, PretrainRecipe
 from uavrl.pretraining.states import States, read_states, triple_centres
 from uavrl.runs.episodes import OUTCOMES
-from uavrl.runs.files import writable
 from uavrl.runs.names import PRETRAINED
 from uavrl.runs.weights import ARTIFACT
+from uavrl_onboard.files import writable
+from uavrl_onboard.pluralize import counted
 
 log = logging.getLogger(__name__)
 

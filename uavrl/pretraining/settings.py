@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from uavrl.config.sentences import require
 from uavrl.config.settings import MatmulBackend, Threads
-from uavrl.ranges import Count, Folder, Fraction, Positive, Seed, Widths
+from uavrl_onboard.ranges import Count, Folder, Fraction, Positive, Seed, Widths
+from uavrl_onboard.sentences import require
 
 THESIS_CLUSTERS = (100, 250, 500, 750, 1000, *range(1500, 6001, 500))
 

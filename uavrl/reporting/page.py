@@ -6,10 +6,10 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from uavrl.counted import counted
 from uavrl.errors import UavrlError
+from uavrl.evaluation.smoothness import change_text
 from uavrl.reporting.report import Report
-from uavrl.rollout.smoothness import change_text
+from uavrl_onboard.pluralize import counted
 
 # Okabe and Ito (2008): the colour-blind can tell them apart; its yellow and black fade on white and on dark pages.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#808080")

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 import uavrl
-from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.reporting.groups import HOW_IT_RUNS, Group, below, differences, group_runs, same_task, shown
 from uavrl.reporting.learning_curves import curves, steps_to
 from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
 from uavrl.reporting.thesis import compare_with_thesis
 from uavrl.runs.episodes import RATES, Episode, mean_terms, wilson
+from uavrl_onboard.pluralize import counted
 
 FORMAT = 2  # of the JSON file
 _PLACES = ("run_dir", "resume")  # of the machine that made a run

@@ -13,13 +13,13 @@ from omegaconf import OmegaConf
 from uavrl.config import learner_name
 from uavrl.config.parts import PARTS
 from uavrl.config.yaml_files import NONE
-from uavrl.counted import counted
 from uavrl.errors import OtherFormat, UavrlError
 from uavrl.runs import names
 from uavrl.runs.config import load_config
 from uavrl.runs.episodes import RATES, Episode, read_episodes, wilson
 from uavrl.runs.names import CONFIG, EPISODES
 from uavrl.runs.weights import ARTIFACT, POLICY
+from uavrl_onboard.pluralize import counted
 
 _DEPTH = 4  # of folders that are searched for runs
 _MOST_STEPS = 2**53  # above, the doubles of JavaScript skip integers

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from uavrl.config import learner_name
-from uavrl.counted import counted
 from uavrl.reporting.groups import Group
 from uavrl.reporting.learning_curves import steps_to
+from uavrl_onboard.pluralize import counted
 
 _BACKWARD = {"abr": "ABR", "abr_plus": "ABR⁺"}
 

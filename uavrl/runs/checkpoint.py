@@ -17,7 +17,7 @@ from torchrl.checkpoint import (
 )
 from torchrl.data import ReplayBuffer
 
-from uavrl.command_line import command_line
+from uavrl.config.command_line import command_line
 from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprint, fingerprints, read_config, require_folder
 from uavrl.runs.episodes import read_episodes

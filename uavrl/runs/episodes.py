@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uavrl.counted import counted
 from uavrl.errors import OtherFormat, UavrlError
-from uavrl.runs.files import naming, replacing
+from uavrl_onboard.files import naming, replacing
+from uavrl_onboard.pluralize import counted
 
 if TYPE_CHECKING:  # reports read episodes without torch
     from tensordict import TensorDictBase

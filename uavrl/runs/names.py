@@ -3,8 +3,6 @@
 CONFIG = "config.yaml"  # the resolved configuration
 EPISODES = "episodes.csv"  # a row for each episode
 SUMMARY = "summary.json"  # what the run came to, once it has ended
-CONTRACT = "contract.json"  # beside an exported policy: what another program needs to know to fly it
-NETWORK = "policy.onnx"  # as well: from the state to the action
 CHECKPOINTS = "checkpoints"  # a folder
 ANY_CHECKPOINT = f"{CHECKPOINTS}/checkpoint*"  # from the first one on there is something to go on from
 ARTIFACT = "artifact"  # a folder: a copy of ABR⁺'s classifier, so that the run can go on without the original

@@ -2,27 +2,32 @@
 
 import json
 import platform
-import subprocess
-from contextlib import suppress
-from functools import cache, partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from uavrl.runs.names import SUMMARY
+from uavrl_onboard import provenance
+from uavrl_onboard.provenance import commit
 
-PACKAGE = Path(__file__).resolve().parent.parent
+__all__ = ["PACKAGES", "commit", "processor", "recorded_versions", "versions"]
+
 # Whose versions bear on a result. PyBullet has a fork with other wheels; one of the two is installed.
-PACKAGES = ("uavrl", "torch", "torchrl", "tensordict", "numpy", "pybullet", "pybullet-arm64", "embreex")
+PACKAGES = (
+    "uavrl",
+    "uavrl-onboard",
+    "torch",
+    "torchrl",
+    "tensordict",
+    "numpy",
+    "pybullet",
+    "pybullet-arm64",
+    "embreex",
+)
 _CPUINFO = Path("/proc/cpuinfo")
 
 
 def versions() -> dict[str, str | None]:
     """The versions of :data:`PACKAGES` and of Python, and uavrl's commit, None outside of a checkout."""
-    found: dict[str, str | None] = {"commit": commit(), "python": platform.python_version()}
-    for package in PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[package] = version(package)
-    return found
+    return provenance.versions(PACKAGES)
 
 
 def recorded_versions(run_dir: Path) -> dict[str, str]:
@@ -42,21 +47,3 @@ def processor() -> dict[str, str]:
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     model = models[0] if models else platform.processor() or platform.machine()
     return {"model": model, "instructions": torch.backends.cpu.get_cpu_capability()}
-
-
-@cache
-def commit() -> str | None:
-    """The git commit of the checkout that uavrl is imported from, asked once per process."""
-    return commit_of(PACKAGE)
-
-
-def commit_of(package: Path) -> str | None:
-    """The same for a package in any folder."""
-    git = partial(subprocess.run, check=True, capture_output=True, text=True, timeout=20)
-    command = ["git", "--no-optional-locks", "-C", str(package)]
-    try:
-        git([*command, "ls-files", "--error-unmatch", "__init__.py"])  # is it tracked, or only in another's repository?
-        found = git([*command, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"])
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return found.stdout.strip() or None

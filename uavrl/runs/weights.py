@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavrl.errors import UavrlError
-from uavrl.runs.files import replacing
+from uavrl_onboard.files import replacing
 
 if TYPE_CHECKING:  # reports ask for a policy without torch
     from torch import Tensor

@@ -20,12 +20,11 @@ from uavrl.collectors.base import REQUIRED, EpisodeCollector
 from uavrl.config.build import TARGET, build, find_class, options
 from uavrl.config.context import CONTEXT, refuse_context
 from uavrl.config.parts import STEPPER
-from uavrl.config.sentences import require
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
+from uavrl.evaluation.actor import loss_class, make_actor, make_network, network_context, saved_sizes
+from uavrl.evaluation.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
 from uavrl.losses import ActorCriticLoss, Enhancer, LifeGuard
-from uavrl.rollout.actor import loss_class, make_actor, make_network, network_context, saved_sizes
-from uavrl.rollout.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import EpisodeLog
@@ -40,6 +39,7 @@ from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms import Mirror, NavigationState
 from uavrl.transforms.guidance import GUIDE_ACTION, Guidance, GuidedEnv
 from uavrl.transforms.rewards import terms_of
+from uavrl_onboard.sentences import require
 
 
 def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:

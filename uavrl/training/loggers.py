@@ -14,8 +14,8 @@ from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
 from uavrl.config.build import build, find_class
 from uavrl.config.parts import Part
 from uavrl.errors import UavrlError
-from uavrl.runs.files import replacing
 from uavrl.runs.names import LOGS
+from uavrl_onboard.files import replacing
 
 WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value

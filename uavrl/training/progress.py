@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from tqdm import tqdm
 
 from uavrl.config.settings import TrainConfig
-from uavrl.counted import counted
-from uavrl.progress_line import ProgressLine
+from uavrl.runs.progress_line import ProgressLine
+from uavrl_onboard.pluralize import counted
 
 log = logging.getLogger(__name__)
 SPAN = 60.0  # s that the speed is measured over

@@ -15,15 +15,13 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.collectors.stall_notice import StallNotice
-from uavrl.command_line import command_line
 from uavrl.config import learner_name, validate, validate_run
+from uavrl.config.command_line import command_line
 from uavrl.config.settings import TrainConfig
-from uavrl.counted import counted
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import checkpoint_to_resume, has_no_checkpoint, how_to_go_on, restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
-from uavrl.runs.files import replacing
 from uavrl.runs.interrupts import Stop, stoppable
 from uavrl.runs.lock import run_lock
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
@@ -35,6 +33,8 @@ from uavrl.training.loggers import close, truncate_logs
 from uavrl.training.matmul import chosen_matmul, denormals_flushed, matmul_backend, matmul_here
 from uavrl.training.progress import Progress, warn_of_late_learning, warn_of_nothing_learned
 from uavrl.training.trainer import EpisodeTrainer
+from uavrl_onboard.files import replacing
+from uavrl_onboard.pluralize import counted
 
 log = logging.getLogger(__name__)
 

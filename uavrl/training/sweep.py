@@ -5,12 +5,12 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl.counted import counted
 from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, EPISODES, SUMMARY
 from uavrl.training.run import reset_unstarted_run
+from uavrl_onboard.pluralize import counted
 
 
 def run_folder(config: DictConfig) -> Path:

@@ -15,18 +15,18 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from uavrl.buffers import BackwardReward
 from uavrl.collectors.base import EpisodeCollector
 from uavrl.collectors.stall_notice import StallNotice
-from uavrl.counted import counted
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
 from uavrl.runs.episodes import EpisodeLog, split_episodes, summarize
-from uavrl.runs.files import naming, require_room
 from uavrl.runs.interrupts import Stop
 from uavrl.training.loggers import IntervalLog
 from uavrl.training.progress import Progress
 from uavrl.training.replay import EpisodeReplay
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms.rewards import RewardTerms
+from uavrl_onboard.files import naming, require_room
+from uavrl_onboard.pluralize import counted
 
 WAITED_FOR = "No episode has ended for a while: one takes up to env.max_steps steps"
 UPDATES = (

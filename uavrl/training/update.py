@@ -12,8 +12,8 @@ from torchrl.trainers import OptimizationStepper, Trainer
 
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.enhancer import Sample
-from uavrl.ranges import Positive, Rule, Share
 from uavrl.training.compiled import Execution, FusedSoftUpdate, GradientStep
+from uavrl_onboard.ranges import Positive, Rule, Share
 
 Interval = Annotated[
     Sequence[int],

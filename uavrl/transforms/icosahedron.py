@@ -6,7 +6,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from uavrl.cells import NUM_FACES, TOUCHING, icosahedron, octant
 from uavrl.transforms.reduction import (
     PointCloudReduction,
     Statistic,
@@ -16,6 +15,7 @@ from uavrl.transforms.reduction import (
     reported,
     returns_of,
 )
+from uavrl_onboard.perception.cells import NUM_FACES, TOUCHING, icosahedron, octant
 
 __all__ = [
     "NUM_FACES",
@@ -51,7 +51,7 @@ def _faces(radius: float, dtype: torch.dtype, device: torch.device) -> Truncated
 @lru_cache(maxsize=64)
 @torch.inference_mode(False)
 def _octant(radius: float, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns the normals and the centres ``[3, 7]`` of the faces of `uavrl.cells.octant`, and their images."""
+    """Return the normals and centres ``[3, 7]`` of one octant's faces, and their images."""
     faces, (first, images) = _faces(radius, torch.float64, torch.device("cpu")), octant()
     normals, centres = (tensor[first].T.contiguous().to(device, dtype) for tensor in (faces.normals, faces.centres))
     return normals, centres, torch.tensor(images, device=device)

@@ -1,4 +1,4 @@
-"""What moves around a LiDAR (:mod:`uavrl.motion`) as a transform of TorchRL."""
+"""What moves around a LiDAR (:mod:`uavrl_onboard.perception.motion`) as a transform of TorchRL."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -9,9 +9,9 @@ from pydantic import Field
 from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 
-from uavrl.cells import LASERS
-from uavrl.motion import OBJECT, MotionSight
 from uavrl.transforms.through_time import ThroughTime
+from uavrl_onboard.perception.cells import LASERS
+from uavrl_onboard.perception.motion import OBJECT, MotionSight
 
 __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
 

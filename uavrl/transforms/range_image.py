@@ -5,7 +5,6 @@ import math
 import torch
 from torch import Tensor
 
-from uavrl.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, range_image_middles
 from uavrl.transforms.reduction import (
     PointCloudReduction,
     Statistic,
@@ -14,6 +13,7 @@ from uavrl.transforms.reduction import (
     reported,
     returns_of,
 )
+from uavrl_onboard.perception.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, range_image_middles
 
 __all__ = ["AZIMUTHS", "ELEVATIONS", "RangeImage", "range_image", "range_image_directions"]
 

@@ -13,9 +13,9 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
-from uavrl.cells import LARGEST_RADIUS, NEAREST_RETURN, Statistic, return_bounds
 from uavrl.errors import UavrlError
 from uavrl.upstream import missing_tolerance
+from uavrl_onboard.perception.cells import LARGEST_RADIUS, NEAREST_RETURN, Statistic, return_bounds
 
 __all__ = ["PointCloudReduction", "Statistic", "is_return"]
 

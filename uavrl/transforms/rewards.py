@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform, TransformedEnv
 
-from uavrl.ranges import Positive
+from uavrl_onboard.ranges import Positive
 
 RewardTerms = Callable[[TensorDictBase, TensorDictBase], dict[str, Tensor]]  # as :meth:`SumOfTerms.terms`
 AltitudeTerm = Literal["absolute", "literal"]

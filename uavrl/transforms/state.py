@@ -7,10 +7,6 @@ import torch
 from pydantic import Field
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
-from uavrl.cells import FAR_EVERY
-from uavrl.mapping.navigator import LIDAR_ABOVE
-from uavrl.motion.sight import scales
-from uavrl.ranges import Positive
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.motion import MovingObjects
 from uavrl.transforms.observation import Angles, LastAction, NavigationObservation
@@ -18,6 +14,10 @@ from uavrl.transforms.range_image import RangeImage
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
 from uavrl.transforms.threats import Threats
 from uavrl.transforms.waypoint import Waypoint
+from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE
+from uavrl_onboard.perception.cells import FAR_EVERY
+from uavrl_onboard.perception.motion.sight import scales
+from uavrl_onboard.ranges import Positive
 
 Reduction = Literal["truncated_icosahedron", "range_image"]
 REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {

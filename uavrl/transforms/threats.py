@@ -1,4 +1,4 @@
-"""The threats of moving objects (:mod:`uavrl.motion.threats`) as a transform of TorchRL."""
+"""The threats of moving objects (:mod:`uavrl_onboard.perception.motion.threats`) as a transform of TorchRL."""
 
 from collections.abc import Sequence
 
@@ -7,9 +7,9 @@ from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from uavrl.motion import threats
-from uavrl.motion.threats import GREATEST, greatest_threats, straight_on, to_yaw
-from uavrl.ranges import Positive
+from uavrl_onboard.perception.motion import threats
+from uavrl_onboard.perception.motion.threats import GREATEST, greatest_threats, straight_on, to_yaw
+from uavrl_onboard.ranges import Positive
 
 __all__ = ["DIRECTIONS", "Threats"]
 
@@ -20,7 +20,8 @@ DIRECTIONS = torch.from_numpy(threats.DIRECTIONS)
 class Threats(Transform):
     """Writes how near moving objects would come on the way in each of 72 directions, and standing.
 
-    For each direction at full speed, and for standing, the threat (:func:`uavrl.motion.threats.threat`) of the object
+    For each direction at full speed, and for standing, the threat
+    (:func:`uavrl_onboard.perception.motion.threats.threat`) of the object
     that comes nearest within two seconds, over the greatest: 0 where none comes near, above 0.45 where one is met. The
     objects fly straight on. They are met within 1.45 m level and 0.6 m in height, which suits planes of 1.2 m.
 

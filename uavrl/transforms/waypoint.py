@@ -1,4 +1,4 @@
-"""The way through a map of the episode (:mod:`uavrl.mapping`) as a transform of TorchRL."""
+"""The way through a map of the episode (:mod:`uavrl_onboard.guards.map`) as a transform of TorchRL."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -9,16 +9,17 @@ from pydantic import Field
 from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 
-from uavrl.mapping import Wayfinder
-from uavrl.mapping.navigator import LIDAR_ABOVE, sensor_place
-from uavrl.ranges import Positive
 from uavrl.transforms.through_time import ThroughTime
+from uavrl_onboard.guards.map import Wayfinder
+from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE, sensor_place
+from uavrl_onboard.ranges import Positive
 
 
 class Waypoint(ThroughTime):
     """Writes the heading to the next point of the quickest way to the goal, through all that was seen in the episode.
 
-    See :class:`uavrl.mapping.Wayfinder` for how. Read in place of the heading to the goal it gives any policy a memory:
+    See :class:`uavrl_onboard.guards.map.Wayfinder` for how. Read in place of the heading to the goal it gives any
+    policy a memory:
     one that only avoids what it sees then finds out of dead ends. Where nothing known stands within a metre of the
     straight line to the goal, both are the same; how far the goal is it only guesses at first, so what stands behind
     it may turn the heading, too. It needs what an autopilot knows of itself, velocity and attitude. Ways are found

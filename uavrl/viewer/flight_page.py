@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from uavrl.envs.terrain import HeightField
-from uavrl.rollout.recording import RecordedFlight, Recording, Scenery, thinned
-from uavrl.rollout.smoothness import smoothness_texts
-from uavrl.runs.files import replacing
-from uavrl.viewer.assembly import filled, pack
-from uavrl.viewer.flight_shapes import (
+from uavrl.evaluation.recording import RecordedFlight, Recording, Scenery, thinned
+from uavrl.evaluation.smoothness import smoothness_texts
+from uavrl_onboard.files import replacing
+from uavrl_onboard.pages.assembly import filled, pack
+from uavrl_onboard.pages.shapes import (
     BODY,
     ENDED,
     GOAL,
@@ -103,7 +103,7 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
 
 def make_page(recording: Recording) -> str:
     """The page, with its data, its programs and plotly's inside."""
-    return filled("flight.html", PARTS, page_data(recording))
+    return filled("flight.html", PARTS, page_data(recording), package=__name__)
 
 
 def write_page(recording: Recording, output: Path) -> None:
@@ -113,6 +113,6 @@ def write_page(recording: Recording, output: Path) -> None:
 
 def write_data(data: dict[str, Any], output: Path) -> None:
     """Writes the page of what :func:`page_data` gives, or a log."""
-    text = filled("flight.html", PARTS, data)
+    text = filled("flight.html", PARTS, data, package=__name__)
     with replacing(output) as partial:
         partial.write_text(text, encoding="utf-8")

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from uavrl.counted import counted
-from uavrl.deploy.frames import Vector
-from uavrl.deploy.logged_flight import FARTHEST, LoggedFlight
-from uavrl.deploy.reduction import directions, is_return
-from uavrl.deploy.stages import FlightCycle
 from uavrl.errors import UavrlError
-from uavrl.rollout.recording import thinned
-from uavrl.viewer.assembly import pack
+from uavrl.evaluation.recording import thinned
 from uavrl.viewer.flight_page import POINT_BYTES, drawn_parts, packed_points
-from uavrl.viewer.flight_shapes import STATES, shell
+from uavrl_onboard.autopilot.frames import Vector
+from uavrl_onboard.flight.interfaces import FlightCycle
+from uavrl_onboard.flight.logged_flight import FARTHEST, LoggedFlight
+from uavrl_onboard.pages.assembly import pack
+from uavrl_onboard.pages.shapes import STATES, shell
+from uavrl_onboard.perception.reductions import directions, is_return
+from uavrl_onboard.pluralize import counted
 
 MOST_CYCLES = 36_000  # an hour
 MOST_POINTS = 1_000_000  # of all scans that are kept: where there are more, each scan keeps half as many

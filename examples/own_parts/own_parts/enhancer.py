@@ -6,7 +6,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.losses import ActorCriticLoss, Enhancer
-from uavrl.ranges import NonNegative
+from uavrl_onboard.ranges import NonNegative
 
 
 class Calm(Enhancer):

@@ -7,7 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from uavrl.ranges import Count, Positive
+from uavrl_onboard.ranges import Count, Positive
 
 
 class Corridor(EnvBase):

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 from torchrl.envs import CatFrames, Compose
 
-from uavrl.ranges import Count, Positive
 from uavrl.transforms import NavigationObservation, PointCloudReduction
 from uavrl.transforms.reduction import is_return
+from uavrl_onboard.ranges import Count, Positive
 
 SECTORS = 8
 

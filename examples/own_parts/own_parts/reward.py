@@ -5,7 +5,7 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from torchrl.envs import Transform
 
-from uavrl.ranges import NonNegative, Positive
+from uavrl_onboard.ranges import NonNegative, Positive
 
 
 class HurryReward(Transform):

@@ -9,7 +9,7 @@ from torch.func import functional_call
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from uavrl.losses import ActorCriticLoss, AuxiliaryModel, Enhancer
-from uavrl.ranges import NonNegative, Positive
+from uavrl_onboard.ranges import NonNegative, Positive
 
 
 class Wary(Enhancer):

@@ -9,7 +9,7 @@ from pydantic import Field
 from tensordict import TensorDictBase
 
 from uavrl.buffers import EpisodeBuffer
-from uavrl.ranges import Count, Fraction
+from uavrl_onboard.ranges import Count, Fraction
 
 
 class FailureBias:

@@ -13,7 +13,7 @@ from torchrl.data import Binary, Unbounded
 from torchrl.envs import GymWrapper
 
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count
+from uavrl_onboard.ranges import Count
 
 FALL_REWARD = -100.0  # what Gymnasium gives for the step that falls, and for no other
 

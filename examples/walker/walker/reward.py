@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import Transform
 
-from uavrl.ranges import Positive
+from uavrl_onboard.ranges import Positive
 
 
 class WalkerReward(Transform):

@@ -11,8 +11,8 @@ from torchrl.data.replay_buffers import Storage
 
 from uavrl.buffers import EpisodeBuffer
 from uavrl.errors import UavrlError
-from uavrl.ranges import Count, Share
 from uavrl.transforms.guidance import GUIDE_ACTION
+from uavrl_onboard.ranges import Count, Share
 
 
 def pilots_share(stored: int, pilot_steps: int, until: int, first_share: float = 1.0) -> float:

@@ -11,7 +11,7 @@ from sortedcontainers import SortedList
 from torch import Tensor
 
 from uavrl.buffers import ABR, TrajectoryHistory
-from uavrl.ranges import Count, NonNegative, Share, Whole
+from uavrl_onboard.ranges import Count, NonNegative, Share, Whole
 
 
 class RecentSums(TrajectoryHistory):

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from uavrl.buffers.backward_reward import BackwardReward, episode_bounds
-from uavrl.ranges import NonNegative
+from uavrl_onboard.ranges import NonNegative
 
 
 class IRCR(BackwardReward):

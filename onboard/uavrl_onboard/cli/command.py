@@ -1,0 +1,157 @@
+"""The command line of uavrl-fly and uavrl-scan: ``KEY=VALUE``, checked against a dataclass.
+
+The dataclass's docstring is the help.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from uavrl_onboard import __version__
+from uavrl_onboard.cli.process import command_process, configure_logging
+from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.sentences import did_you_mean
+from uavrl_onboard.values import to_plain, validated
+
+T = TypeVar("T")
+LONGEST = 24  # characters of a key beside its meaning
+_ARGUMENT = re.compile(r"^(\w+): ", re.MULTILINE)
+
+
+class About(NamedTuple):
+    """What ``--help`` says of a command besides its keys."""
+
+    name: str
+    summary: str
+    examples: Sequence[str]
+    most_used: str = ""  #: keys, separated by blanks
+
+
+def command(about: About, kind: type[T]) -> Callable[[Callable[[T], Any]], Callable[[], None]]:
+    """Makes a console command of a function that takes the settings ``kind``, a dataclass."""
+
+    def decorate(function: Callable[[T], Any]) -> Callable[[], None]:
+        @wraps(function)
+        def main() -> None:
+            with command_process():
+                arguments = sys.argv[1:]
+                if arguments[:1] == ["--version"]:
+                    print(f"{about.name} {__version__}")
+                elif asked := [each for each in arguments if each in ("--help", "-h", "--help=all")]:
+                    print(help_text(about, kind, every_key=asked[0] == "--help=all"))
+                else:
+                    configure_logging()
+                    function(settings(about, kind, arguments))
+
+        return main
+
+    return decorate
+
+
+def settings(about: About, kind: type[T], arguments: Sequence[str]) -> T:
+    """The settings that a command line asks for.
+
+    Raises:
+        UavrlError: naming the argument that is no KEY=VALUE, or the key that is unknown, of another type or out of
+            range.
+    """
+    known = [key for key, _, _ in keys(kind)]
+    for argument in arguments:
+        _require_key_and_value(about, argument, known)
+    try:
+        given: Any = OmegaConf.to_container(OmegaConf.from_cli(list(arguments)))
+    except (OmegaConfBaseException, YAMLError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise UavrlError(
+            f"The values cannot be read ({reason}): write KEY=VALUE, and quote special characters."
+        ) from error
+    return kind(**validated(given, get_type_hints(kind, include_extras=True)))
+
+
+def _require_key_and_value(about: About, argument: str, known: Sequence[str]) -> None:
+    key, equals, value = argument.lstrip("-").partition("=")
+    if argument.startswith("-"):
+        if key in known:
+            raise UavrlError(f"{about.name} has no option {argument}: write {key}={value or 'VALUE'}.")
+        otherwise = "values are written KEY=VALUE, and --help explains the keys."
+        raise UavrlError(f"{about.name} has no option {argument}{did_you_mean(key, known, ': ', otherwise, 0.85)}")
+    if not equals:
+        raise UavrlError(f"{argument!r} is no KEY=VALUE: write KEY=VALUE, as in {about.name} {about.examples[0]}.")
+    groups = {each.rpartition(".")[0] for each in known}
+    if key not in known and key not in groups:
+        raise UavrlError(f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys."))
+
+
+def keys(kind: type[Any], prefix: str = "") -> Iterator[tuple[str, Any, str]]:
+    """The keys of a dataclass and of the dataclasses in it, dotted: name, default and meaning."""
+    hints, meanings = get_type_hints(kind), documented(kind)
+    for field in fields(kind):
+        hint = hints[field.name]
+        if isinstance(hint, type) and is_dataclass(hint):
+            yield from keys(hint, f"{prefix}{field.name}.")
+        else:
+            yield f"{prefix}{field.name}", _default(field), meanings.get(field.name, "")
+
+
+def _default(field: Field[Any]) -> Any:
+    return field.default_factory() if field.default_factory is not MISSING else field.default
+
+
+def documented(kind: type[Any]) -> dict[str, str]:
+    """What the ``Args`` of a class's docstring, and of its bases', say of each argument."""
+    found: dict[str, str] = {}
+    for each in reversed(kind.__mro__):
+        text = inspect.cleandoc(each.__doc__ or "").partition("Args:\n")[2]
+        block = textwrap.dedent(re.split(r"\n(?=\S)", text, maxsplit=1)[0])
+        parts = _ARGUMENT.split(block)[1:]
+        found |= {name: " ".join(said.split()).rstrip(".") for name, said in zip(parts[::2], parts[1::2], strict=True)}
+    return found
+
+
+def help_text(about: About, kind: type[Any], *, every_key: bool = False) -> str:
+    """What a command takes, for a screen or in full."""
+    known = {key: (default, meaning) for key, default, meaning in keys(kind)}
+    lines = [f"{about.name}: {about.summary}", "", f"Usage: {about.name} KEY=VALUE …", ""]
+    lines += [f"  {about.name} {example}" for example in about.examples]
+    if every_key:
+        rows = {key: f"{meaning} ({_written(default)})" for key, (default, meaning) in known.items()}
+        return "\n".join([*lines, "", "All keys, with their default in brackets", *table(rows)])
+    rows = {key: known[key][1] for key in about.most_used.split() or known}
+    return "\n".join([*lines, "", "Most used keys", *table(rows), "", f"All keys: {about.name} --help=all"])
+
+
+def _written(value: Any) -> str:
+    value = to_plain(value)
+    if isinstance(value, list):
+        return f"[{','.join(map(_written, value))}]"
+    return (
+        {None: "null", True: "true", False: "false"}.get(value, str(value))
+        if not isinstance(value, float)
+        else f"{value:g}"
+    )
+
+
+def table(rows: Mapping[str, str]) -> list[str]:
+    """Two columns; a long name has a line of its own."""
+    width = min(max(map(len, rows)), LONGEST) + 2
+    room = max(shutil.get_terminal_size().columns, 80)
+    lines = []
+    for name, text in rows.items():
+        wrapped = textwrap.wrap(text, room - width - 3)
+        if len(name) > LONGEST:
+            lines.append(f"  {name}")
+            name = ""
+        lines += [f"  {name if not n else '':{width}}{part}" for n, part in enumerate(wrapped)]
+    return lines

@@ -1,0 +1,323 @@
+"""``uavrl-fly``: an exported policy flies a vehicle by its LiDAR, or pretends to."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+from pydantic import Field
+
+from uavrl_onboard.autopilot.dry_run import DryRun
+from uavrl_onboard.autopilot.mavlink import Autopilot
+from uavrl_onboard.autopilot.vehicle_state import Control
+from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.flight_lines import FlightLines
+from uavrl_onboard.cli.lidar_keys import LidarKeys
+from uavrl_onboard.cli.nonblocking_output import beside
+from uavrl_onboard.cli.process import terminable
+from uavrl_onboard.errors import Stopped, UavrlError
+from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.flight.health import Doubts
+from uavrl_onboard.flight.interfaces import FlightCycle, VehicleLink
+from uavrl_onboard.flight.limits import SafetyLimits
+from uavrl_onboard.flight.log import FlightLog
+from uavrl_onboard.flight.loop import Flight, fly, map_for, rehearse
+from uavrl_onboard.flight.safety import SafetyLayer
+from uavrl_onboard.flight.summary import FlightSummary
+from uavrl_onboard.geometry import HULL
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.map import Navigator
+from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.lidar.feeds import UdpScans
+from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.pluralize import counted
+from uavrl_onboard.policy.policy import Policy
+from uavrl_onboard.ranges import Folder, NonNegative, Positive, Text
+from uavrl_onboard.sentences import require
+
+if TYPE_CHECKING:
+    from uavrl_onboard.ros2.vehicle import Ros2Scans
+
+ROS2 = "ros2:"  # how addresses of ROS 2 begin
+
+
+@dataclass
+class Ros2Config:
+    """How set-points are sent to a vehicle at ``autopilot=ros2:///TOPIC``.
+
+    Args:
+        kind: type of the set-points: twist, twist_stamped, or px4, whose topics begin with autopilot=ros2:///fmu
+        setpoints: topic of a twist or twist_stamped
+        frame_id: frame of a twist_stamped
+    """
+
+    kind: Literal["twist", "twist_stamped", "px4"] = "twist"
+    setpoints: Text = "/cmd_vel"
+    frame_id: Text = "base_link"
+
+
+@dataclass
+class ShieldConfig:
+    """The shield: its numbers, and the vehicle's hull; without a radius there is no shield.
+
+    Args:
+        radius: radius of the vehicle's hull, in m; null: no shield
+        height: height of the hull, in m
+        sensor: height of the LiDAR above the hull's middle, on its axis, in m
+        nearest: shortest range that the sensor reports, in m; the margin grows with it, because nearer obstacles vanish
+        time: shortest time in which a gap may be closed, in s
+        lag: delay from a commanded velocity to the flown one, in s
+        margin: distance kept around the hull, in m
+    """
+
+    radius: Positive | None = None
+    height: Positive = 0.28
+    sensor: float = 0.1
+    nearest: NonNegative = 0.0
+    time: Positive = 0.7
+    lag: NonNegative = 0.3
+    margin: NonNegative = 0.12
+
+
+@dataclass
+class FlyConfig(LidarKeys):
+    """The keys of ``uavrl-fly``.
+
+    Args:
+        policy: folder that uavrl-export wrote, with policy.onnx
+        goal: [x,y,z] in m from the autopilot's origin: east, north, up; z is the middle of the goal's height
+        lidar: address that the sensor sends to, udp://:2368; ros2:///TOPIC for point clouds of a ROS 2 driver; for a
+            dry run also a recording, as uavrl-scan reads it
+        autopilot: address that PX4 or ArduPilot sends MAVLink to; ros2:///odom for a vehicle of ROS 2; null for a dry
+            run, which sends nothing
+        set_mode: ask the autopilot for Offboard (PX4) or GUIDED (ArduPilot); false: the pilot chooses the mode
+        arm: ask the autopilot to arm, once in that mode
+        system: MAVLink system id of the vehicle; null: the first autopilot heard
+        standing: pose of the vehicle in a dry run: x, y, z in m, yaw from east to the left in rad
+        radius: horizontal distance from the goal, in m, at which the vehicle has arrived; it then hovers there
+        hold: time of hovering at the goal before the flight ends, in s; null: until Ctrl-C, or until the pilot takes
+        over seconds: time after which the flight ends, wherever the vehicle is, in s; null: never
+        log: file for the flight log; null: none
+        json: file for the flight's numbers; null: none
+        progress: print a line each second
+        ros2: set-points by ROS 2
+        memory: range in m up to which scans enter a map of the flight, which leads the policy out of dead ends, e.g.
+            12;
+            null: as in the policy's training, mostly no map
+        evade: range in m up to which moving objects are detected and evaded, e.g. 12; null: no evasion
+        shield: limits the speed near obstacles
+        safety: limits of the safety layer
+    """
+
+    policy: Folder | None = None
+    goal: tuple[float, ...] | None = None
+    lidar: Folder = "udp://:2368"
+    autopilot: Folder | None = "udp://:14540"
+    set_mode: bool = False
+    arm: bool = False
+    system: Annotated[int, Field(ge=1, le=255)] | None = None
+    standing: tuple[float, float, float, float] = (0.0, 0.0, 3.5, 0.0)
+    radius: Positive = 1.0
+    hold: NonNegative | None = None
+    seconds: Positive | None = None
+    log: Folder | None = "flight.mcap"
+    json: Folder | None = None
+    progress: bool = True
+    ros2: Ros2Config = field(default_factory=Ros2Config)
+    memory: Annotated[float, Field(gt=0, le=100)] | None = None
+    evade: Annotated[float, Field(gt=0, le=100)] | None = None
+    shield: ShieldConfig = field(default_factory=ShieldConfig)
+    safety: SafetyLimits = field(default_factory=SafetyLimits)
+
+    def __post_init__(self) -> None:
+        """Checks that it knows what flies where, and that a recording flies nothing."""
+        super().__post_init__()
+        require(self.policy is not None, "policy", "a folder that uavrl-export wrote", self.policy)
+        goal = self.goal is not None and len(self.goal) == 3
+        require(goal, "goal", "three numbers, [x,y,z] in m from the autopilot's origin", self.goal)
+        bare = ShieldConfig()
+        alone = [f"shield.{key}" for key, value in asdict(self.shield).items() if value != getattr(bare, key)]
+        shielded = self.shield.radius is not None or self.evade is not None or not alone
+        hull = f"the hull's in m with {' and '.join(alone)}: there is no shield without"
+        require(shielded, "shield.radius", hull, self.shield.radius)
+        dry = self.autopilot is None or self.is_live
+        require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
+        asked = [key for key in ("set_mode", "arm", "system") if getattr(self, key)]
+        by_ros = self.autopilot is not None and self.autopilot.startswith(ROS2)
+        able = not (by_ros and asked)
+        require(able, "autopilot", f"udp://:14540 with {' and '.join(asked)}: only MAVLink has that", self.autopilot)
+
+        others = {Path(each).resolve() for each in (self.log, None if self.is_live else self.lidar) if each is not None}
+        json = None if self.json is None else Path(self.json).resolve()
+        apart = json is None or others.isdisjoint([json, *json.parents])
+        require(apart, "json", "another file than the log and the recording, which it would replace", self.json)
+
+    @property
+    def is_live(self) -> bool:
+        """Whether a sensor sends now."""
+        return self.lidar.startswith(("udp:", ROS2))
+
+
+ABOUT = About(
+    "uavrl-fly",
+    "flies a vehicle by its LiDAR with an exported policy, or rehearses it.",
+    [
+        "policy=FOLDER model=VLP16 goal=[20,5,2.5] set_mode=true",
+        "policy=FOLDER model=VLP16 goal=[20,0,2.5] autopilot=null",
+    ],
+    "policy goal lidar model vehicle autopilot set_mode arm standing radius hold seconds log json",
+)
+
+
+@command(ABOUT, FlyConfig)
+def main(settings: FlyConfig) -> None:
+    """Flies until it has ended, prints how, and writes the numbers."""
+    policy = Policy(str(settings.policy))
+    numbers = None if settings.json is None else writable(Path(settings.json), "json=FILE")
+    if settings.safety.floor < 0.0 and settings.autopilot is not None:
+        print("safety.floor is below the ground, for a bench without propellers: never fly so.", file=sys.stderr)
+    summary, lines, stopped = FlightSummary(), FlightLines(), None
+    with ExitStack() as opened:
+        if settings.is_live:
+            opened.enter_context(beside())
+        link = opened.enter_context(closing(_link(settings)))
+        assert settings.goal is not None
+        led = map_for(policy.contract, settings.memory)
+        stages: dict[str, Any] = {"evasion": _evasion(settings), "shield": _shield(settings), "memory": led}
+        layer, box = SafetyLayer(settings.safety), settings.box
+        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, **stages)
+        log = _log(settings, policy, led)
+        if log is not None:
+            opened.callback(_told, log.close)
+        cycles = _cycles(settings, flight, link, opened)
+        try:
+            with terminable():
+                for cycle in _until_the_end(cycles, settings):
+                    summary.add(cycle)
+                    if log is not None:
+                        _told(log.write, cycle)
+                    if settings.progress and (line := lines.of(cycle, summary)) is not None:
+                        print(line, flush=True)
+        except KeyboardInterrupt as error:
+            stopped = error
+    _conclude(summary, numbers)
+    if log is not None:
+        print(f"Log: {log.path}, which uavrl-replay flight={log.path} shows")
+    if stopped is not None:
+        number = getattr(stopped, "number", signal.SIGINT)
+        raise Stopped("stopped: no more set-points are sent.", number) from stopped
+
+
+def _link(settings: FlyConfig) -> VehicleLink:
+    if settings.autopilot is None:
+        x, y, z, yaw = settings.standing
+        return DryRun((x, y, z), yaw)
+    if settings.autopilot.startswith(ROS2):
+        from uavrl_onboard.ros2.px4 import Px4Ros2
+        from uavrl_onboard.ros2.vehicle import Ros2Vehicle  # these need a library that few have
+
+        if settings.ros2.kind == "px4":
+            return Px4Ros2(settings.autopilot)
+        return Ros2Vehicle(settings.autopilot, **asdict(settings.ros2))
+    return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
+
+
+def _log(settings: FlyConfig, policy: Policy, led: Navigator | None) -> FlightLog | None:
+    if settings.log is None:
+        return None
+    assert settings.goal is not None
+    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(_shield(settings))}
+    about |= {"memory": "None" if led is None else str(led.sight), "evade": str(settings.evade)}
+    return FlightLog(
+        settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
+    )
+
+
+def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
+    """Writes to the log; where that fails, says so and flies on."""
+    try:
+        write(*arguments)
+    except UavrlError as error:
+        print(f"uavrl: {error}", file=sys.stderr)
+
+
+def _shield(settings: FlyConfig) -> Shield | None:
+    """A shield for the hull that the command line tells of."""
+    told = {key: value for key, value in asdict(settings.shield).items() if value is not None}
+    return Shield(**told, limit=settings.safety.velocity) if settings.shield.radius is not None else None
+
+
+def _evasion(settings: FlyConfig) -> Evasion | None:
+    """What keeps out of the ways of what moves, of a vehicle of the size that the shield is told."""
+    if settings.evade is None:
+        return None
+    hull = settings.shield
+    size = (hull.radius or HULL[0], hull.height / 2)
+    return Evasion(max_range=settings.evade, hull=size, sensor=hull.sensor, limit=settings.safety.velocity)
+
+
+def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:
+    """The flight's cycles, from a sensor or a recording."""
+    if not settings.is_live:
+        scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
+        return rehearse(flight, scans, link)
+    feed = opened.enter_context(closing(_feed(settings)))
+    return _doubted(fly(flight, feed, link), Doubts(feed.trouble, 1.0 / flight.period, settings.safety.pose_age))
+
+
+def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
+    if settings.lidar.startswith(ROS2):
+        from uavrl_onboard.ros2.vehicle import Ros2Scans
+
+        return Ros2Scans(settings.lidar)
+    return UdpScans(settings.lidar, settings.model, settings.product)
+
+
+def _doubted(cycles: Iterable[FlightCycle], doubts: Doubts) -> Iterator[FlightCycle]:
+    """The same cycles; tells what is odd about their scans and poses."""
+    for cycle in cycles:
+        yield cycle
+        for sentence in doubts.of(cycle):
+            print(sentence, flush=True)
+
+
+def _until_the_end(cycles: Iterable[FlightCycle], settings: FlyConfig) -> Iterator[FlightCycle]:
+    """The cycles until the vehicle has hovered at the goal for long enough, was taken over there, or time is up."""
+    first, arrived = None, None
+    for cycle in cycles:
+        yield cycle
+        first = cycle.time if first is None else first
+        arrived = cycle.time if arrived is None and cycle.arrived else arrived
+        hovered = arrived is not None and settings.hold is not None and cycle.time - arrived >= settings.hold
+        taken_over = arrived is not None and cycle.control.control in (Control.TAKEN_OVER, Control.DISARMED)
+        if hovered or taken_over or (settings.seconds is not None and cycle.time - first >= settings.seconds):
+            return
+
+
+def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
+    """Says how it ended, and writes the numbers."""
+    facts = summary.facts()
+    if numbers is not None:  # before anything is printed, which nobody may read
+        with replacing(numbers) as partial:
+            partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+    after = cast(float | None, facts["arrived_after_s"])
+    ended = "it did not arrive" if after is None else f"it arrived after {after:.1f} s"
+    least = f", {facts['least_distance_m']:.1f} m from the goal at the nearest" if facts["least_distance_m"] else ""
+    print(f"{facts['seconds']:.1f} s, {counted(facts['scans'], 'scan')}: {ended}{least}.")
+    if (latency := facts["latency_ms"])["median"] is not None:
+        print(
+            f"From a scan's last packet to the set-point: {latency['median']:.1f} ms (median), "
+            f"{latency['p99']:.1f} ms (99 %)."
+        )
+    if numbers is not None:
+        print(f"Written to {numbers}")
+
+
+if __name__ == "__main__":
+    main()

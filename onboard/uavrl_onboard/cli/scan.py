@@ -1,0 +1,161 @@
+"""``uavrl-scan``: what a LiDAR sees, and what a policy would see of it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.lidar_keys import LidarKeys
+from uavrl_onboard.errors import Stopped, UavrlError
+from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
+from uavrl_onboard.lidar.summary import ScanSummary
+from uavrl_onboard.perception.cells import Statistic
+from uavrl_onboard.perception.reductions import STATISTICS, Reduction
+from uavrl_onboard.pluralize import counted
+from uavrl_onboard.ranges import Folder, Positive
+from uavrl_onboard.sentences import require
+
+LIVE = 1.0  # s between two lines while a sensor is listened to
+
+
+@dataclass
+class ScanConfig(LidarKeys):
+    """The keys of ``uavrl-scan``.
+
+    Args:
+        source: udp://:2368 listens to a sensor; or a file: a capture (pcap), packets alone (.bin), a rosbag of ROS 1
+            or 2,
+            an MCAP file
+        seconds: how long to listen to a sensor, in s
+        reduction: cells on the page: the 32 faces of a truncated_icosahedron, or the 72 cells of a range_image
+        statistic: what a cell reports: face, range or proximity; null: face for the faces, proximity for the range
+        image radius: radius of the ball that the cells divide, in m
+        output: file for the page; null: none
+        json: file for the numbers; null: none
+    """
+
+    source: Folder | None = None
+    seconds: Positive = 10.0
+    reduction: Reduction = "truncated_icosahedron"
+    statistic: Statistic | None = None
+    radius: Annotated[float, Field(ge=0.1, le=1000)] = 4.0
+    output: Folder | None = "scan.html"
+    json: Folder | None = None
+
+    def __post_init__(self) -> None:
+        """Checks that there is a source, and that page and numbers are two files."""
+        require(self.source is not None, "source", "a file, a rosbag's folder or udp://:PORT", self.source)
+        super().__post_init__()
+        apart = self.json is None or self.output is None or Path(self.json).resolve() != Path(self.output).resolve()
+        require(apart, "json", "another file than output", self.json)
+
+
+ABOUT = About(
+    "uavrl-scan",
+    "shows what a LiDAR sees, and what a policy would see of it.",
+    ["source=udp://:2368 model=VLP16", "source=FILE model=VLP16 json=FILE", "source=ROSBAG topic=/points"],
+    "source model topic seconds vehicle reduction statistic radius output json",
+)
+
+
+@command(ABOUT, ScanConfig)
+def main(settings: ScanConfig) -> None:
+    """Reads a source to its end, or listens for some seconds; prints the numbers, writes page and JSON."""
+    source = ScanSource(
+        str(settings.source), settings.model, topic=settings.topic, product=settings.product, seconds=settings.seconds
+    )
+    paths = {key: Path(getattr(settings, key)) for key in ("output", "json") if getattr(settings, key) is not None}
+    for key, path in paths.items():
+        kept = source.kind == "udp" or Path(source.source).resolve() not in (path.resolve(), *path.resolve().parents)
+        require(kept, key, "another file than the source, which it would replace", str(path))
+    files = {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
+    summary, stopped = ScanSummary(), False
+    try:
+        for scan in _shown(source, settings):
+            summary.add(scan)
+    except KeyboardInterrupt:
+        if source.kind != "udp" or not summary.scans:
+            raise
+        stopped = True  # listening has ended early: what came is written all the same
+    _print(summary, source)
+    _write(summary, source, settings, files)
+    if stopped:
+        raise Stopped("stopped: the numbers are those of the scans that came until then.")
+
+
+def _write(summary: ScanSummary, source: ScanSource, settings: ScanConfig, files: dict[str, Path]) -> None:
+    """Writes what was asked for, and says where it is."""
+    if "json" in files:
+        facts = {**summary.facts(), "nearest_by_direction": summary.sectors(), "skipped": asdict(source.skipped)}
+        with replacing(files["json"]) as partial:
+            partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+    drawn = "output" in files and _draw(summary, settings, files["output"])
+    for key, path in files.items():
+        if key != "output" or drawn:
+            print(f"Written to {path}")
+
+
+def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
+    """The scans without the vehicle; while a sensor is listened to, a line each second."""
+    told = -np.inf
+    for scan in source:
+        if settings.box is not None:
+            scan = replace(scan, points=without_vehicle(scan.points, *settings.box))
+        yield scan
+        if source.kind == "udp" and scan.stamp - told >= LIVE:
+            told = scan.stamp
+            moment = ScanSummary()
+            moment.add(scan)
+            print(f"{_percent(moment)} of {scan.rays:,} rays miss, nearest {_metres(moment)}", flush=True)
+
+
+def _print(summary: ScanSummary, source: ScanSource) -> None:
+    facts = summary.facts()
+    rate = "" if facts["rate_hz"] is None else f" at {facts['rate_hz']:.2f} Hz"
+    scans = f"{counted(summary.scans, 'scan')}{rate}"
+    print(f"{source.source}: {scans}, {facts['points_median']:,.0f} points each (median), {_percent(summary)} misses")
+    print("Nearest return in each direction:")
+    for name, far in summary.sectors().items():
+        print(f"  {name:<14}{far:7.2f} m")
+    for reason in source.skipped.sentences():
+        print(f"uavrl: left out: {reason}", file=sys.stderr)
+
+
+def _percent(summary: ScanSummary) -> str:
+    return f"{100 * (summary.facts()['misses'] or 0.0):.1f} %"
+
+
+def _metres(summary: ScanSummary) -> str:
+    sectors = summary.sectors()
+    if not sectors:
+        return "nothing"
+    name = min(sectors, key=lambda each: sectors[each])
+    return f"{sectors[name]:.2f} m {name}"
+
+
+def _draw(summary: ScanSummary, settings: ScanConfig, output: Path) -> bool:
+    """Writes the page; where plotly or SciPy is not installed, says so."""
+    try:
+        from uavrl_onboard.pages.scan_page import write_scan_page
+
+        statistic = settings.statistic or STATISTICS[settings.reduction]
+        write_scan_page(summary, str(settings.source), settings.reduction, statistic, settings.radius, output)
+    except (ImportError, UavrlError) as error:
+        missing = f"it needs {error.name}" if isinstance(error, ImportError) else str(error)
+        print(f"uavrl: No page was drawn: {missing} (output=null asks for none).", file=sys.stderr)
+        return False
+    return True
+
+
+if __name__ == "__main__":
+    main()

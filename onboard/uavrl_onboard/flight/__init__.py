@@ -1,0 +1,1 @@
+"""The flight: its loop, the safety layer, its log."""

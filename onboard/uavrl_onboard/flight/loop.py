@@ -1,0 +1,227 @@
+"""One loop from scans to set-points: source, mask, reduction, frames, policy, safety layer, vehicle."""
+
+from __future__ import annotations
+
+import logging
+import math
+import select
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from uavrl_onboard.autopilot.frames import Pose, to_goal
+from uavrl_onboard.autopilot.vehicle_state import Control
+from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
+from uavrl_onboard.flight.safety import ZEROS, Cycle, SafetyLayer, State
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.map import Navigator
+from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.lidar.sources import without_vehicle
+from uavrl_onboard.perception.motion.threats import to_yaw
+
+if TYPE_CHECKING:
+    from uavrl_onboard.policy.contract import Contract
+    from uavrl_onboard.policy.policy import Policy
+
+_logger = logging.getLogger(__name__)
+
+_EARLY = 0.8  # of a cycle: a scan that comes sooner after the one before is left out, as of a sensor that turns faster
+_LATE = 1.2  # of a cycle: after that it goes on without a scan
+_FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
+_TICK = 0.005  # s between two looks at what the system cannot wait for
+_FLIES = (State.FLYING, State.FENCED)
+
+
+def map_for(contract: Contract, sight: float | None = None) -> Navigator | None:
+    """A map for a policy, at the level and with the sensor of its training; None where that had none, or was blind.
+
+    Args:
+        contract: the policy's.
+        sight: how far returns count, m; None: as in its training.
+    """
+    if sight is None and contract.memory is not None and not contract.cloud.blind:
+        sight = contract.memory.sight
+    if sight is None:
+        return None
+    return Navigator(sight, flight_level=contract.flight_level, sensor_position=contract.cloud.sensor_position)
+
+
+class Flight:
+    """The stages of one vehicle's flight to a goal.
+
+    While the safety layer does not let the policy fly, each scan is to the policy the first of an episode, so that it
+    takes off from where it stands as it has learned to. Its last action is what the vehicle was sent. At the goal, and
+    from there on, the vehicle is sent zeros: it hovers.
+
+    Args:
+        policy: an exported policy.
+        goal: x, y, z in the world's axes, m; z is the middle of its height.
+        link: the way to the vehicle.
+        layer: the safety layer.
+        radius: the vehicle has arrived at this horizontal distance from the goal, m.
+        box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
+        evasion: what keeps the policy's velocities out of the ways of what moves; None: nothing.
+        shield: what bends the policy's velocities away from what the scan shows near; None: nothing.
+        memory: a map of the flight: the policy is led along the quickest way through it; None: the one that it was
+            trained with, or none, and straight to the goal.
+
+    Attributes:
+        arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        goal: Sequence[float],
+        link: VehicleLink,
+        layer: SafetyLayer,
+        *,
+        radius: float = 1.0,
+        box: tuple[np.ndarray, np.ndarray] | None = None,
+        evasion: Evasion | None = None,
+        shield: Shield | None = None,
+        memory: Navigator | None = None,
+    ) -> None:
+        if len(goal) != 3 or not np.isfinite(goal).all():
+            raise UavrlError(f"goal must be three finite numbers x, y, z in metres, got {goal!r}.")
+        self.goal = tuple(float(each) for each in goal)
+        self.arrived: float | None = None
+        self.period = 1.0 / policy.contract.rate_hz
+        self._policy, self._link, self._layer = policy, link, layer
+        self._radius, self._box, self._evasion, self._shield = radius, box, evasion, shield
+        self._memory = map_for(policy.contract) if memory is None else memory
+        self._scan_stamp: float | None = None
+        self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
+        self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
+        self._turn: float | None = None  # of the latest scan, where a memory leads
+        self._acted = -math.inf  # when the policy last gave one
+        self._state = State.SILENT
+        self._control: Control | None = None  # who flew in the cycle before
+        self._told = ""
+
+    def wants(self, scan: Scan | None) -> bool:
+        """Whether a scan begins a cycle: of a sensor that turns faster than the policy acts, not every one does."""
+        if scan is None:
+            return False
+        since = math.inf if self._scan_stamp is None else scan.stamp - self._scan_stamp
+        return not 0.0 <= since < _EARLY * self.period
+
+    def step(self, now: float, scan: Scan | None) -> FlightCycle:
+        """One cycle; the set-point is sent before it returns.
+
+        Args:
+            now: the loop's clock, s.
+            scan: a new one, or ``None`` where none has come in time.
+        """
+        begun = time.perf_counter()
+        pose, control = self._link.pose(), self._link.status(now)
+        if control.control is not self._control:
+            _logger.info("Vehicle: %s (%s)", control.control, control.sentence)
+        self._control = control.control
+        if scan is not None:
+            if self._box is not None:
+                scan = replace(scan, points=without_vehicle(scan.points, *self._box))
+            self._scan_stamp, self._action = scan.stamp, self._act(scan, pose, now)
+        distance = self._distance(pose)
+        there = self.arrived is not None or (distance is not None and distance <= self._radius)
+        action = np.zeros(4) if there else self._action
+        stamp, position, yaw = (None, None, None) if pose is None else (pose.stamp, pose.position, pose.yaw)
+        in_control = control.control is Control.IN_CONTROL
+        status = self._layer.step(Cycle(now, action, self._scan_stamp, stamp, position, yaw, in_control))
+        self._link.send(status.setpoint, now)
+        latency = None if scan is None else now - scan.stamp + time.perf_counter() - begun
+        self._policy.last_action = np.array(status.setpoint or ZEROS, np.float32)
+        self._state = status.state
+        if self.arrived is None and there and status.state in _FLIES:
+            self.arrived = now
+        cells = None if scan is None else self._policy.cells
+        arrived, turn = self.arrived is not None, None if scan is None else self._turn
+        return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, arrived, turn)
+
+    def _act(self, scan: Scan, pose: Pose | None, now: float) -> np.ndarray | None:
+        """The policy's action, or ``None`` where it can give none."""
+        if self._state not in _FLIES or now - self._acted > _FORGOTTEN * self.period:
+            self._policy.reset()
+            self._read_stamp = None
+            if self._evasion is not None:
+                self._evasion.reset()
+        self._turn = None
+        if pose is None or not np.isfinite([*pose.position, pose.yaw]).all():
+            return None
+        read = to_goal(pose, self.goal)
+        if self._memory is not None:
+            place, goal = np.array(pose.position), np.array(self.goal[:2])
+            self._turn = self._memory.look(scan.points, np.array(pose.attitude), place, goal)
+            read["heading_deg"] = (read["heading_deg"] + math.degrees(self._turn)) % 360.0
+        elapsed = None if self._read_stamp is None or scan.stamp <= self._read_stamp else scan.stamp - self._read_stamp
+        told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
+        try:
+            action = self._policy(scan.points, *told)
+            if self._evasion is not None:
+                action[:3] = self._evading(self._evasion, action[:3], scan, pose, elapsed)
+            if self._shield is not None:
+                action[:3] = self._shielded(self._shield, action[:3], scan, pose)
+        except UavrlError as error:
+            if str(error) != self._told:
+                _logger.warning("The policy gives no action: %s", error)
+            self._told = str(error)
+            return None
+        self._acted, self._read_stamp = now, scan.stamp
+        return action
+
+    def _evading(
+        self, evasion: Evasion, asked: np.ndarray, scan: Scan, pose: Pose, elapsed: float | None
+    ) -> np.ndarray:
+        """The velocity ``[3]`` to fly where something moves, in place of the one ``asked`` for."""
+        heights = np.array([pose.position[2] - self._policy.contract.flight_level])
+        own = np.array([pose.velocity]), np.array([pose.attitude])
+        return evasion(asked[None], scan.points[None], *own, heights, elapsed)[0]
+
+    @staticmethod
+    def _shielded(shield: Shield, asked: np.ndarray, scan: Scan, pose: Pose) -> np.ndarray:
+        """What is left of the velocity ``asked [3]``."""
+        level = to_yaw(np.array([pose.velocity]), np.array([pose.yaw]))[0]
+        return shield(asked, scan.points, (pose.roll, pose.pitch), level)
+
+    def _distance(self, pose: Pose | None) -> float | None:
+        """How far the goal is, horizontally, in m."""
+        if pose is None:
+            return None
+        return math.hypot(self.goal[0] - pose.position[0], self.goal[1] - pose.position[1])
+
+
+def fly(
+    flight: Flight, feed: ScanFeed, link: VehicleLink, clock: Callable[[], float] = time.monotonic
+) -> Iterator[FlightCycle]:
+    """Flies in real time: a cycle with each scan, and one without where none comes in time. It does not end by itself.
+
+    Args:
+        flight: the stages.
+        feed: of scans, stamped on the same clock.
+        link: of the flight, to read what the vehicle says.
+        clock: in s.
+    """
+    cycled = clock()
+    waits = [number for number in (feed.fileno(), link.fileno()) if number is not None]
+    while True:
+        rest = max(cycled + _LATE * flight.period - clock(), 0.0)
+        select.select(waits, [], [], rest if len(waits) == 2 else min(rest, _TICK))
+        link.receive(clock())
+        scan = feed.poll(clock())
+        scan, now = (scan if flight.wants(scan) else None), clock()
+        if scan is not None or now - cycled >= _LATE * flight.period:
+            cycled = now
+            yield flight.step(now, scan)
+
+
+def rehearse(flight: Flight, scans: Iterable[Scan], link: VehicleLink) -> Iterator[FlightCycle]:
+    """Flies a recording: a cycle with each scan, whose stamps are the clock."""
+    for scan in scans:
+        if flight.wants(scan):
+            link.receive(scan.stamp)
+            yield flight.step(scan.stamp, scan)

@@ -1,0 +1,97 @@
+"""A map for each of several vehicles that know neither their place nor their goal's, from what an autopilot tells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from uavrl_onboard.guards.map.goal_finder import GoalFinder
+from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE, Navigator
+
+
+class Wayfinder:
+    """Leads N vehicles along the quickest ways through what each has seen since its episode began.
+
+    Each has a :class:`Navigator`. It knows its place since the episode's start by its own velocity, integrated from
+    scan to scan. The goal's distance is not told: the goal is where its directions from different places meet
+    (:class:`GoalFinder`).
+
+    Args:
+        vehicles: N.
+        sight: how far returns count, m.
+        reach: m from the vehicle, beyond which its map forgets.
+        flight_level: m, the altitude of the map.
+        cell: edge of the map's cells, m.
+        period: time between two scans, s.
+        sensor_position: of the LiDAR in body axes, m.
+
+    Examples:
+        A wall of 4 m stands 2 m ahead, a little to the left: the way leads past its right end.
+
+        >>> side = np.linspace(-1.0, 3.0, 40)
+        >>> wall = np.stack(np.broadcast_arrays(2.0, side, -0.1), -1)[None]
+        >>> finder = Wayfinder(1)
+        >>> still, altitude, ahead = np.zeros((1, 3)), np.array([3.5]), np.zeros(1)
+        >>> turn = finder.look(wall, still, still, altitude, ahead)
+        >>> bool(-1.2 < turn[0] < -0.4)
+        True
+    """
+
+    def __init__(
+        self,
+        vehicles: int,
+        sight: float = 12.0,
+        reach: float = 40.0,
+        flight_level: float = 3.5,
+        cell: float = 0.25,
+        period: float = 0.1,
+        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
+    ) -> None:
+        self.reach, self.period = reach, period
+        self._navigators = [Navigator(sight, reach, flight_level, cell, sensor_position) for _ in range(vehicles)]
+        self._goals = [GoalFinder(reach) for _ in range(vehicles)]
+        self._begun = np.zeros(vehicles, bool)  # whether it has had a scan in this episode
+        self._places, self._velocities = np.zeros((2, vehicles, 3))
+
+    def reset(self, which: np.ndarray) -> None:
+        """Forgets all that some vehicles have seen, ``bool [N]``; their next scan is their first."""
+        for one in np.flatnonzero(which).tolist():
+            self._navigators[one].reset()
+            self._goals[one] = GoalFinder(self.reach)
+        self._begun[which], self._places[which] = False, 0.0
+
+    def look(
+        self,
+        clouds: np.ndarray,
+        velocities: np.ndarray,
+        attitudes: np.ndarray,
+        altitudes: np.ndarray,
+        headings: np.ndarray,
+        which: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Takes in another scan and returns how far off the goal's direction the way leads: ``[N]`` rad, left positive.
+
+        It is 0 where the way leads straight on to the goal, where the map leaves none, and for a vehicle whose pose or
+        velocity is not finite: it has not looked then, and its place stays where it was.
+
+        Args:
+            clouds: ``[N, P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
+            velocities: ``[N, 3]``, of the vehicles in world axes in m/s.
+            attitudes: ``[N, 3]``, their roll, pitch and yaw in rad.
+            altitudes: ``[N]``, m.
+            headings: ``[N]``, from each vehicle's head to its goal, left positive, rad.
+            which: ``bool [N]``, which have a new scan; what is returned of the others is 0. None: all.
+        """
+        which = np.ones(len(self._begun), bool) if which is None else which
+        which = which & np.isfinite(np.column_stack([velocities, attitudes, altitudes, headings])).all(1)
+        flown = np.where(self._begun[:, None], self.period * (velocities + self._velocities) / 2, 0.0)
+        self._places[which] += flown[which]
+        self._velocities[which], self._begun[which] = velocities[which], True
+        turns, bearings = np.zeros(len(which)), attitudes[:, 2] + headings
+        for one in np.flatnonzero(which).tolist():
+            place = self._places[one, :2]
+            goal = self._goals[one].look(place, np.array([np.cos(bearings[one]), np.sin(bearings[one])]))
+            at = np.append(place, altitudes[one])
+            turns[one] = self._navigators[one].look(clouds[one], attitudes[one], at, goal)
+        return turns

@@ -1,0 +1,1 @@
+"""Scans of a real LiDAR: packets, recordings, and what they show."""

@@ -1,0 +1,248 @@
+"""From packets to scans: what belongs to a turn of the sensor, what is left out, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
+from typing import Any, cast
+
+import numpy as np
+
+from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.lidar.packets import (
+    DUAL,
+    FLAG,
+    FULL_TURN,
+    HOUR,
+    LAST,
+    PACKET,
+    PACKET_SIZE,
+    PACKET_TIMES,
+    POSITION_SIZE,
+    PRODUCTS,
+    STRONGEST,
+    decode_vlp16,
+)
+from uavrl_onboard.perception.cells import NEAREST_RETURN
+from uavrl_onboard.pluralize import counted
+
+LONGEST_TURN = 300_000  # microseconds: the slowest sensor takes 200,000
+WIDEST_GAP = 3_000  # hundredths of a degree, two columns of the range image: a policy takes what is not seen for free
+MOST_PACKETS = 4096  # of a scan, whatever the clock in the packets says
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One turn of the sensor, which can be unpacked as ``stamp, points``."""
+
+    #: Time of its last packet in s. By UDP it is that of its arrival on the clock of ``time.monotonic``, as the safety
+    #: layer has it; of a recording by the recorder's clock, or the sensor's where it has no other.
+    stamp: float
+    points: np.ndarray  #: ``float32 [P, 3]`` in m in the sensor frame: x forward, y left, z up
+    rays: int  #: How many rays it is made of
+    misses: int  #: How many of them hit nothing
+
+    def __iter__(self) -> Iterator[Any]:
+        """Gives the stamp and the points."""
+        yield self.stamp
+        yield self.points
+
+
+@dataclass
+class Skipped:
+    """How much of a source was left out, by reason."""
+
+    other_size: int = field(default=0, metadata={"of": "packet", "says": "of another size than 1,206 bytes"})
+    other_product: int = field(default=0, metadata={"of": "packet", "says": "of another model"})
+    damaged: int = field(default=0, metadata={"of": "packet", "says": "of 1,206 bytes without a packet's data"})
+    dual: int = field(default=0, metadata={"of": "packet", "says": "with two returns per ray"})
+    lost: int = field(default=0, metadata={"of": "packet", "says": "that never arrived"})
+    late: int = field(default=0, metadata={"of": "packet", "says": "out of order"})
+    incomplete: int = field(default=0, metadata={"of": "turn", "says": "with a gap or without an end"})
+    malformed: int = field(default=0, metadata={"of": "message", "says": "that could not be read"})
+    other_sender: int = field(default=0, metadata={"of": "packet", "says": "of a second sender"})
+    position: int = field(default=0, metadata={"of": "position packet", "says": "without points"})
+
+    def sentences(self) -> list[str]:
+        """One line for each reason that occurred."""
+        about = {name: kind.metadata for name, kind in self.__dataclass_fields__.items()}
+        counts = [(count, about[name]) for name, count in asdict(self).items() if count]
+        return [f"{counted(count, of['of'])} {of['says']}" for count, of in counts]
+
+
+def check_model(model: str | None) -> str:
+    """Returns the model, or says which there are: it is never guessed from the data."""
+    if model not in PRODUCTS:
+        raise UavrlError(
+            f"model must be one of {', '.join(PRODUCTS)}, got {model!r}: name the sensor that sent the packets, which "
+            "is not guessed."
+        )
+    return model
+
+
+def make_decoder(model: str) -> Callable[[list[bytes]], np.ndarray]:
+    """What makes points of packets: `velodyne-decoder`, or ours where it is not installed and the model is a VLP-16."""
+    try:
+        velodyne = import_module("velodyne_decoder")
+    except ImportError as error:
+        if model == "VLP16":
+            return decode_vlp16
+        raise UavrlError(
+            f"Packets of a {model} need velodyne-decoder, which is not installed: pip install velodyne-decoder."
+        ) from error
+    kind = velodyne.Model[model]
+    # The bundled calibration of a VLP-16 lets all beams leave one point, as in the simulator.
+    calibration = velodyne.get_bundled_calibration("VLP-16.yml") if model == "VLP16" else None
+    decoder = velodyne.ScanDecoder(
+        velodyne.Config(model=kind, calibration=calibration, min_range=NEAREST_RETURN, max_range=1000.0)
+    )
+
+    def decode(packets: list[bytes]) -> np.ndarray:
+        listed = velodyne.PacketVector([velodyne.VelodynePacket(0.0, packet) for packet in packets])
+        return np.ascontiguousarray(decoder.decode(listed)[1][:, :3], dtype=np.float32)
+
+    return decode
+
+
+class ScanAssembler:
+    """Joins packets, one at a time, to scans of a full turn each.
+
+    A scan ends with the packet that closes the turn, wherever it began. What is no data packet of the model is counted
+    and left out, as is a turn that takes longer than 0.3 s or has a gap of more than 30 degrees. A packet that comes
+    late still belongs to its scan if that has not ended; one that comes twice counts once.
+
+    Args:
+        model: of the sensor; one of `uavrl_onboard.lidar.packets.PRODUCTS`.
+        product: the product byte of a sensor whose packets carry another than the model's.
+
+    Attributes:
+        skipped: what was left out so far.
+        products: the product bytes that were refused.
+        heard: whether there was any packet.
+
+    Examples:
+        >>> from uavrl_onboard.lidar.packets import encode_scan
+        >>> from uavrl_onboard.lidar.vlp16 import firing_directions
+        >>> assembler = ScanAssembler("VLP16")
+        >>> scans = [assembler.push(0.0, packet) for packet in encode_scan(3.0 * firing_directions())]
+        >>> [scan.points.shape for scan in scans if scan], scans[-1].rays
+        ([(28928, 3)], 29184)
+    """
+
+    def __init__(self, model: str | None, product: int | None = None) -> None:
+        self.model = check_model(model)
+        self.product = PRODUCTS[self.model] if product is None else product
+        self.skipped = Skipped()
+        self.products = set[int]()
+        self.heard = False
+        self._decode = make_decoder(self.model)
+        self._single = self._decode is decode_vlp16
+        self._newest: int | None = None  # the latest packet's time in microseconds
+        self._azimuth = 0  # of its last block
+        self._packets: list[tuple[int, bytes]] = []  # of the open turn, each with its age since the turn's first one
+        self._covered, self._advance, self._begun = 0, 0, 0  # angles of the open turn and of its last packet, a time
+
+    def push(self, stamp: float, packet: bytes) -> Scan | None:
+        """Takes a packet that arrived at ``stamp`` seconds; returns the scan that it closes, if it closes one."""
+        self.heard, read = True, self._checked(packet)
+        if read is None:
+            return None
+        time, first, last = int(read["time"]), int(read["blocks"]["azimuth"][0]), int(read["blocks"]["azimuth"][-1])
+        after = 0 if self._newest is None else (time - self._newest + HOUR // 2) % HOUR - HOUR // 2
+        if self._newest is None or abs(after) > LONGEST_TURN:
+            self._abandon()
+        elif after < 0:
+            self._take_late(time, packet)
+            return None
+        elif after > 0:
+            period = PACKET_TIMES[self.model] / (2 if int(read["mode"]) == DUAL else 1)
+            self.skipped.lost += max(round(after / period) - 1, 0)
+        if not self._packets:
+            self._begun, self._covered, self._azimuth = time, 0, first
+        self._advance = (last - self._azimuth) % FULL_TURN
+        self._covered += self._advance
+        self._newest, self._azimuth = time, last
+        age = (time - self._begun) % HOUR
+        self._packets.append((age, packet))
+        if self._covered >= FULL_TURN:
+            return self._close(stamp)
+        if age > LONGEST_TURN or len(self._packets) >= MOST_PACKETS:
+            self._abandon()
+        return None
+
+    def finish(self, stamp: float) -> Scan | None:
+        """The open turn, when no packet comes any more, if it lacks less than one packet."""
+        if self._packets and self._covered + self._advance >= FULL_TURN:
+            return self._close(stamp)
+        return None
+
+    def _checked(self, packet: bytes) -> Any:
+        """The packet as a record, or None for one that is left out and counted."""
+        if len(packet) != PACKET_SIZE:
+            if len(packet) == POSITION_SIZE:
+                self.skipped.position += 1
+            else:
+                self.skipped.other_size += 1
+            return None
+        read = np.frombuffer(packet, PACKET)[0]
+        blocks, mode, product = read["blocks"], int(read["mode"]), int(read["product"])
+        if (
+            mode not in (STRONGEST, LAST, DUAL)
+            or (blocks["flag"] != FLAG).any()
+            or (blocks["azimuth"] >= FULL_TURN).any()
+        ):
+            self.skipped.damaged += 1
+        elif product != self.product:
+            self.skipped.other_product += 1
+            self.products.add(product)
+        elif self._single and mode == DUAL:
+            self.skipped.dual += 1
+        else:
+            return read
+        return None
+
+    def _take_late(self, time: int, packet: bytes) -> None:
+        """Adds a packet to the open turn if it is of this turn; the next one has begun, or it is older, otherwise."""
+        self.skipped.late += 1
+        self.skipped.lost = max(self.skipped.lost - 1, 0)
+        age = (time - self._begun + HOUR // 2) % HOUR - HOUR // 2
+        if self._packets and age >= 0:
+            self._packets.append((age, packet))
+
+    def _abandon(self) -> None:
+        self.skipped.incomplete += bool(self._packets)
+        self._packets.clear()
+
+    def _close(self, stamp: float) -> Scan | None:
+        expected = bytes([PRODUCTS[self.model]])
+        ordered = dict.fromkeys(sorted(self._packets, key=lambda each: each[0]))  # a packet that came twice counts once
+        packets = [packet[:-1] + expected for _, packet in ordered]
+        self._packets.clear()
+        blocks = np.frombuffer(b"".join(packets), PACKET)["blocks"]
+        azimuth = blocks["azimuth"].astype(np.int64)
+        forth = (azimuth[1:, 0] - azimuth[:-1, -1]) % FULL_TURN  # turns that were sent one by one overlap: it is back
+        if ((forth > WIDEST_GAP) & (forth < FULL_TURN - WIDEST_GAP)).any():
+            self.skipped.incomplete += 1
+            return None
+        hit = blocks["returns"]["distance"] > 0
+        if packets[0][-2] == DUAL:  # two blocks tell of the same rays
+            hit = hit[:, ::2] | hit[:, 1::2]
+        return Scan(stamp, self._decode(packets), hit.size, hit.size - int(hit.sum()))
+
+    def trouble(self) -> str:
+        """Why no scan came out, as a sentence's second half."""
+        skipped = cast(dict[str, int], asdict(self.skipped))
+        if skipped["other_product"]:
+            byte = ", ".join(f"{product} (0x{product:02x})" for product in sorted(self.products))
+            own = PRODUCTS[self.model]
+            if self.product != own:
+                return f"its packets carry the product byte {byte}, not the {self.product} of product={self.product}."
+            return (
+                f"its packets carry the product byte {byte}, and a {self.model} has {own}: name the model that sent "
+                f"them, or if it is this one for sure give product={min(self.products)}."
+            )
+        if skipped["dual"]:
+            return "its packets hold two returns per ray, which only velodyne-decoder reads: pip install it."
+        left_out = "; ".join(self.skipped.sentences()) or "too few packets for one turn"
+        return f"it holds no full turn of a {self.model} ({left_out})."

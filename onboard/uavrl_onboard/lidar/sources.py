@@ -1,0 +1,163 @@
+"""One iterator of scans for all sources: a sensor by UDP, a capture, packets in a file, recordings of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.lidar import bags
+from uavrl_onboard.lidar.packets import FLAG, PACKET_SIZE
+from uavrl_onboard.lidar.pcap import PCAP, PCAPNG, read_pcap
+from uavrl_onboard.lidar.scans import Scan, ScanAssembler, Skipped, check_model
+from uavrl_onboard.lidar.udp import NOTHING_CAME, address, read_udp
+
+_RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", bags.ROSBAG1)
+_BATCH = 1000  # packets that are read from a file at once
+KINDS = (
+    "udp://:PORT, a capture (.pcap), packets alone (.bin, 1,206 bytes each), a rosbag of ROS 1 (.bag), a rosbag of "
+    "ROS 2 (its folder, or its .db3 or .mcap)"
+)
+
+
+class ScanSource:
+    """The scans of a source, one after the other, as ``(stamp, points)``.
+
+    Points are ``float32 [P, 3]`` in metres in the sensor frame: x forward, y left, z up. Of packets only returns come;
+    a driver's cloud may hold misses, as NaN, infinity or zeros (`uavrl_onboard.perception.reductions.is_return`).
+
+    Args:
+        source: ``udp://:2368``, or a file or folder.
+        model: of the sensor that sent the packets, such as ``"VLP16"``; a PointCloud2 needs none.
+        topic: of a recording of ROS that has several with scans.
+        product: the product byte of a sensor whose packets carry another than its model's.
+        seconds: how long to listen to UDP; None for as long as packets come.
+
+    Attributes:
+        skipped: how much was left out so far, by reason.
+
+    Raises:
+        UavrlError: for a source of no known kind, one without a scan, or another model than the packets are of.
+
+    Examples:
+        >>> import tempfile
+        >>> from uavrl_onboard.lidar.packets import encode_scan
+        >>> from uavrl_onboard.lidar.vlp16 import firing_directions
+        >>> file = Path(tempfile.mkdtemp()) / "one.bin"
+        >>> _ = file.write_bytes(b"".join(encode_scan(3.0 * firing_directions())))
+        >>> [points.shape for stamp, points in ScanSource(file, "VLP16")]
+        [(28928, 3)]
+    """
+
+    def __init__(
+        self,
+        source: str | Path,
+        model: str | None = None,
+        *,
+        topic: str | None = None,
+        product: int | None = None,
+        seconds: float | None = None,
+    ) -> None:
+        self.source, self.model, self.product, self.seconds = str(source), model, product, seconds
+        self.skipped = Skipped()
+        self.topic: bags.Topic | None = None
+        if self.source.startswith("udp:"):
+            address(self.source)
+            self.kind = "udp"
+        else:
+            self.kind = _kind(Path(source))
+        if self.kind == "ros":
+            self.topic = bags.scan_topic(Path(source), topic)
+        if self.topic is None or self.topic.kind == bags.SCAN:
+            check_model(model)
+
+    def __iter__(self) -> Iterator[Scan]:
+        """Reads the source from its beginning."""
+        if self.topic is not None and self.topic.kind == bags.CLOUD:
+            scans = bags.read_clouds(Path(self.source), self.topic.name, self.skipped)
+            yield from self._some(scans, "it holds no cloud that can be read.")
+            return
+        assembler = ScanAssembler(check_model(self.model), self.product)
+        assembler.skipped = self.skipped
+        yield from self._some(self._assembled(assembler), "", assembler)
+
+    def _assembled(self, assembler: ScanAssembler) -> Iterator[Scan]:
+        stamp = 0.0
+        for stamp, packet in self._packets():
+            scan = assembler.push(stamp, packet)
+            if scan is not None:
+                yield scan
+        scan = assembler.finish(stamp)
+        if scan is not None:
+            yield scan
+
+    def _some(self, scans: Iterator[Scan], why: str, assembler: ScanAssembler | None = None) -> Iterator[Scan]:
+        """The scans, or why there is none."""
+        empty = True
+        for scan in scans:
+            empty = False
+            yield scan
+        if empty:
+            raise UavrlError(f"{self.source} gave no scan: {why if assembler is None else self._trouble(assembler)}")
+
+    def _trouble(self, assembler: ScanAssembler) -> str:
+        if self.kind == "udp" and not assembler.heard:
+            return NOTHING_CAME
+        return assembler.trouble()
+
+    def _packets(self) -> Iterator[tuple[float, bytes]]:
+        if self.kind == "udp":
+            return read_udp(self.source, self.seconds)
+        if self.topic is not None:
+            return bags.read_packets(Path(self.source), self.topic.name, self.skipped)
+        return read_pcap(Path(self.source)) if self.kind == "pcap" else read_bare(Path(self.source))
+
+
+def read_bare(path: Path) -> Iterator[tuple[float, bytes]]:
+    """The packets of a file that holds nothing else, with the sensor's own time in seconds past the hour."""
+    with path.open("rb") as file:
+        while batch := file.read(_BATCH * PACKET_SIZE):
+            for start in range(0, len(batch), PACKET_SIZE):
+                packet = batch[start : start + PACKET_SIZE]
+                yield int.from_bytes(packet[-6:-2], "little") * 1e-6, packet
+
+
+def _kind(path: Path) -> str:
+    """What a file is, by how it begins."""
+    if not path.exists():
+        raise UavrlError(f"There is no {path}: give {KINDS}.")
+    if path.is_dir():
+        if (path / "metadata.yaml").is_file():
+            return "ros"
+        raise UavrlError(f"{path} is a folder without metadata.yaml, so no rosbag of ROS 2: give {KINDS}.")
+    with path.open("rb") as file:
+        begins = file.read(16)
+    if begins[:4] in PCAP or begins[:4] == PCAPNG:
+        return "pcap"
+    if begins.startswith(_RECORDINGS):
+        return "ros"
+    if begins[:2] == FLAG.to_bytes(2, "little"):
+        return "bare"
+    raise UavrlError(f"{path} {'is empty' if not begins else 'is of no known kind'}: give {KINDS}.")
+
+
+def without_vehicle(
+    points: np.ndarray, low: np.ndarray, high: np.ndarray, sensor: np.ndarray | None = None
+) -> np.ndarray:
+    """The points ``[P, 3]`` that do not lie in a box around the vehicle, whose legs and rotors its own LiDAR sees.
+
+    Args:
+        points: in the sensor frame, in m.
+        low: the box's least corner ``[3]`` in body axes, in m.
+        high: its greatest corner.
+        sensor: where the sensor is in body axes, ``[3]``; None for a box that is given from the sensor.
+
+    Examples:
+        >>> seen = np.array([[0.2, 0.0, -0.3], [2.0, 0.0, 0.0]])
+        >>> without_vehicle(seen, np.full(3, -0.4), np.full(3, 0.4)).tolist()
+        [[2.0, 0.0, 0.0]]
+    """
+    at = points if sensor is None else points + np.asarray(sensor, points.dtype)
+    return points[~((at >= low) & (at <= high)).all(-1)]

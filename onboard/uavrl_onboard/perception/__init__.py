@@ -1,0 +1,1 @@
+"""What a policy reads of a scan: cells, observation, moving objects."""

@@ -1,0 +1,1 @@
+"""An exported policy: its contract, its network, and what it reads."""

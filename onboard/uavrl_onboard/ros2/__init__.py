@@ -1,0 +1,1 @@
+"""A vehicle and its LiDAR by ROS 2, without a ROS installation."""

@@ -1,0 +1,185 @@
+"""Scans and a vehicle by ROS 2, without ROS: PointCloud2 and Odometry in, Twist out. docs/ros2.md says how."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from uavrl_onboard.autopilot.clock_sync import SenderClock
+from uavrl_onboard.autopilot.frames import Pose, check_setpoint, roll_pitch_yaw, turned
+from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
+from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.lidar.bags import cloud_scan, seconds
+from uavrl_onboard.lidar.ros_messages import CLOUD, HEADER, ODOMETRY, TWIST, TWIST_STAMPED
+from uavrl_onboard.lidar.scans import Scan, Skipped
+from uavrl_onboard.ros2.dds import SILENCE, Arrived, OnNode, check_topic, idl_type, topic_of
+
+LOST = 1.0  # s without odometry after which the vehicle is lost; it comes 20 times a second or more
+_CLOCKS_AGREE = 10.0  # s: what is said to be older was stamped by another clock
+KINDS = {"twist": TWIST, "twist_stamped": TWIST_STAMPED}
+
+
+class Stamps:
+    """When the messages of a topic were made, on our clock.
+
+    A message's header says when. Where that is less than 10 s ago its clock agrees with ours, and its age is believed.
+    Otherwise (a simulation's clock, a sensor's own) it counts from its arrival, less what it waited on its way. A
+    header without a time has that at which the message was sent. One no newer than the one before is none.
+    """
+
+    def __init__(self) -> None:
+        self._clock = SenderClock()
+
+    def of(self, made: float, arrived: Arrived) -> float | None:
+        """The time of a message on the clock of ``time.monotonic``, s.
+
+        Args:
+            made: when its header says it was made, in s of its clock; 0 for a header that says nothing.
+            arrived: the message.
+        """
+        made = made or arrived.sent
+        stamp, age = self._clock.stamp(made, arrived.now), arrived.wall - made
+        return stamp if stamp is None or not 0.0 <= age < _CLOCKS_AGREE else min(stamp, arrived.now - age)
+
+
+class Ros2Scans(OnNode):
+    """Clouds of points as a node of ROS 2 publishes them; a `uavrl_onboard.flight.interfaces.ScanFeed`.
+
+    Args:
+        source: ``ros2:///TOPIC``, a topic of ``sensor_msgs/msg/PointCloud2``, or ``ros2://DOMAIN/TOPIC``.
+
+    Attributes:
+        skipped: how much was left out so far, by reason.
+
+    Raises:
+        UavrlError: where cyclonedds is missing, or its domain cannot be entered.
+    """
+
+    def __init__(self, source: str = "ros2:///velodyne_points") -> None:
+        domain, self.topic = topic_of(source)
+        self.skipped = Skipped()
+        self._stamps, self._heard = Stamps(), -math.inf  # when the last cloud came
+        super().__init__(domain)
+        self._node.reads(self.topic, CLOUD)
+        self._node.start()
+
+    def poll(self, now: float) -> Scan | None:
+        """The newest scan that has come since the last call."""
+        arrived = self._node.take(self.topic)
+        if arrived is None:
+            return None
+        self._heard = time.monotonic()
+        stamp = self._stamps.of(seconds(arrived.message.header.stamp), arrived)
+        if stamp is None:
+            self.skipped.late += 1
+            return None
+        return cloud_scan(arrived.message, stamp, self.skipped)
+
+    def trouble(self) -> str:
+        """Why no scan came out, as a sentence's second half."""
+        if SILENCE < (silent := time.monotonic() - self._heard) < math.inf:
+            return f"no message has come on {self.topic} for {silent:.0f} s, where there were some: look at its driver."
+        if self.skipped.sentences():
+            return f"no cloud on {self.topic} could be taken ({'; '.join(self.skipped.sentences())})."
+        return f"no message has come on {self.topic}: does a node in this domain publish {CLOUD} there, over DDS?"
+
+
+class Ros2Vehicle(OnNode):
+    """A vehicle flown by ROS 2 nodes, as a :class:`~uavrl_onboard.flight.interfaces.VehicleLink`.
+
+    A Twist has no mode and no arming: whoever subscribes to it obeys it, or not. So set-points count as obeyed once
+    odometry comes and somebody subscribes.
+
+    Args:
+        source: ``ros2:///TOPIC``, a topic of ``nav_msgs/msg/Odometry``, or ``ros2://DOMAIN/TOPIC``.
+        setpoints: the topic to send to.
+        kind: ``"twist"`` or ``"twist_stamped"``, of ``geometry_msgs``.
+        frame_id: of a stamped one, that of the vehicle's body.
+
+    Raises:
+        UavrlError: where cyclonedds is missing, or its domain cannot be entered.
+    """
+
+    def __init__(
+        self,
+        source: str = "ros2:///odom",
+        *,
+        setpoints: str = "/cmd_vel",
+        kind: str = "twist",
+        frame_id: str = "base_link",
+    ) -> None:
+        domain, self.topic = topic_of(source)
+        if kind not in KINDS:
+            raise UavrlError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}.")
+        self.setpoints, self.kind, self.frame_id = check_topic(setpoints), kind, frame_id
+        self._stamps = Stamps()
+        self._pose: Pose | None = None
+        self._heard_at: float | None = None
+        super().__init__(domain)
+        self._node.reads(self.topic, ODOMETRY)
+        self._node.writes(self.setpoints, KINDS[kind])
+        self._node.start()
+
+    def receive(self, now: float) -> None:
+        """Reads what has come."""
+        arrived = self._node.take(self.topic)
+        if arrived is not None:
+            self._heard_at = arrived.now
+            stamp = self._stamps.of(seconds(arrived.message.header.stamp), arrived)
+            if stamp is not None:
+                self._pose = pose_of(arrived.message, stamp)
+
+    def pose(self) -> Pose | None:
+        """Where the vehicle was last, which may not be finite; ``None`` before it has told."""
+        return self._pose
+
+    def status(self, now: float) -> VehicleStatus:
+        """Who flies the vehicle, as far as a topic can tell."""
+        listeners = self._node.listeners(self.setpoints)
+        if self._heard_at is None:
+            return VehicleStatus(Control.WAITING, f"no odometry has come on {self.topic} yet")
+        if now - self._heard_at > LOST:
+            return VehicleStatus(Control.LOST, f"no odometry on {self.topic} for {now - self._heard_at:.1f} s")
+        if not listeners:
+            return VehicleStatus(Control.WAITING, f"nobody subscribes to {self.setpoints}")
+        sentence = f"{self.setpoints} has {listeners} subscriber{'s' * (listeners > 1)}, which may obey it"
+        return VehicleStatus(Control.IN_CONTROL, sentence, "ROS 2")
+
+    def send(self, setpoint: Sequence[float] | np.ndarray | None, now: float) -> None:
+        """Sends a set-point (l_x, l_y, l_z, a_z), or nothing.
+
+        Raises:
+            UavrlError: for a set-point that is not four finite numbers.
+        """
+        if setpoint is not None:
+            twist = twist_of(setpoint)
+            if self.kind == "twist_stamped":
+                twist = idl_type(TWIST_STAMPED)(header_at(time.time(), self.frame_id), twist)
+            self._node.write(self.setpoints, twist)
+
+
+def pose_of(odometry: Any, stamp: float) -> Pose:
+    """The pose in an Odometry. Its axes are ours (REP 103): x forward, y left, z up, the velocity in the body's."""
+    at, velocity = odometry.pose.pose.position, odometry.twist.twist.linear
+    turn = odometry.pose.pose.orientation
+    rotation = (turn.w, turn.x, turn.y, turn.z)
+    moved = turned((velocity.x, velocity.y, velocity.z), rotation)
+    roll, pitch, yaw = roll_pitch_yaw(rotation)
+    return Pose(stamp, (at.x, at.y, at.z), moved, yaw, roll, pitch)
+
+
+def twist_of(setpoint: Sequence[float] | np.ndarray) -> Any:
+    """A set-point as a Twist in the body's axes, which are ours."""
+    forward, left, up, to_the_left = check_setpoint(setpoint)
+    vector = idl_type("geometry_msgs/msg/Vector3")
+    return idl_type(TWIST)(vector(forward, left, up), vector(0.0, 0.0, to_the_left))
+
+
+def header_at(stamp: float, frame_id: str) -> Any:
+    """A header with a time in s since 1970."""
+    whole = int(stamp)
+    return idl_type(HEADER)(idl_type("builtin_interfaces/msg/Time")(whole, int((stamp - whole) * 1e9)), frame_id)

@@ -1,0 +1,98 @@
+"""A trained policy that knows its environment."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from uavrl.config import compose, validate_run
+from uavrl.errors import UavrlError
+from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
+
+UNSEEN = 100  # the seed of a valley in which no policy here was trained
+_TAKEN = ("env", "randomize")
+
+
+class LoadedPolicy(TensorDictModuleBase):
+    """Reads ``observation`` and writes ``action``, without exploration noise and without gradients.
+
+    :func:`uavrl.load_policy` makes it. It acts wherever its network is, and answers where the observation is.
+
+    Args:
+        actor: the network with what turns its numbers into an action; to be trained further, for example.
+        config: the configuration of the run that trained it.
+        source: what is known of it: its run, checkpoint, training steps and episodes, commit.
+    """
+
+    def __init__(self, actor: TensorDictModuleBase, config: DictConfig, source: Mapping[str, Any]) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["observation"], ["action"]
+        self.actor, self.config, self.source = actor, config, dict(source)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the action of each observation."""
+        observation = tensordict.select("observation")
+        at = next((each.device for each in self.parameters()), observation.device)
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            acted = self.actor(observation.to(at))
+        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
+
+    def make_env(
+        self,
+        *changes: str,
+        num_uavs: int = 1,
+        valleys: Sequence[int] | None = None,
+        seed: int = 20_000,
+        keep_cloud: bool = False,
+    ) -> TransformedEnv:
+        """An environment as that of its training, with the inputs and the reward that it was trained with.
+
+        Args:
+            *changes: as ``uavrl-evaluate`` takes them: ``"env=dynamic"``, ``"randomize=none"``,
+                ``"env.world.obstacles=90"``, ``"perception.lidar.range_noise=0.02"``, ``"perception.memory=12"``.
+            num_uavs: number of vehicles, the environment's batch size.
+            valleys: seeds of the valleys, each built when a task needs it; by default 100, which no packaged policy
+                was trained in.
+            seed: of the tasks.
+            keep_cloud: whether it also gives the point clouds, and whether an episode begins, as a
+                :class:`~uavrl.evaluation.shielded.Shielded` or :class:`~uavrl.evaluation.evading.Evading` reads.
+
+        Raises:
+            UavrlError: for a change that the policy cannot be asked to bear.
+
+        Examples:
+            >>> from uavrl import load_policy
+            >>> env = load_policy("best").make_env("randomize=none", num_uavs=4, valleys=[100])
+            >>> env.reset()["observation"].shape
+            torch.Size([4, 237])
+        """
+        keys = keys_of(changes)
+        for key in keys:
+            if (key not in _TAKEN and not key.startswith(("env.", *OF_SENSOR))) or key == "env.num_uavs":
+                taken = "env, env.KEY, randomize, perception.lidar.KEY, perception.blind and perception.memory"
+                raise UavrlError(f"make_env takes changes of {taken}, and its arguments, got {key!r}.")
+        try:
+            composed = compose(*changes, name="evaluate")
+        except Exception as error:  # of Hydra, whose further lines are about its own syntax
+            raise UavrlError(f"make_env cannot take {', '.join(changes)}. {str(error).splitlines()[0]}") from error
+        OmegaConf.update(composed, "packages", self.config.packages)
+        run = validate_run(with_overrides(self.config, composed, list(changes)))
+        if valleys is not None:
+            require_valley(run.env, run.choices, "valleys")
+        if "world" in run.env and (valleys is not None or "env.world.seeds" not in keys):
+            run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
+        context: dict[str, Any] = {
+            "packages": run.packages,
+            "num_uavs": num_uavs,
+            "seed": seed,
+            "keep_cloud": keep_cloud,
+            "mark_resets": keep_cloud,
+        }
+        return make_env(run.env, run.perception, run.reward, **context)

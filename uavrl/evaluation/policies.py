@@ -1,0 +1,305 @@
+"""What evaluation and replay share: which policy acts in which environment, and what its results are called."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from uavrl.config import TrainConfig, validate, validate_run
+from uavrl.config.build import TARGET, build, find_class
+from uavrl.config.context import CONTEXT
+from uavrl.config.parts import Part
+from uavrl.config.settings import FlyingConfig
+from uavrl.errors import UavrlError
+from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
+from uavrl.runs.weights import POLICY
+from uavrl_onboard.policy.contract import CONTRACT
+from uavrl_onboard.sentences import did_you_mean
+
+if TYPE_CHECKING:
+    import torch
+    from tensordict import TensorDictBase
+    from torchrl.envs import EnvBase
+
+    from uavrl.evaluation.loaded import LoadedPolicy
+
+PACKAGED = Path(__file__).parents[1] / "policies"  # what `policy=NAME` names, beside the baselines
+EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
+GONE = ("static", "dynamic")  # what came with uavrl 0.1.0
+BASELINES = {
+    "straight": "uavrl.policies.baselines.StraightPolicy",
+    "vfh": "uavrl.policies.baselines.VectorFieldHistogram",
+    "vfh_star": "uavrl.planners.vfh_star.VFHStar",
+    "mppi": "uavrl.planners.mppi.MPPI",
+    "potential_field": "uavrl.planners.potential_field.PotentialField",
+    "rrt_connect": "uavrl.planners.rrt_connect.RRTConnect",
+    "rrt_map": "uavrl.planners.rrt_map.RRTMap",
+}
+"""The classes of the policies that learn nothing, by the name that chooses them on the command line."""
+
+# Keys of an evaluation that do not say which policy was evaluated in which tasks.
+PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
+
+
+@dataclass(frozen=True)
+class PolicySetup:
+    """A policy and its environment."""
+
+    policy: Callable[[TensorDictBase], TensorDictBase]  # reads an environment's output, writes ``action``
+    env: Part
+    perception: Part
+    reward: Part
+    choices: Mapping[str, str]  # the yaml file of each part
+    source: dict[str, Any]  # what a result says about the policy
+    run: TrainConfig | None = None  # where it comes from, with what the command line changed; None for a baseline
+
+    @property
+    def env_options(self) -> dict[str, bool]:
+        """Options of :func:`~uavrl.evaluation.environment.make_env` that make it emit the ``in_keys``."""
+        read = getattr(self.policy, "in_keys", ())
+        return {"keep_cloud": "point_cloud" in read, "mark_resets": "is_init" in read}
+
+
+def choose(
+    settings: FlyingConfig, config: DictConfig, overrides: list[str], folder: Path | None, device: torch.device
+) -> PolicySetup:
+    """Loads what the command line asks for."""
+    from uavrl.evaluation.actor import read_policy
+
+    if "env.num_uavs" in keys_of(overrides):
+        instead = "write num_uavs=N" if hasattr(settings, "num_uavs") else "a replay flies one vehicle"
+        raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
+    if folder is None:
+        require_valley(settings.env, settings.choices, "policy")
+        context = {**settings.perception, "flight_level": settings.env.world.flight_level}
+        context["airframe"] = settings.env.get("airframe")
+        policy = named_policy(str(settings.policy), context, settings.packages)
+        settings = _as_contracted(policy, settings, config, overrides)
+        parts = (settings.env, settings.perception, settings.reward, settings.choices)
+        chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
+    else:
+        policy = read_policy(folder, settings.checkpoint, device, settings.packages)
+        run = validate_run(with_overrides(policy.config, config, overrides))
+        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, policy.source, run)
+    if settings.valleys is not None:
+        require_valley(chosen.env, chosen.choices, "valleys")
+        chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
+    chosen = _led(chosen)
+    chosen = chosen if settings.evade is None else _evading(chosen, settings.evade, keys_of(overrides))
+    return _shielded(chosen) if settings.shield else chosen
+
+
+def _led(chosen: PolicySetup) -> PolicySetup:
+    """The same along the way that its perception remembers; what reads the observation alone is led by that."""
+    if chosen.perception.get("memory") is None or "heading_deg" not in getattr(chosen.policy, "in_keys", ()):
+        return chosen
+    if getattr(chosen.policy, "has_map", False):
+        raise UavrlError(
+            f"policy={chosen.source['policy']} has a map of its own, which perception.memory would lead astray: leave "
+            "perception.memory out, or choose another policy."
+        )
+    from uavrl.evaluation.led import Led
+
+    return replace(chosen, policy=Led(chosen.policy))
+
+
+def _evading(chosen: PolicySetup, max_range: float, given: Collection[str]) -> PolicySetup:
+    """The same out of the ways of what moves, for which its scans reach as far as that is looked for."""
+    from uavrl.evaluation.environment import with_sight
+    from uavrl.evaluation.evading import Evading
+
+    require_valley(chosen.env, chosen.choices, "evade")
+    perception, lidar, key = chosen.perception, chosen.perception.get("lidar"), "perception.lidar.far_range"
+    if lidar is not None and key not in given and (lidar.far_range or max_range) < max_range:
+        perception = Part({**perception, "lidar": replace(lidar, far_range=None)})  # a run wrote down what it needed
+    about = {"flight_level": chosen.env["world"].flight_level, "airframe": chosen.env.get("airframe")}
+    policy = Evading(chosen.policy, max_range, **about)
+    return replace(chosen, policy=policy, perception=Part(with_sight(perception, evade=max_range)))
+
+
+def _shielded(chosen: PolicySetup) -> PolicySetup:
+    """The same behind a shield for the hull of the environment's vehicle."""
+    from uavrl.envs.quadrotor import Airframe
+    from uavrl.evaluation.shielded import Shielded
+    from uavrl_onboard.guards.shield import Shield
+
+    require_valley(chosen.env, chosen.choices, "shield")
+    hull = chosen.env.get("airframe") or Airframe()
+    sizes = {"radius": hull.collision_radius, "height": hull.collision_height, "sensor": hull.lidar_position[2]}
+    sizes["nearest"] = getattr(chosen.perception.get("lidar"), "min_range", 0.0)
+    return replace(chosen, policy=Shielded(chosen.policy, Shield(**sizes)))
+
+
+def _as_contracted(policy: Any, settings: FlyingConfig, config: DictConfig, overrides: list[str]) -> FlyingConfig:
+    """The settings with the perception and the sensor of an exported policy; as they are for any other."""
+    terms = getattr(policy, "overrides", None)
+    if terms is None:
+        return settings
+    config = config.copy()
+    given = keys_of(overrides)
+    require_sensor_alone(given, ("perception",), "policy")
+    for key, value in terms.items():
+        if key not in given and OmegaConf.select(config, key.rpartition(".")[0]) is not None:
+            OmegaConf.update(config, key, value, merge=False)
+    return validate(config, type(settings))
+
+
+def require_fit(chosen: PolicySetup, env: EnvBase) -> None:
+    """Refuses a run's policy that reads or writes other numbers than an environment has, before the first step."""
+    import torch
+
+    if chosen.run is None:
+        return
+    try:
+        with torch.no_grad(), torch.random.fork_rng(devices=[]):
+            written = tuple(chosen.policy(env.fake_tensordict())["action"].shape)
+        wanted = tuple(env.full_action_spec["action"].shape)
+        reason = None if written == wanted else f"it writes actions of shape {written}, not {wanted}"
+    except (RuntimeError, KeyError) as error:
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+    if reason is not None:
+        raise UavrlError(
+            f"The policy and env={chosen.choices.get('env')} do not go together ({reason}): leave env out, or choose "
+            f"another policy."
+        )
+
+
+def result_overrides(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
+    """The overrides of a command line whose keys are not plain: those by which its result differs from another one."""
+    return [override for override in overrides if override.split("=")[0] not in plain]
+
+
+def output_name(stem: str, overrides: Sequence[str]) -> str:
+    """A file name without suffix in which the overrides stand."""
+    told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
+    return "_".join([stem, *told])
+
+
+def packaged_policies() -> list[str]:
+    """The names of the policies that come with the package."""
+    return sorted(path.parent.name for path in PACKAGED.glob(f"*/{POLICY.json}"))
+
+
+def policy_folder(run: str | None, policy: str | None) -> Path | None:
+    """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline."""
+    if (run is None) == (policy is None):
+        raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
+    if run is not None:
+        return Path(run)
+    return PACKAGED / str(policy) if policy in packaged_policies() else None
+
+
+def require_policy(name: object) -> None:
+    """Refuses a name that means no policy; loads no torch."""
+    names = [*BASELINES, *packaged_policies()]
+    if isinstance(name, str) and name not in names and "." not in name and exported_folder(name) is None:
+        hint = (
+            "for your own give run=RUN_FOLDER, an exported folder, a .zip of Stable-Baselines3 or PACKAGE.MODULE.CLASS."
+        )
+        raise unknown_policy(name, names, hint)
+
+
+def require_named(config: DictConfig) -> None:
+    """The same of what a command line says; a value that cannot be read is told where all others are."""
+    with suppress(OmegaConfBaseException):
+        require_policy(config.policy)
+
+
+def load_policy(
+    policy: str | Path, *, checkpoint: str | Path | None = None, device: str = "cpu", packages: Iterable[str] = ()
+) -> LoadedPolicy:
+    """Loads a trained policy: it reads what an environment emits, and writes ``action``.
+
+    Environments for it come from :meth:`~uavrl.evaluation.loaded.LoadedPolicy.make_env`.
+
+    Args:
+        policy: the name of a packaged policy (``"best"``), the folder of a run, or one that ``uavrl-export`` wrote.
+        checkpoint: the file of one of a run's checkpoints; None: the newest.
+        device: where the network is computed: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
+        packages: whose code may be executed because the run names their classes.
+
+    Raises:
+        UavrlError: where there is no such policy, or its files are damaged.
+
+    Examples:
+        >>> policy = load_policy("best")
+        >>> env = policy.make_env(num_uavs=2)
+        >>> env.rollout(5, policy)["action"].shape  # 2 vehicles, 5 steps, 3 velocities and a yaw rate
+        torch.Size([2, 5, 4])
+    """
+    name, folder = str(policy), Path(policy).expanduser()
+    if name in packaged_policies():
+        folder = PACKAGED / name
+    elif not folder.is_dir() and "/" not in name:
+        own = "for your own give the folder of a run, or one that uavrl-export wrote."
+        raise unknown_policy(name, packaged_policies(), own)
+    from uavrl.evaluation import actor, environment
+
+    at = environment.make_device(device)
+    return actor.read_policy(folder, None if checkpoint is None else str(checkpoint), at, tuple(packages))
+
+
+def named_policy(
+    name: str, told: Mapping[str, Any], packages: Sequence[str]
+) -> Callable[[TensorDictBase], TensorDictBase]:
+    """A policy that is no run: a baseline, a ``.zip`` of Stable-Baselines3, or a ``PACKAGE.MODULE.CLASS``.
+
+    Of ``told``, ``flight_level``, ``airframe`` and what perception says (``radius``, …), a baseline is given what its
+    constructor names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
+    ``stable_baselines3``. A folder is one that ``uavrl-export`` wrote.
+    """
+    require_policy(name)
+    target = BASELINES.get(name, name)
+    if name.endswith(".zip"):
+        from uavrl.evaluation.sb3 import StableBaselinesPolicy
+
+        if "stable_baselines3" not in packages:
+            trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
+            raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
+        return StableBaselinesPolicy(name)
+    own: dict[str, Any] = {}
+    if name not in BASELINES and (folder := exported_folder(name)) is not None:
+        target, own = EXPORTED, {"folder": folder}
+    context = {key: told[key] for key in CONTEXT["policy"]}
+    seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else own
+    made = build({**seen, TARGET: target}, object, packages=packages, **context)
+    if not callable(made):
+        raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
+    return made
+
+
+def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
+    """Says which names a policy may have, and how to name one of one's own, or what has become of this one."""
+    if name in GONE:
+        return UavrlError(
+            f"policy={name} came with uavrl 0.1.0 and is not in this version: take policy=best, which succeeds more "
+            f"often, or give run=FOLDER with a copy of its folder."
+        )
+    near = did_you_mean(name, names, ": ", own)
+    return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
+
+
+def exported_folder(name: str) -> Path | None:
+    """The folder of an exported policy that a name means; None for a name of another kind."""
+    path = Path(name).expanduser() if name.startswith("~/") else Path(name)
+    return path if "/" in name or path.is_dir() else None
+
+
+def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:
+    """The file that a policy of :func:`named_policy` comes from; None for a baseline, and where there is none."""
+    path = Path(name)
+    if path.suffix != ".zip":
+        if (folder := exported_folder(name)) is not None:
+            return folder / CONTRACT if (folder / CONTRACT).is_file() else None
+        if "." not in name:
+            return None
+        path = Path(inspect.getsourcefile(find_class(name, object, packages)) or "")
+    return path if path.is_file() else None

@@ -1,0 +1,146 @@
+"""Rolls out a policy in fixed, seeded tasks without exploration noise, and keeps how each of them ended."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase, step_mdp
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from uavrl.evaluation.smoothness import action_change, yaw_reversals
+from uavrl.runs.episodes import outcome
+from uavrl.runs.progress_line import ProgressLine
+from uavrl.transforms.state import ACTION_LIMIT
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """How one task ended; lengths in metres, None where the environment emits no ``clearance``."""
+
+    task: int  #: its number, from 0
+    outcome: str  #: arrived, collided or timed_out
+    steps: int  #: until then
+    world_seed: int | None = None  #: of the valley
+    straight: float | None = None  #: the line from start to end
+    flown: float | None = None  #: the path between them
+    clearance: float | None = None  #: the least distance between the hull and the nearest thing
+    episode_return: float | None = None  #: as the environment gives it, where lengths are None
+    #: mean absolute change of each component of the action per step, of forward, left and up in m/s and of the yaw rate
+    #: in rad/s, within the limits of the action; of other environments in their units. None in an episode of one step
+    action_change: list[float] | None = None
+    yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
+
+    @property
+    def path_efficiency(self) -> float | None:
+        """Straight line from start to end over the length flown, in (0, 1]; None for an episode that did not arrive.
+
+        Its end is then not where it was to go: who circles, or hits the first thing in a straight line, saves nothing.
+        """
+        if self.outcome != "arrived" or self.straight is None or self.flown is None:
+            return None
+        return self.straight / max(self.flown, 1e-9)
+
+
+@torch.no_grad()
+def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[TensorDictBase]:
+    """Steps of an environment of any batch size from ``env.reset()``'s state on, each with its ``"next"``, without end.
+
+    The policy reads the environment's output and writes ``action``, without exploration noise. A vehicle that is done
+    begins its next task when the step after is asked for.
+    """
+    while True:
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            stepped = env.step(policy(state))
+        yield stepped
+        state = env.maybe_reset(step_mdp(stepped))
+
+
+class FlightMeter:
+    """Follows each of ``count`` vehicles from reset to done."""
+
+    def __init__(self, count: int) -> None:
+        self._steps = np.zeros(count, dtype=int)
+        self._return, self._flown = np.zeros(count), np.zeros(count)
+        self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
+        self._actions: list[list[np.ndarray]] = [[] for _ in range(count)]
+
+    def step(self, stepped: TensorDictBase) -> list[Flight]:
+        """Takes in one step of all vehicles; returns the episodes that it ended."""
+        before, after = stepped.reshape(-1), stepped["next"].reshape(-1)
+        if after.get("clearance", None) is not None:
+            self._measure(before, after)
+        new = self._steps == 0
+        self._return = np.where(new, 0.0, self._return) + after["reward"].double().numpy()[:, 0]
+        self._steps += 1
+        actions = before["action"].double().numpy().reshape(len(self._actions), -1)
+        for kept, action in zip(self._actions, actions, strict=True):
+            kept.append(action)
+        ended = np.flatnonzero(after["done"].numpy()[:, 0]).tolist()
+        flights = [self._flight(i, after[i]) for i in ended]
+        self._steps[ended] = 0
+        for i in ended:
+            self._actions[i] = []
+        return flights
+
+    def _measure(self, before: TensorDictBase, after: TensorDictBase) -> None:
+        position, next_position = before["position"].double().numpy(), after["position"].double().numpy()
+        new = self._steps == 0
+        self._start[new] = position[new]
+        self._clearance[new] = before["clearance"].numpy()[new, 0]
+        self._clearance = np.minimum(self._clearance, after["clearance"].numpy()[:, 0])
+        self._flown = np.where(new, 0.0, self._flown) + np.linalg.norm(next_position - position, axis=1)
+
+    def _flight(self, i: int, last: TensorDictBase) -> Flight:
+        flight = Flight(int(last["task"].item()), outcome(last), int(self._steps[i]))
+        actions = np.stack(self._actions[i])
+        if last.get("clearance", None) is None:
+            paid = float(last.get("episode_reward", self._return[i]))
+            return replace(flight, episode_return=paid, action_change=action_change(actions))
+        actions = actions.clip(-ACTION_LIMIT, ACTION_LIMIT)  # as the vehicle takes them
+        return replace(
+            flight,
+            action_change=action_change(actions),
+            yaw_reversals=yaw_reversals(actions),
+            world_seed=int(last["world_seed"].item()),
+            straight=float(np.linalg.norm(last["position"].double().numpy() - self._start[i])),
+            flown=float(self._flown[i]),
+            clearance=max(float(self._clearance[i]), 0.0),
+        )
+
+
+def fly(
+    env: EnvBase,
+    policy: Policy,
+    episodes: int,
+    *,
+    watch: Callable[[np.ndarray], None] | None = None,
+    progress: bool = False,
+) -> list[Flight]:
+    """Rolls out tasks 0 to ``episodes - 1`` of the environment's seed, each once, to its end, and in this order.
+
+    Args:
+        env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
+        policy: reads the environment's output, writes ``action``.
+        episodes: number of tasks.
+        watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
+        progress: show a progress line.
+    """
+    meter, flights = FlightMeter(env.batch_size.numel()), dict[int, Flight]()
+    state = env.reset()
+    if state["task"].min() != 0:
+        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
+    with ProgressLine(episodes, "episodes", enabled=progress) as line:
+        for stepped in rollout(env, policy, state):
+            if watch is not None:
+                after = stepped["next"]
+                watch(after["position"][after["task"][:, 0] < episodes].numpy())
+            ended = [flight for flight in meter.step(stepped) if flight.task < episodes]
+            flights |= {flight.task: flight for flight in ended}
+            line.add(len(ended))
+            if len(flights) == episodes:
+                break
+    return [flights[task] for task in range(episodes)]

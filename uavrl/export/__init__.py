@@ -1,0 +1,1 @@
+"""From a run to policy.onnx and contract.json."""

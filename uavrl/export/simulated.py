@@ -1,0 +1,65 @@
+"""An exported policy in the simulator: the same code that flies a vehicle, on what the environment emits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+
+from uavrl.envs.simulation import CONTROL_RATE
+from uavrl.errors import UavrlError
+from uavrl_onboard.policy.policy import Policy
+
+
+class ExportedPolicy:
+    """Flies simulated vehicles by a folder that ``uavrl-export`` wrote.
+
+    Args:
+        folder: the exported policy.
+
+    Raises:
+        UavrlError: as :class:`~uavrl_onboard.policy.policy.Policy`, and for a contract of another rate than the
+        simulator's.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self._policy = Policy(folder)
+        self._vehicles: list[Policy] = []
+        motion = () if self._policy.contract.motion is None else ("velocity", "attitude")
+        self.in_keys = ("is_init", "point_cloud", "altitude", "heading_deg", "elevation_deg", *motion)
+        if self._policy.contract.rate_hz != CONTROL_RATE:
+            other = f"{folder} acts {self._policy.contract.rate_hz:g} times a second"
+            raise UavrlError(f"{other}, and the simulator asks {CONTROL_RATE} times: choose another policy.")
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action``; a vehicle with ``is_init`` begins an episode."""
+        begins, cloud, *told = (tensordict[key].numpy() for key in self.in_keys)
+        while len(self._vehicles) < len(cloud):
+            self._vehicles.append(self._policy.copy())
+        actions = np.zeros((len(cloud), len(self._policy.contract.action.order)), np.float32)
+        for number, vehicle in enumerate(self._vehicles[: len(cloud)]):
+            if begins[number].all():
+                vehicle.reset()
+            altitude, heading, elevation = (float(part[number, 0]) for part in told[:3])
+            actions[number] = vehicle(cloud[number], altitude, heading, elevation, *(part[number] for part in told[3:]))
+        return tensordict.set("action", torch.from_numpy(actions))
+
+    def flown(self, actions: np.ndarray) -> None:
+        """Takes what the vehicles ``[N, 4]`` flew in place of what it gave: to the policy it is the last action."""
+        for vehicle, action in zip(self._vehicles, actions, strict=False):
+            vehicle.last_action = action.copy()
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """The keys of a configuration whose environment and perception are the contract's."""
+        terms = self._policy.contract
+        perception = {key: getattr(terms.cells, key) for key in ("radius", "reduction", "statistic")}
+        perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
+        perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
+        perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
+        perception |= {} if terms.memory is None else {"memory": terms.memory.sight}
+        sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
+        return {f"perception.{key}": value for key, value in perception.items()} | sensor

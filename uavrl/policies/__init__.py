@@ -1,0 +1,1 @@
+"""Packaged policies, and scripted baselines."""

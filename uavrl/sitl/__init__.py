@@ -1,0 +1,1 @@
+"""A simulated vehicle behind LiDAR packets and MAVLink."""

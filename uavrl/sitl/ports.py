@@ -1,0 +1,91 @@
+"""The ports of a simulated vehicle: LiDAR packets out, MAVLink out and in."""
+
+from __future__ import annotations
+
+import logging
+import select
+import socket
+from collections.abc import Iterable
+from types import ModuleType
+from typing import Any
+
+from uavrl.errors import UavrlError
+from uavrl_onboard.autopilot.mavlink import PORT as AUTOPILOT_PORT
+from uavrl_onboard.lidar.packets import PORT as LIDAR_PORT
+from uavrl_onboard.lidar.udp import address
+
+_logger = logging.getLogger(__name__)
+
+_AT_ONCE = 1000  # datagrams that one call reads at most
+
+
+class SitlPorts:
+    """Sends to two addresses, each from a port of its own, and hears what is sent to the autopilot's.
+
+    Args:
+        messages: pymavlink's messages.
+        lidar: where packets go, ``udp://HOST:PORT``.
+        autopilot: where MAVLink goes.
+        system: the vehicle's MAVLink system id.
+
+    Raises:
+        UavrlError: for what is no address, or a host that nobody knows.
+    """
+
+    def __init__(self, messages: ModuleType, lidar: str, autopilot: str, system: int) -> None:
+        self._lidar_to, self._mavlink_to = _found(lidar, LIDAR_PORT), _found(autopilot, AUTOPILOT_PORT)
+        self._messages, self._writer = messages, messages.MAVLink(None, srcSystem=system, srcComponent=1)
+        self._sensor = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._autopilot = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        here = self._mavlink_to[0].startswith("127.")  # then nobody else is heard
+        self._autopilot.bind(("127.0.0.1" if here else "", 0))
+        self._autopilot.setblocking(False)
+        self.number: int = self._autopilot.getsockname()[1]  #: of the autopilot's port
+
+    def close(self) -> None:
+        """Gives the ports back."""
+        self._sensor.close()
+        self._autopilot.close()
+
+    def send_packets(self, packets: Iterable[bytes]) -> None:
+        """Sends what the LiDAR sends."""
+        for packet in packets:
+            _give(self._sensor, packet, self._lidar_to)
+
+    def send_messages(self, messages: Iterable[Any]) -> None:
+        """Sends what the autopilot sends."""
+        for message in messages:
+            _give(self._autopilot, message.pack(self._writer), self._mavlink_to)
+
+    def wait(self, seconds: float) -> bool:
+        """Waits until something has come; False where nothing has in so many seconds."""
+        return bool(select.select([self._autopilot], [], [], max(seconds, 0.0))[0])
+
+    def heard(self) -> list[Any]:
+        """All messages that have come; nothing waits in it."""
+        found: list[Any] = []
+        for _ in range(_AT_ONCE):
+            try:
+                data = self._autopilot.recv(65535)
+            except OSError:
+                break
+            parser = self._messages.MAVLink(None)
+            parser.robust_parsing = True  # bytes that are no message come out as such, not as an exception
+            found += parser.parse_buffer(data) or []
+        return found
+
+
+def _give(sender: socket.socket, packet: bytes, to: tuple[str, int]) -> None:
+    try:
+        sender.sendto(packet, to)
+    except OSError as error:  # nobody listens, or the network is down
+        _logger.debug("A packet was not sent: %s", error)
+
+
+def _found(where: str, port: int) -> tuple[str, int]:
+    """The numbers of an address, found once and not for each packet."""
+    host, number = address(where, port)
+    try:
+        return socket.gethostbyname(host or "127.0.0.1"), number
+    except OSError as error:
+        raise UavrlError(f"{where} cannot be sent to ({error.strerror}): give a host of this network.") from error
