@@ -20,7 +20,7 @@ from unittest.mock import patch
 import torch
 
 from uavrl.config import compose, validate
-from uavrl.evaluation import baselines
+from uavrl.policies import baselines
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.rollout import fly
 from uavrl.evaluation.summary import summarize

@@ -17,8 +17,8 @@ FOUND = (
     "by uavrl_onboard Navigator: of every memory.every-th scan what lies within memory.sight m of the sensor "
     "and at most memory.level m over or under the altitude's divisor enters a grid of cells of memory.cell m, which "
     "forgets beyond memory.reach m; in it the quickest way to the goal is searched, where what was not seen is "
-    "free and the hull fits; the next point is the last one in a straight line, or else the one memory.ahead m along the way; what "
-    "has found the way otherwise will do. An episode begins without a map"
+    "free and the hull fits; the next point is the last one in a straight line, or else the one "
+    "memory.ahead m along the way; what has found the way otherwise will do. An episode begins without a map"
 )
 
 
