@@ -20,10 +20,10 @@ from unittest.mock import patch
 import torch
 
 from uavrl.config import compose, validate
-from uavrl.policies import baselines
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.rollout import fly
 from uavrl.evaluation.summary import summarize
+from uavrl.policies import baselines
 from uavrl_onboard.cli.process import one_sentence
 
 SEEN = ("range_image", "proximity")
