@@ -1,6 +1,6 @@
 """Draws how high flights were, from the files that `uavrl-evaluate` writes.
 
-python examples/altitudes.py uavrl/policies/best/suite.json:static uavrl/policies/best/suite.json:dynamic
+python examples/altitudes.py uavrl/policies/data/best/suite.json:static uavrl/policies/data/best/suite.json:dynamic
 python examples/altitudes.py runs/mine/evaluation.json
 """
 

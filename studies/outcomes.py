@@ -1,6 +1,6 @@
 """How many tasks end otherwise in a second evaluation of the same policy: on another processor, by another library?
 
-    python studies/outcomes.py uavrl/policies/best/suite.json:static here.json
+    python studies/outcomes.py uavrl/policies/data/best/suite.json:static here.json
     python studies/outcomes.py a/suite.json:dense b/suite.json:dense
 
 Prints the success of both and how many outcomes differ. A policy's last digits hang on the processor, and its episodes

@@ -1,4 +1,4 @@
-"""Makes a packaged policy, ``uavrl/policies/NAME``, of a run and of what the suite found of it.
+"""Makes a packaged policy, ``uavrl/policies/data/NAME``, of a run and of what the suite found of it.
 
     uavrl-evaluate run=RUN_FOLDER suite=all                # writes RUN_FOLDER/suite, an hour or more
     python -m tools.package_policy best RUN_FOLDER         # from the root of the repository, all changes committed

@@ -1,18 +1,91 @@
-"""uavrl: LiDAR-only quadrotor navigation with TorchRL, after Chansuparp (2022)."""
+"""uavrl: LiDAR navigation of a quadrotor with TorchRL, after Chansuparp (2022)."""
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from uavrl.envs.register import register_envs
+from uavrl.envs.register import register_with_gymnasium
+
+if TYPE_CHECKING:
+    from uavrl.buffers import ABR, ABRPlus, BackwardReward, EpisodeBuffer, MultiStep, PrioritizedBuffer
+    from uavrl.envs import Airframe, LidarConfig, NavigationEnv, Randomization, WorldConfig
+    from uavrl.errors import UavrlError
+    from uavrl.evaluation.policies import load_policy
+    from uavrl.losses import ActionRate, DDPGLoss, Fork, Imitation, LifeGuard, SACLoss, TD3Loss
+    from uavrl.models import Actor, Critic, GaussianActor
+    from uavrl.transforms import (
+        Mirror,
+        MovingObjects,
+        NavigationReward,
+        NavigationState,
+        RangeImage,
+        Threats,
+        TraditionalReward,
+        TruncatedIcosahedron,
+        Waypoint,
+    )
 
 __version__ = "0.2.0.dev0"
-__all__ = ["load_policy"]
+__all__ = [
+    "ABR",
+    "ABRPlus",
+    "ActionRate",
+    "Actor",
+    "Airframe",
+    "BackwardReward",
+    "Critic",
+    "DDPGLoss",
+    "EpisodeBuffer",
+    "Fork",
+    "GaussianActor",
+    "Imitation",
+    "LidarConfig",
+    "LifeGuard",
+    "Mirror",
+    "MovingObjects",
+    "MultiStep",
+    "NavigationEnv",
+    "NavigationReward",
+    "NavigationState",
+    "PrioritizedBuffer",
+    "Randomization",
+    "RangeImage",
+    "SACLoss",
+    "TD3Loss",
+    "Threats",
+    "TraditionalReward",
+    "TruncatedIcosahedron",
+    "UavrlError",
+    "Waypoint",
+    "WorldConfig",
+    "load_policy",
+]
 
-register_envs()
+_ROOMS = {
+    "buffers": ("ABR", "ABRPlus", "BackwardReward", "EpisodeBuffer", "MultiStep", "PrioritizedBuffer"),
+    "envs": ("Airframe", "LidarConfig", "NavigationEnv", "Randomization", "WorldConfig"),
+    "errors": ("UavrlError",),
+    "evaluation.policies": ("load_policy",),
+    "losses": ("ActionRate", "DDPGLoss", "Fork", "Imitation", "LifeGuard", "SACLoss", "TD3Loss"),
+    "models": ("Actor", "Critic", "GaussianActor"),
+    "transforms": (
+        *("Mirror", "MovingObjects", "NavigationReward", "NavigationState", "RangeImage", "Threats"),
+        *("TraditionalReward", "TruncatedIcosahedron", "Waypoint"),
+    ),
+}
+_MODULES = {name: room for room, names in _ROOMS.items() for name in names}
+
+register_with_gymnasium()
 
 
 def __getattr__(name: str) -> Any:
-    """Imports on first use: ``import uavrl`` loads nothing that takes time."""
-    if name != "load_policy":
+    """Import a name on its first use, so that ``import uavrl`` loads neither torch nor PyBullet."""
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return importlib.import_module("uavrl.evaluation.policies").load_policy
+    found = getattr(importlib.import_module(f"uavrl.{_MODULES[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    """List the names that are imported on first use as well."""
+    return sorted({*globals(), *__all__})

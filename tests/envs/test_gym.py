@@ -16,7 +16,7 @@ from gymnasium.wrappers import AddRenderObservation, RecordVideo, RenderCollecti
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from uavrl.envs.gym import ValleyEnv
-from uavrl.envs.register import register_envs
+from uavrl.envs.register import register_with_gymnasium
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 
@@ -60,7 +60,7 @@ def test_the_checkers_pass(check: Callable[..., None], drawn: gymnasium.Env) -> 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check(drawn.unwrapped, skip_render_check=True)
-        register_envs()  # a second time
+        register_with_gymnasium()  # a second time
     messages = [str(warning.message) for warning in caught]
     assert not [m for m in messages if not any(accepted in m for accepted in ACCEPTED)]
 

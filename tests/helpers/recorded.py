@@ -3,7 +3,7 @@
 An episode cannot be repeated on another processor: it amplifies the last digits of every product of its policy. A
 single action, reduction or observation does not. So these are kept, of real episodes:
 
-- ``uavrl/policies/NAME/recorded.safetensors``: states of the policy's episodes, and its actions in them;
+- ``uavrl/policies/data/NAME/recorded.safetensors``: states of the policy's episodes, and its actions in them;
 - ``tests/transforms/scans.safetensors``: the first scans of some episodes, and the states that are made of them.
 
     python -m tests.helpers.recorded    # writes all of them anew, after a reduction was changed on purpose

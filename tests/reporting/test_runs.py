@@ -51,7 +51,7 @@ def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for folder, told in (("nowhere", "There is no such folder"), ("file", "It holds no run")):
         assert reason(tmp_path / folder) == f"{told}: give the folder that uavrl-train printed."
-    assert "exported policy" in reason(ROOT / "uavrl/policies/best")
+    assert "exported policy" in reason(ROOT / "uavrl/policies/data/best")
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,50 @@
-"""Registration with Gymnasium, kept free of heavy imports: ``import uavrl`` runs it."""
+"""Registration with Gymnasium, without importing Gymnasium: ``import uavrl`` runs it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+VALLEY = "uavrl/Valley-v0"
+_REGISTRY = "gymnasium.envs.registration"
 
 
-def register_envs() -> None:
-    """Registers ``uavrl/Valley-v0`` where Gymnasium is installed.
+def register_with_gymnasium() -> None:
+    """Register ``uavrl/Valley-v0`` now if Gymnasium is loaded, and otherwise as soon as it is.
 
-    Gymnasium 1.0 loads no plugins: it imports what stands before the colon of ``uavrl:uavrl/Valley-v0``.
+    Gymnasium 1.0 loads no plugins: ``uavrl:uavrl/Valley-v0`` makes it import ``uavrl``, which may have been imported
+    before Gymnasium was.
     """
-    try:
-        from gymnasium.envs.registration import register, registry
-    except ImportError:  # the losses, models and transforms do not need it
-        return
-    if "uavrl/Valley-v0" not in registry:
-        register(id="uavrl/Valley-v0", entry_point="uavrl.envs.gym:make_valley")
+    if _REGISTRY in sys.modules:
+        _register(sys.modules[_REGISTRY])
+    elif not any(isinstance(finder, _WhenLoaded) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _WhenLoaded())
+
+
+def _register(registration: ModuleType) -> None:
+    if VALLEY not in registration.registry:
+        registration.register(id=VALLEY, entry_point="uavrl.envs.gym:make_valley")
+
+
+class _WhenLoaded(MetaPathFinder):
+    """Registers the environment right after Gymnasium's registry has been loaded, once."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
+        if fullname != _REGISTRY:
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(fullname)
+        if spec is None or spec.loader is None:
+            return spec
+        execute = spec.loader.exec_module
+
+        def exec_module(module: ModuleType) -> None:
+            execute(module)
+            _register(module)
+
+        spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
