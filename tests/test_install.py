@@ -23,6 +23,8 @@ def make(folder: Path, pythons: dict[str, int], *arguments: str) -> subprocess.C
     """Runs make in a new checkout, on a machine with these Pythons and the exit codes of their self-test."""
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, folder)
+    (folder / "onboard").mkdir()
+    shutil.copy(ROOT / "onboard/pyproject.toml", folder / "onboard")
     (folder / "bin").mkdir()
     for name, code in pythons.items():
         (folder / "bin" / name).write_text(f"#!/bin/sh\nexit {code}\n")
