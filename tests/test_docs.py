@@ -44,29 +44,6 @@ def test_what_a_page_includes_is_there(page: Path) -> None:
         ), name
 
 
-def prose(page: Path) -> str:
-    """What a reader reads: the page without code blocks, folded parts and the targets of links."""
-    text = page.read_text(encoding="utf-8")
-    text = re.sub(r"^```.*?^```|<details>.*?</details>", "", text, flags=re.MULTILINE | re.DOTALL)
-    return re.sub(r"\]\([^)]*\)", "]", text)
-
-
-def test_the_front_door_stays_short() -> None:
-    readme = ROOT / "README.md"
-    assert len(readme.read_text(encoding="utf-8").splitlines()) <= 90
-    numbers = re.findall(r"(?<![\w.-])\d+(?:[.,]\d+)*(?![\w-])", prose(readme))  # not those in names, as TD3 or VLP-16
-    assert len(numbers) <= 25, numbers
-    assert len(prose(ROOT / "docs/results.md").split()) <= 1500
-
-
-def test_the_journal_is_short_and_text_alone() -> None:
-    pages = sorted((ROOT / "docs/journal").glob("*.md"))
-    texts = [page.read_text(encoding="utf-8") for page in pages]
-    assert sum(len(text.split()) for text in texts) <= 6000
-    assert not [page for page, text in zip(pages, texts, strict=True) if "![" in text]
-    assert {file.suffix for file in tracked("docs/journal")} == {".md"}
-
-
 def tracked(folder: str) -> list[Path]:
     """The files below a folder that git keeps."""
     if not (ROOT / ".git").exists():
@@ -153,25 +130,10 @@ HOW_TO_INDEX = ROOT / "docs/howto/index.md"
 
 
 @pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
-def test_a_how_to_is_short_and_says_what_to_type(page: Path) -> None:
+def test_a_how_to_says_what_to_type_and_is_in_the_index(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    assert len([word for word in text.split() if re.search(r"\w", word)]) <= 400
     assert page.stem == "index" or re.search(r"^```(sh|python|bibtex)\n", text, re.MULTILINE)
     assert page.stem == "index" or f"]({page.name})" in HOW_TO_INDEX.read_text(encoding="utf-8")
-
-
-SEARCHED = """my own LiDAR, point cloud, my own vehicle, airframe, domain randomisation, my own reward, environment,
-moving obstacles, GPU, many machines, Ray, Slurm, compare methods, reproduce the thesis, ONNX, Gymnasium, ROS 2,
-MAVLink, PX4, ArduPilot, limitations, hyper-parameters, glossary, how to cite"""
-
-
-@pytest.mark.parametrize("words", re.split(r",\s+", SEARCHED.replace("\n", " ")))
-def test_what_people_search_for_is_a_title(words: str) -> None:
-    linked = [
-        HOW_TO_INDEX.parent / target for target in re.findall(r"\]\(([\w./]+\.md)\)", HOW_TO_INDEX.read_text("utf-8"))
-    ]
-    titles = [page.read_text(encoding="utf-8").partition("\n")[0].lower() for page in linked]
-    assert any(words.lower() in title for title in titles), titles
 
 
 @pytest.mark.parametrize("room", ["buffers", "envs", "losses", "models", "transforms"])
