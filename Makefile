@@ -25,7 +25,7 @@ $(BIN)/python:
 # What trains, evaluates and draws.
 $(READY): pyproject.toml onboard/pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing PyTorch and the rest into $(VENV): 6 GB, some minutes. Without CUDA it is 1.4 GB: see README.md."
-	$(install) '.[report]'
+	$(install) '.[report,train]'
 	touch $@
 
 # What tests and develops, on top.
