@@ -17,8 +17,8 @@ from uavrl.cli import evaluate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
+from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.evaluation.rollout import fly
-from uavrl.evaluation.shielded import Shielded
 from uavrl_onboard.guards.shield import Shield, fitted
 
 LEVEL = (0.0, 0.0)
@@ -104,13 +104,13 @@ def test_behind_it_the_blind_do_not_collide() -> None:
     env = NavigationEnv(4, world=world, max_steps=60, measure_clearance=True)
     ends = [flight.outcome for flight in fly(env, Forward(), 4)]
     env.set_seed(0)
-    shielded = [flight.outcome for flight in fly(env, Shielded(Forward()), 4)]
+    shielded = [flight.outcome for flight in fly(env, GuardedPolicy(Forward(), shield=Shield()), 4)]
     assert ends.count("collided") > shielded.count("collided") == 0
 
 
 def test_it_asks_for_what_policy_and_shield_read_and_leaves_the_yaw_rate() -> None:
     turning = TensorDictModule(lambda cells: cells.new_tensor([[3.0, 0.0, 0.0, -1.5]]), ["cells"], ["action"])
-    shielded = Shielded(turning, Shield(time=1.0))
+    shielded = GuardedPolicy(turning, shield=Shield(time=1.0))
     assert shielded.in_keys == ["cells", "point_cloud", "attitude", "velocity"]
     seen = TensorDict(cells=torch.zeros(1, 2), point_cloud=torch.tensor([[[0.85, 0.0, -0.1]]]), batch_size=[1])
     seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
@@ -188,7 +188,9 @@ def test_any_batch_flies_behind_it(batch: list[int]) -> None:
     near = torch.tensor([[0.82 + 0.35, 0.0, -0.1]]).expand(*batch, 1, 3)
     seen = TensorDict(cells=torch.zeros(*batch, 4), point_cloud=near, batch_size=batch)
     seen["attitude"], seen["velocity"] = torch.zeros(*batch, 3), torch.zeros(*batch, 3)
-    assert_close(Shielded(ahead)(seen)["action"], torch.tensor([1.0, 0.0, 0.0, 1.0]).expand(*batch, 4))
+    assert_close(
+        GuardedPolicy(ahead, shield=Shield())(seen)["action"], torch.tensor([1.0, 0.0, 0.0, 1.0]).expand(*batch, 4)
+    )
 
 
 def test_a_policy_that_keeps_its_last_action_hears_what_is_flown() -> None:
@@ -200,5 +202,5 @@ def test_a_policy_that_keeps_its_last_action_hears_what_is_flown() -> None:
 
     seen = TensorDict(point_cloud=torch.tensor([[[0.82 + 0.35, 0.0, -0.1]]]), batch_size=[1])
     seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
-    Shielded(Keeps())(seen)
+    GuardedPolicy(Keeps(), shield=Shield())(seen)
     assert heard == [pytest.approx([1.0, 0.0, 0.0, 0.5], abs=1e-6)]

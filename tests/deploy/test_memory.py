@@ -18,7 +18,7 @@ from tests.helpers.exported import exported, refusal
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.parts import Part
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.led import Led
+from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.evaluation.policies import choose
 from uavrl.export.export import contract
 from uavrl.transforms import Waypoint
@@ -63,7 +63,9 @@ def test_in_the_simulator_it_reads_what_its_training_did(folder: Path) -> None:
     told = [f"policy={folder}", *TRAPS]
     config = compose(*told, name="evaluate")
     setup = choose(validate(config, EvaluateConfig), config, told, None, torch.device("cpu"))
-    assert isinstance(setup.policy, Led), "which shows it the heading to the waypoint as the goal's"
+    assert isinstance(setup.policy, GuardedPolicy) and setup.policy.led, (
+        "which shows it the heading to the waypoint as the goal's"
+    )
     assert setup.perception["memory"] == 10.0
     env, policies = make_env(setup.env, setup.perception, num_uavs=2, keep_cloud=True, seed=0), [Policy(folder)]
     policies.append(policies[0].copy())

@@ -19,13 +19,13 @@ from uavrl.config import compose, validate, validate_run
 from uavrl.config.settings import EvaluateConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import with_sight
-from uavrl.evaluation.evading import Evading
+from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.evaluation.policies import PACKAGED, choose
 from uavrl.evaluation.rollout import fly
-from uavrl.evaluation.shielded import Shielded
 from uavrl_onboard.geometry import body_to_level, body_to_world
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
 
 ABOVE = 0.1  # m, of the LiDAR over the hull's middle
@@ -55,7 +55,7 @@ class Ahead:
         self.heard.extend(actions.tolist())
 
 
-def flight(policy: Evading | Ahead, begin: list[float], speed: list[float]) -> float:
+def flight(policy: GuardedPolicy | Ahead, begin: list[float], speed: list[float]) -> float:
     """How near a ball comes that flies straight on, while the policy flies; 1 keeps the margin, 0.66 touches."""
     place, velocity, nearest = np.zeros(3), np.array([2.0, 0.0, 0.0]), np.inf
     for step in range(40):
@@ -82,7 +82,7 @@ def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_its_scans_s
     begin: list[float], speed: list[float]
 ) -> None:
     assert flight(Ahead(), begin, speed) < 0.6
-    assert flight(Evading(Ahead()), begin, speed) > 0.9
+    assert flight(GuardedPolicy(Ahead(), evade=12.0), begin, speed) > 0.9
 
 
 def evasive(aside: float, standing: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
@@ -127,13 +127,13 @@ def test_what_passes_over_the_hull_is_let_pass_however_near_to_the_lidar() -> No
 
 def test_what_stands_is_left_to_the_policy() -> None:
     policy = Ahead()
-    flight(Evading(policy), [6.0, 0.1, 0.0], [0.0, 0.0, 0.0])
+    flight(GuardedPolicy(policy, evade=12.0), [6.0, 0.1, 0.0], [0.0, 0.0, 0.0])
     assert policy.heard == [[2.0, 0.0, 0.0, 0.5]] * 40
 
 
 def test_a_vehicle_whose_episode_begins_has_seen_nothing_yet() -> None:
     """Two see the same ball; the second one's episode begins with each scan, so that it never sees it move."""
-    policy = Evading(Ahead())
+    policy = GuardedPolicy(Ahead(), evade=12.0)
     for step in range(12):
         cloud = torch.from_numpy(ball(np.array([7.0 - 0.3 * step, 0.0, 0.0]))).float().expand(2, -1, -1)
         begins = torch.tensor([[step == 0], [True]])
@@ -149,7 +149,7 @@ def test_any_batch_flies_with_it(batch: list[int]) -> None:
     seen = TensorDict(cells=torch.zeros(*batch, 4), point_cloud=torch.ones(*batch, 6, 3), batch_size=batch)
     seen["attitude"], seen["velocity"] = torch.zeros(*batch, 3), torch.zeros(*batch, 3)
     seen["altitude"], seen["is_init"] = torch.full((*batch, 1), LEVEL), torch.ones(*batch, 1, dtype=torch.bool)
-    assert_close(Evading(ahead)(seen)["action"], torch.tensor([2.0, 0.0, 0.0, 1.0]).expand(*batch, 4))
+    assert_close(GuardedPolicy(ahead, evade=12.0)(seen)["action"], torch.tensor([2.0, 0.0, 0.0, 1.0]).expand(*batch, 4))
 
 
 def test_arrays_and_tensors_are_evaded_alike() -> None:
@@ -204,7 +204,7 @@ def test_behind_a_shield_the_policy_hears_what_is_flown_in_the_end() -> None:
     seen = TensorDict(point_cloud=torch.tensor([[[0.82 + 0.35, 0.0, -0.1]]]), batch_size=[1])
     seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
     seen["altitude"], seen["is_init"] = torch.full((1, 1), LEVEL), torch.ones(1, 1, dtype=torch.bool)
-    Shielded(Evading(policy))(seen)
+    GuardedPolicy(policy, evade=12.0, shield=Shield())(seen)
     assert policy.heard[-1] == [pytest.approx(each, abs=1e-6) for each in (1.0, 0.0, 0.0, 0.5)]
 
 
@@ -247,10 +247,10 @@ def test_a_policy_that_was_trained_to_look_less_far_looks_as_far_as_is_asked(
     folder = PACKAGED / "best_dynamic"
     chosen = choose(validate(config, EvaluateConfig), config, overrides, folder, torch.device("cpu"))
     assert chosen.perception["lidar"].far_range == reaches
-    assert isinstance(chosen.policy, Evading) and chosen.policy.max_range == evade
+    assert isinstance(chosen.policy, GuardedPolicy) and chosen.policy.evade == evade
 
 
 def test_a_packaged_policys_environment_gives_what_it_reads() -> None:
     policy = load_policy("best")
     env = policy.make_env("perception.lidar.far_range=12", "randomize=none", "env.max_steps=2", keep_cloud=True)
-    assert len(fly(env, Evading(policy), 1)) == 1
+    assert len(fly(env, GuardedPolicy(policy, evade=12.0), 1)) == 1

@@ -22,7 +22,7 @@ from uavrl.config.settings import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.errors import UavrlError
-from uavrl.evaluation.led import Led
+from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.evaluation.overrides import with_overrides
 from uavrl.evaluation.policies import choose
 from uavrl.transforms import NavigationState, Waypoint
@@ -122,7 +122,11 @@ def test_a_policy_that_reads_the_goal_itself_is_shown_the_waypoint(policy: str) 
     chosen = [f"policy={policy}", "perception=range_image", "perception.memory=12"]
     config = compose(*chosen, name="evaluate")
     setup = choose(validate(config, EvaluateConfig), config, chosen, None, torch.device("cpu"))
-    assert isinstance(setup.policy, Led) and {"waypoint_deg", "heading_deg"} <= set(setup.policy.in_keys)
+    assert (
+        isinstance(setup.policy, GuardedPolicy)
+        and setup.policy.led
+        and {"waypoint_deg", "heading_deg"} <= set(setup.policy.in_keys)
+    )
 
 
 def test_a_memory_for_somebody_elses_perception_is_refused() -> None:

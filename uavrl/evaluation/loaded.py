@@ -62,7 +62,7 @@ class LoadedPolicy(TensorDictModuleBase):
                 was trained in.
             seed: of the tasks.
             keep_cloud: whether it also gives the point clouds, and whether an episode begins, as a
-                :class:`~uavrl.evaluation.shielded.Shielded` or :class:`~uavrl.evaluation.evading.Evading` reads.
+                :class:`~uavrl.evaluation.guarded.GuardedPolicy` reads.
 
         Raises:
             UavrlError: for a change that the policy cannot be asked to bear.

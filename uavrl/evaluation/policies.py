@@ -92,50 +92,50 @@ def choose(
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
-    chosen = _led(chosen)
-    chosen = chosen if settings.evade is None else _evading(chosen, settings.evade, keys_of(overrides))
-    return _shielded(chosen) if settings.shield else chosen
+    return _guarded(chosen, settings, keys_of(overrides))
 
 
-def _led(chosen: PolicySetup) -> PolicySetup:
-    """The same along the way that its perception remembers; what reads the observation alone is led by that."""
-    if chosen.perception.get("memory") is None or "heading_deg" not in getattr(chosen.policy, "in_keys", ()):
-        return chosen
-    if getattr(chosen.policy, "has_map", False):
+def _guarded(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> PolicySetup:
+    """The same policy behind the guards that the command line asks for."""
+    led = chosen.perception.get("memory") is not None and "heading_deg" in getattr(chosen.policy, "in_keys", ())
+    if led and getattr(chosen.policy, "has_map", False):
         raise UavrlError(
-            f"policy={chosen.source['policy']} has a map of its own, which perception.memory would lead astray: leave "
+            f"policy={chosen.source['policy']} has a map of its own, which contradicts perception.memory: leave "
             "perception.memory out, or choose another policy."
         )
-    from uavrl.evaluation.led import Led
+    if not led and settings.evade is None and not settings.shield:
+        return chosen
+    from uavrl.evaluation.guarded import GuardedPolicy
 
-    return replace(chosen, policy=Led(chosen.policy))
+    shield, about = None, {}
+    if settings.evade is not None:
+        require_valley(chosen.env, chosen.choices, "evade")
+        chosen = replace(chosen, perception=_seen_afar(chosen.perception, settings.evade, given))
+        about = {"flight_level": chosen.env["world"].flight_level, "airframe": chosen.env.get("airframe")}
+    if settings.shield:
+        require_valley(chosen.env, chosen.choices, "shield")
+        shield = _shield(chosen)
+    return replace(chosen, policy=GuardedPolicy(chosen.policy, led=led, evade=settings.evade, shield=shield, **about))
 
 
-def _evading(chosen: PolicySetup, max_range: float, given: Collection[str]) -> PolicySetup:
-    """The same out of the ways of what moves, for which its scans reach as far as that is looked for."""
+def _seen_afar(perception: Part, max_range: float, given: Collection[str]) -> Part:
+    """The perception with scans that reach as far as moving objects are looked for."""
     from uavrl.evaluation.environment import with_sight
-    from uavrl.evaluation.evading import Evading
 
-    require_valley(chosen.env, chosen.choices, "evade")
-    perception, lidar, key = chosen.perception, chosen.perception.get("lidar"), "perception.lidar.far_range"
+    lidar, key = perception.get("lidar"), "perception.lidar.far_range"
     if lidar is not None and key not in given and (lidar.far_range or max_range) < max_range:
         perception = Part({**perception, "lidar": replace(lidar, far_range=None)})  # a run wrote down what it needed
-    about = {"flight_level": chosen.env["world"].flight_level, "airframe": chosen.env.get("airframe")}
-    policy = Evading(chosen.policy, max_range, **about)
-    return replace(chosen, policy=policy, perception=Part(with_sight(perception, evade=max_range)))
+    return Part(with_sight(perception, evade=max_range))
 
 
-def _shielded(chosen: PolicySetup) -> PolicySetup:
-    """The same behind a shield for the hull of the environment's vehicle."""
+def _shield(chosen: PolicySetup) -> Any:
+    """A shield for the hull of the environment's vehicle."""
     from uavrl.envs.quadrotor import Airframe
-    from uavrl.evaluation.shielded import Shielded
     from uavrl_onboard.guards.shield import Shield
 
-    require_valley(chosen.env, chosen.choices, "shield")
     hull = chosen.env.get("airframe") or Airframe()
     sizes = {"radius": hull.collision_radius, "height": hull.collision_height, "sensor": hull.lidar_position[2]}
-    sizes["nearest"] = getattr(chosen.perception.get("lidar"), "min_range", 0.0)
-    return replace(chosen, policy=Shielded(chosen.policy, Shield(**sizes)))
+    return Shield(**sizes, nearest=getattr(chosen.perception.get("lidar"), "min_range", 0.0))
 
 
 def _as_contracted(policy: Any, settings: FlyingConfig, config: DictConfig, overrides: list[str]) -> FlyingConfig:
