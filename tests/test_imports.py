@@ -18,6 +18,7 @@ FLOORS = [
     {"config", "runs"},
     {"mapping", "motion", "shield", "upstream"},
     {"hull"},
+    {"entries"},
     {"arrays", "attitude", "errors", "ranges", "command_line", "machine", "cells", "counted", "progress_line"},
 ]
 

@@ -8,6 +8,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Transform
 
+from uavrl.entries import Shown, entry
 from uavrl.transforms.waypoint import heading_to_waypoint
 
 GUIDE_ACTION = "guide_action"
@@ -15,7 +16,7 @@ GUIDE_ACTION = "guide_action"
 Acts = Callable[[TensorDictBase], TensorDictBase]
 
 
-class Guidance(Transform):
+class Guidance(Shown, Transform):
     """Writes what a scripted controller would do beside each observation, led as the policy is.
 
     Args:
@@ -29,6 +30,8 @@ class Guidance(Transform):
         self.guide, self.actions = guide, actions
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for key in self.in_keys:
+            entry(next_tensordict, key, self)
         return next_tensordict.set(GUIDE_ACTION, self.guide(heading_to_waypoint(next_tensordict.copy()))["action"])
 
     forward = _call

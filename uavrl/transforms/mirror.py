@@ -8,6 +8,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
+from uavrl.entries import Shown, entry
 from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
 from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, Reduction
 from uavrl.transforms.threats import DIRECTIONS
@@ -94,7 +95,7 @@ def mirror_action(action: Tensor) -> Tensor:
     return action * action.new_tensor(ACTION_SIGNS)
 
 
-class Mirror(Transform):
+class Mirror(Shown, Transform):
     """Shows each transition that a replay buffer samples as its mirror image, half of the time.
 
     The sensor and the rewards treat left and right alike, so the image is a transition that could have been seen. The
@@ -140,13 +141,13 @@ class Mirror(Transform):
         """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
         tensordict = tensordict.copy()  # a slice of a storage is the storage
         observations, actions = self.in_keys[: -self.num_actions], self.in_keys[-self.num_actions :]
-        device = tensordict.get(actions[0]).device
+        device = entry(tensordict, actions[0], self).device
         mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
         observed = partial(
             mirror_observation, last_action=self.last_action, motion=self.motion, reduction=self.reduction
         )
         for keys, image in ((observations, observed), (actions, mirror_action)):
             for key in keys:
-                value = tensordict.get(key)
+                value = entry(tensordict, key, self)
                 tensordict.set(key, torch.where(mirrored, image(value), value))
         return tensordict

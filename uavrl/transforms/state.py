@@ -8,6 +8,7 @@ from pydantic import Field
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
 from uavrl.cells import FAR_EVERY
+from uavrl.entries import Shown
 from uavrl.mapping.navigator import LIDAR_ABOVE
 from uavrl.motion.sight import scales
 from uavrl.ranges import Positive
@@ -47,7 +48,7 @@ def _with_motion(max_range: float) -> Iterator[Transform]:
     yield CatTensors(["observation", "scaled_objects", "threats"], "observation", del_keys=True, sort=False)
 
 
-class NavigationState(Compose):
+class NavigationState(Shown, Compose):
     """Everything between what :class:`uavrl.envs.NavigationEnv` emits and what a policy reads.
 
     The scan becomes 32 faces (or what another reduction makes of it), these with altitude and goal angles an
