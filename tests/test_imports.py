@@ -19,7 +19,8 @@ FLOORS = [
     {"mapping", "motion", "shield", "upstream"},
     {"hull"},
     {"entries"},
-    {"arrays", "attitude", "errors", "ranges", "command_line", "machine", "cells", "counted", "progress_line"},
+    {"arrays", "attitude", "ranges", "command_line", "machine", "cells", "counted", "progress_line"},
+    {"errors"},
 ]
 
 

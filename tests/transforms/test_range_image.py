@@ -12,7 +12,7 @@ from torchrl.envs import TransformedEnv, check_env_specs
 
 from tests.helpers.clouds import OfClouds
 from tests.helpers.contracts import TransformContract
-from uavrl.cells import ROW_BORDERS
+from uavrl.cells import VLP16_GRID
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.vlp16 import LASER_ELEVATIONS
@@ -70,7 +70,7 @@ def test_a_point_belongs_to_its_cell(azimuth: float, elevation: float, cell: int
 
 def test_rounding_moves_no_lasers_points_to_another_row() -> None:
     """Of a real recording, or of a scan that was written as packets, a point may be a hundredth of a degree off."""
-    from_border = np.abs(np.array(LASER_ELEVATIONS)[:, None] - np.degrees(ROW_BORDERS))
+    from_border = np.abs(np.array(LASER_ELEVATIONS)[:, None] - np.array(VLP16_GRID.row_borders))
     np.testing.assert_allclose(from_border.min(0), 1.0)
     assert [sum(laser < border for laser in LASER_ELEVATIONS) for border in (-4, 4)] == [6, 10]
 

@@ -1,7 +1,9 @@
 """The two backward rewards of the thesis: BackwardReward with their classifiers."""
 
+import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -122,8 +124,8 @@ class ABR(BackwardReward):
 
 def _undecided(states: Tensor) -> Tensor:
     raise UavrlError(
-        f"ABR cannot tell how many observations are stacked in a state of {states.shape[-1]} numbers, since they hardly "
-        f"change: pass stacked= and observations=."
+        f"ABR cannot tell how many observations are stacked in a state of {states.shape[-1]} numbers, since they "
+        f"hardly change: pass stacked= and observations=."
     )
 
 
@@ -191,6 +193,8 @@ REMEDY = "make one by uavrl-pretrain from a run with this perception, and name i
 def _require_its_states(classifier: TrajectoryClassifier, artifact: str, perception: Mapping[str, Any]) -> None:
     for key, known in classifier.perception.items():
         value = perception.get(key)
+        if is_dataclass(value) and not isinstance(value, type):
+            value = json.loads(json.dumps(asdict(value)))  # as an artifact has it
         if None not in (known, value) and value != known:  # None is the default of the class
             raise UavrlError(
                 f"The artifact {artifact} is of perception.{key}={known!s:.80}, and this is {value!s:.80}: {REMEDY}"

@@ -7,7 +7,6 @@ written for one policy: it is read off the transforms that a run's configuration
 import hashlib
 import json
 import logging
-import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,7 +16,7 @@ from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import CatFrames, EnvBase, Transform
 
-from uavrl.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, return_bounds
+from uavrl.cells import TOUCHING, VLP16_GRID, return_bounds
 from uavrl.config import TrainConfig, validate_run
 from uavrl.config.build import TARGET, build, find_class
 from uavrl.deploy import memory_terms as memory
@@ -41,6 +40,7 @@ from uavrl.transforms import (
     NavigationObservation,
     NavigationState,
     PointCloudReduction,
+    RangeImage,
     Threats,
     Waypoint,
 )
@@ -209,10 +209,13 @@ def _cells(reduction: PointCloudReduction) -> dict[str, Any]:
     """What the cells of a reduction are and report, in their order."""
     name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
     directions, radius, statistic = reduction.directions(), reduction.radius, reduction.statistic
-    offsets, grid = [radius] * len(directions), {}
-    if name == "range_image":
-        size = {"width": 360 / AZIMUTHS, "row_borders": [round(math.degrees(border), 9) for border in ROW_BORDERS]}
-        grid = {"columns": AZIMUTHS, "rows": ELEVATIONS, **size}
+    offsets: list[float] = [radius] * len(directions)
+    grid: dict[str, Any] = {}
+    if isinstance(reduction, RangeImage):
+        cells = reduction.grid
+        grid = {"columns": cells.columns, "rows": cells.rows, "width": 360 / cells.columns}
+        grid |= {} if cells.elevation == VLP16_GRID.elevation else {"elevation": list(cells.elevation)}
+        grid |= {"row_borders": [round(border, 9) for border in cells.row_borders]}
     else:
         offsets = [round(offset, 9) for offset in truncated_icosahedron_faces(radius).offsets.double().tolist()]
     least = "the least over the cell's points, cut to the interval; "

@@ -167,6 +167,26 @@ class PointCloudReduction(Transform):
             del observation_spec[key]
         return observation_spec
 
+    def unseen_cells(self, rays: Tensor) -> list[int]:
+        """Lists the cells in which a sensor never reports a point.
+
+        Args:
+            rays: directions of the sensor's rays ``[R, 3]``, x forward, y left, z up.
+
+        Examples:
+            A VLP-16 sees 15 degrees up and down: 24 of the 32 faces, and all 72 cells of the range image.
+
+            >>> from uavrl.envs.vlp16 import firing_directions
+            >>> from uavrl.transforms import RangeImage, TruncatedIcosahedron
+            >>> rays = torch.from_numpy(firing_directions())
+            >>> len(TruncatedIcosahedron().unseen_cells(rays)), RangeImage().unseen_cells(rays)
+            (8, [])
+        """
+        directions = torch.nn.functional.normalize(torch.as_tensor(rays).double(), dim=-1)
+        distances = torch.linspace(NEAREST_RETURN, self.radius, 9, dtype=torch.float64)[1:] * (1.0 - 1e-3)
+        seen = self.reduced((distances[:, None, None] * directions).reshape(-1, 3), self.radius, "range")
+        return (seen == 0).nonzero()[:, 0].tolist()
+
     def __repr__(self) -> str:
         """Returns the constructor call."""
         return (
