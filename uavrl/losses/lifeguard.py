@@ -12,7 +12,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from uavrl.entries import require_whole
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import AuxiliaryModel, Enhancer, Sample
+from uavrl.losses.enhancer import AuxiliaryModel, Enhancer, Sample, any_number
 from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
@@ -225,6 +225,7 @@ class LifeGuard(Enhancer):
     def _draw_others(self, sample: Sample, count: int) -> Tensor:
         """``[count, F]`` features of random transitions that did not collide."""
         drawn: list[Tensor] = []
+        sample = any_number(sample)
         missing = count
         for _ in range(10 + 10 * count // _CHUNK):
             batch = sample(min(missing + missing // 8 + 8, _CHUNK))

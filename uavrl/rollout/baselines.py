@@ -196,6 +196,6 @@ class VectorFieldHistogram(TensorDictModuleBase):
         way = torch.nn.functional.normalize(weight @ self.directions, dim=-1)
         turn = (TURN_GAIN * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-TURN_LIMIT, TURN_LIMIT)
         right = heading_deg.remainder(360) - 180  # of straight behind, degrees; the goal's side is left below 0
-        around = torch.where(right < 0, TURN_LIMIT, -TURN_LIMIT)
+        around = torch.where(right < 0, TURN_LIMIT, -TURN_LIMIT).to(turn)
         turn = torch.where(right.abs() < BEHIND, around, turn)
         return torch.cat([(weight * speed).sum(-1, keepdim=True) * way, turn], -1)

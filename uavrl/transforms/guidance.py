@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import TransformedEnv
@@ -42,7 +43,7 @@ class Guidance(Shown, Transform):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the guide's action."""
         assert isinstance(observation_spec, Composite)
-        observation_spec[GUIDE_ACTION] = Unbounded((*observation_spec.shape, self.actions))
+        observation_spec[GUIDE_ACTION] = Unbounded((*observation_spec.shape, self.actions), dtype=torch.float32)
         return observation_spec
 
 

@@ -60,7 +60,7 @@ def _with_last_action() -> Iterator[Transform]:
 
 
 def _with_motion(max_range: float) -> Iterator[Transform]:
-    scale = torch.tensor(scales(max_range)).reciprocal()
+    scale = torch.tensor(scales(max_range), dtype=torch.float32).reciprocal()
     yield ObservationNorm(
         0.0,
         scale.repeat(MOVING_OBJECTS),

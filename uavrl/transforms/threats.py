@@ -62,7 +62,7 @@ class Threats(Shown, Transform):
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.speed = speed
-        self.register_buffer("commanded", torch.cat([speed * DIRECTIONS, torch.zeros(1, 3)]))
+        self.register_buffer("commanded", torch.cat([speed * DIRECTIONS, DIRECTIONS.new_zeros(1, 3)]))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Adds the threats."""
