@@ -68,7 +68,9 @@ def _value(config: DictConfig, key: str) -> Any:
         return _ABSENT
     raw = OmegaConf.to_container(node, resolve=False)[last]  # type: ignore[index, call-overload]
     value = raw if "${now:" in str(raw) else node[last]
-    return _ABSENT if isinstance(value, DictConfig) else _typed(value)
+    if isinstance(value, DictConfig):
+        return raw if isinstance(raw, str) else _ABSENT  # a text names keys that have rows elsewhere
+    return _typed(value)
 
 
 def _typed(value: Any) -> str:

@@ -41,7 +41,15 @@ env.set_seed(0)
 backward = BackwardReward(by_place_and_direction, arrived=("next", "terminated"))
 buffer = ReplayBuffer(storage=LazyTensorStorage(100_000), batch_size=100, transform=backward)
 policy = TensorDictModule(swing, ["observation"], ["action"])
-collector = Collector(env, policy, total_frames=frames, trajs_per_batch=1, frames_per_batch=200, traj_format="cat")
+collector = Collector(
+    env,
+    policy,
+    total_frames=frames,
+    frames_per_batch=200,
+    trajs_per_batch=1,  # whole episodes
+    traj_format="cat",
+    auto_register_policy_transforms=False,  # the policy has no state of its own
+)
 for count, episode in enumerate(collector, 1):
     buffer.extend(episode)
     batch = buffer.sample()  # your updates: the rewards are the new ones, reward_raw holds the old ones

@@ -24,7 +24,8 @@ TRAINS = [
     {"models", "transforms"},
     {"runs"},
     {"config"},
-    {"upstream", "errors"},
+    {"upstream", "entries"},
+    {"errors"},
 ]
 FLIES = [
     {"cli"},

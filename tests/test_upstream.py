@@ -71,16 +71,6 @@ def test_a_number_is_added_to_all() -> None:
     assert [value.tolist() for value in values] == [4.0, [2.0, 3.0]]
 
 
-def test_a_transform_tolerates_missing_keys_inside() -> None:
-    from torchrl.envs.transforms import RewardSum
-
-    transform = RewardSum()
-    before = transform.missing_tolerance
-    with upstream.missing_tolerance(transform, True):
-        assert transform.missing_tolerance is True
-    assert transform.missing_tolerance == before
-
-
 def test_a_state_dict_is_decoded_as_torchrl_encoded_it(tmp_path: Path) -> None:
     component = torch.nn.Linear(2, 1)
     adapter = StateDictCheckpointAdapter()

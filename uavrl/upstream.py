@@ -13,7 +13,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torch.fx import GraphModule
 from torchrl.checkpoint._checkpoint import _decode_state_dict_value as decode_state_dict
-from torchrl.envs.transforms.utils import _set_missing_tolerance as missing_tolerance
 
 __all__ = [
     "ATTRIBUTES",
@@ -22,7 +21,6 @@ __all__ = [
     "decode_state_dict",
     "fused_adam",
     "lerp",
-    "missing_tolerance",
     "ray_job",
     "rows",
 ]

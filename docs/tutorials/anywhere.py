@@ -113,7 +113,15 @@ adam = [torch.optim.Adam(p.parameters(), lr=1e-3) for p in (loss.critic_network_
 classifier, targets = loss.make_optimizer(), SoftUpdate(base, tau=0.005)
 buffer = ReplayBuffer(storage=LazyTensorStorage(100_000), batch_size=100)
 explore = TensorDictSequential(policy, AdditiveGaussianModule(spec, sigma_init=0.3, sigma_end=0.3))
-collector = Collector(env, explore, total_frames=STEPS, trajs_per_batch=1, frames_per_batch=30, traj_format="cat")
+collector = Collector(
+    env,
+    explore,
+    total_frames=STEPS,
+    frames_per_batch=30,
+    trajs_per_batch=1,
+    traj_format="cat",
+    auto_register_policy_transforms=False,  # the policy has no state of its own
+)
 crashed = []
 for episode in collector:
     buffer.extend(episode)

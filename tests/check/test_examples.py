@@ -24,7 +24,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 def said(example: str, *arguments: object) -> str:
     """What an example prints, in a process of its own."""
-    command = [sys.executable, EXAMPLES / example, *map(str, arguments)]
+    command = [sys.executable, "-W", "error::FutureWarning", EXAMPLES / example, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from pydantic import ValidationError
 from safetensors.torch import load_file
 from torch import Tensor
 
@@ -17,6 +18,8 @@ from uavrl.config import compose, validate, validate_run
 from uavrl.config.settings import TrainConfig
 from uavrl.envs import NavigationEnv
 from uavrl.export.export import as_text, contract
+from uavrl_onboard.perception.cells import RangeGrid
+from uavrl_onboard.policy.contract import Cells
 
 Values = dict[str, np.ndarray]
 
@@ -123,6 +126,31 @@ def test_states_of_recorded_scans_follow_from_the_contract(
     expected = rebuilt(scans, terms)
     assert (expected[..., : terms["cells"]["count"]] != 0).any() or frames > 1
     np.testing.assert_allclose(seen.numpy(), expected, atol=2e-5 if angles != "raw" else 1e-4)
+
+
+def test_the_grid_of_a_range_image_is_in_the_contract() -> None:
+    """And nothing new is in that of the default one, which other versions read."""
+    grid = "perception.grid={columns:36,rows:4,elevation:[-24,16]}"  # no border is at a laser of the recording
+    settings, terms = derived("perception=range_image", grid, "perception.statistic=face", "perception.frames=1")
+    cells = terms["cells"]
+    named = {key: cells[key] for key in ("columns", "rows", "width", "elevation", "row_borders", "count")}
+    borders = [-14.0, -4.0, 6.0]
+    assert named == {
+        "columns": 36,
+        "rows": 4,
+        "width": 10,
+        "elevation": [-24, 16],
+        "row_borders": borders,
+        "count": 144,
+    }
+    scans = load_file(SCANS)
+    seen = states({key: scans[key] for key in ("cloud", "action", *READ)}, settings.perception)
+    np.testing.assert_allclose(seen.numpy(), rebuilt(scans, terms), atol=2e-5)
+    assert "elevation" not in derived("perception=range_image")[1]["cells"]
+    read = Cells.model_validate_json(json.dumps(cells))
+    assert read.grid == RangeGrid(36, 4, (-24.0, 16.0))
+    with pytest.raises(ValidationError, match="borders between them, all ascending"):
+        Cells.model_validate_json(json.dumps({**cells, "row_borders": [5.0, -5.0, 0.0]}))
 
 
 def flown(settings: TrainConfig) -> tuple[dict[str, Tensor], dict[str, Tensor], NavigationEnv]:

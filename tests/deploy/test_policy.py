@@ -36,6 +36,7 @@ KINDS = {
     "ddpg": ("algo=ddpg", "perception=range_image", "perception.last_action=true", "perception.angles=turns"),
     "sac": ("algo=sac", "perception=truncated_icosahedron", "perception.last_action=true", "perception.radius=3.5"),
     "sac, cells": ("algo=sac", "perception=range_image", "randomize=real", "perception.frames=2"),
+    "grid": ("perception=range_image", "perception.grid={columns:12,rows:2,elevation:[-10,20],borders:[4]}"),
 }
 
 

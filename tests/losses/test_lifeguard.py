@@ -1,15 +1,18 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from typing import ClassVar
 
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.data import LazyTensorStorage, ReplayBuffer
 
 from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.losses import episodes, lifeguard, sampler, td3, trained
 from uavrl.losses import ActorCriticLoss, LifeGuard
+from uavrl.losses.enhancer import any_number
 
 
 class _Contract(ActorCriticLossContract):
@@ -158,7 +161,7 @@ class TestObserve:
                 "Expected finite states and actions",
             ),
             (lambda data: data.set("action", torch.full((10, 2), torch.inf)), "Expected finite states and actions"),
-            (lambda data: data[:-1], "Expected whole episodes"),
+            (lambda data: data[:-1], "got 9 steps, and the last one does not end an episode: collect with"),
             (lambda data: data.set("action", torch.zeros(10, 4)), "check observations= and actions="),
         ],
     )
@@ -171,6 +174,20 @@ class TestObserve:
 
 
 class TestFit:
+    @pytest.mark.parametrize("batch_size", [16, None])
+    def test_it_draws_from_a_buffer_of_any_batch_size_without_a_warning(self, batch_size: int | None) -> None:
+        """By ``buffer.sample``, as the documentation has it; other functions are called as they are."""
+        buffer = ReplayBuffer(storage=LazyTensorStorage(200), batch_size=batch_size)
+        data = episodes(12)
+        buffer.extend(data)
+        loss = lifeguard(min_collisions=1)
+        loss.observe(data)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", message=".*conflicting batch_sizes")
+            loss.fit(buffer.sample, 5)
+        assert loss.evaluated == 1
+        assert any_number(buffer.sample)(7).batch_size == (7,)
+
     @pytest.mark.parametrize("model", ["linear", "mlp"])
     def test_without_collisions_nothing_happens(self, model: str) -> None:
         loss = lifeguard(model=model)

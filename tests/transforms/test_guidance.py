@@ -69,7 +69,7 @@ def test_a_guide_of_ones_own_flies_the_first_steps_and_no_later_ones(tmp_path: P
 
 def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) -> None:
     told = ["guide.flight_level=3", "guide.radius=4", "guide.reduction=range_image", "guide.statistic=proximity"]
-    told += ["guide.last_action=false", "guide.motion=null"]
+    told += ["guide.last_action=false", "guide.motion=null", "guide.grid=null"]
     config = compose(*CHOSEN, TRUSTED, "guide=vfh", *told, f"run_dir={tmp_path}", own=[OWN / "conf"])
     with pytest.raises(UavrlError, match="guide reads 'faces'"):
         make_training_env(validate(config), seed=0)

@@ -19,7 +19,7 @@ from uavrl.transforms import REDUCTIONS, Mirror, NavigationState, RangeImage
 from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image, range_image_directions
 from uavrl_onboard.lidar.vlp16 import LASER_ELEVATIONS
-from uavrl_onboard.perception.cells import ROW_BORDERS
+from uavrl_onboard.perception.cells import VLP16_GRID
 
 
 def towards(azimuth_deg: float, elevation_deg: float, distance: float) -> list[float]:
@@ -70,7 +70,7 @@ def test_a_point_belongs_to_its_cell(azimuth: float, elevation: float, cell: int
 
 def test_rounding_moves_no_lasers_points_to_another_row() -> None:
     """Of a real recording, or of a scan that was written as packets, a point may be a hundredth of a degree off."""
-    from_border = np.abs(np.array(LASER_ELEVATIONS)[:, None] - np.degrees(ROW_BORDERS))
+    from_border = np.abs(np.array(LASER_ELEVATIONS)[:, None] - np.array(VLP16_GRID.row_borders))
     np.testing.assert_allclose(from_border.min(0), 1.0)
     assert [sum(laser < border for laser in LASER_ELEVATIONS) for border in (-4, 4)] == [6, 10]
 

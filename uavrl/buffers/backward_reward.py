@@ -11,6 +11,8 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.buffers.functional import backward_reward, check_labels, window_ends
 from uavrl.buffers.history import TrajectoryHistory
+from uavrl.entries import Shown, entry, require_whole
+from uavrl.errors import UavrlError
 
 
 class StateClassifier(Protocol):
@@ -20,7 +22,7 @@ class StateClassifier(Protocol):
         """States ``[N, *S]`` in the order of time to int64 labels ``[N]``."""
 
 
-class BackwardReward(Transform):
+class BackwardReward(Shown, Transform):
     """Relabels the rewards of successful episodes while a replay buffer stores them: ABR⁺, ABR, or your own.
 
     Chansuparp (2022), §3.4, Eq. 3.5, Algorithm 3.1; see :func:`uavrl.buffers.functional.backward_reward`. Every write
@@ -44,7 +46,7 @@ class BackwardReward(Transform):
     Raises:
         ValueError: for bad settings; at a write, for parts of episodes, data that was relabelled before, labels that
             are no integers and rewards that are not finite; inside an environment.
-        KeyError: at a write, when a key is missing.
+        MissingEntry: at a write, when a key is missing.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -105,9 +107,10 @@ class BackwardReward(Transform):
                 f"{raw_key!r}, and drop that key."
             )
         states, reward, arrived, done = (self._steps(tensordict, key) for key in self.in_keys_inv)
-        _check_whole(done, tensordict.batch_size)
+        require_whole(_one_a_step(done, "done").reshape(tensordict.batch_size))
         start_time = time.perf_counter()
         steps = (_one_a_step(reward, reward_key), _one_a_step(arrived, "arrived"), _one_a_step(done, "done"))
+        self.prepare(states, steps[-1])
         new = self.relabel(states, *steps)
         self.relabelling_seconds += time.perf_counter() - start_time
         old = tensordict.get(reward_key)
@@ -115,15 +118,13 @@ class BackwardReward(Transform):
 
     def _steps(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
         """An entry with its batch dimensions flattened to one of time."""
-        value = tensordict.get(key, None)
-        if value is None:
-            raise KeyError(
-                f"BackwardReward expected the key {key!r} and found {list(tensordict.keys(True, True))}: "
-                f"store it, or name the right key in the constructor."
-            )
+        value = entry(tensordict, key, self)
         if not tensordict.batch_dims:
-            raise ValueError("Expected whole episodes [T], got a single step: collect an episode, then extend.")
+            raise UavrlError("Expected whole episodes [T], got a single step: collect an episode, then extend.")
         return value.flatten(0, tensordict.batch_dims - 1)
+
+    def prepare(self, states: Tensor, done: Tensor) -> None:
+        """Look at the states ``[T, *S]`` of a write before it is relabelled: a classifier may have to fit them."""
 
     def relabel(self, states: Tensor, reward: Tensor, arrived: Tensor, done: Tensor) -> Tensor:
         """New rewards ``[T]`` of whole episodes, end to end; override it for another rule."""
@@ -174,15 +175,6 @@ def _one_a_step(value: Tensor, name: NestedKey) -> Tensor:
     if value.numel() != len(value):
         raise ValueError(f"Expected one {name!r} for each step, got {list(value.shape)} for {len(value)} steps.")
     return value.reshape(-1)
-
-
-def _check_whole(done: Tensor, batch_size: torch.Size) -> None:
-    """Refuses data in which the last step of a row ends no episode."""
-    if done.numel() and not bool(_one_a_step(done, "done").reshape(batch_size)[..., -1].all()):
-        raise ValueError(
-            f"Expected whole episodes, got steps {list(batch_size)} the last of which ends none: "
-            f"collect with trajs_per_batch=1 and traj_format='cat'."
-        )
 
 
 def episode_bounds(done: Tensor) -> list[tuple[int, int]]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from uavrl.buffers.history import TrajectoryHistory
+from uavrl.entries import require_whole
 
 
 def window_ends(steps: int, frames: int = 3) -> Tensor:
@@ -109,7 +110,7 @@ def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int)
         ``R [T]`` and ``k [T]``.
 
     Raises:
-        ValueError: when the last step ends no episode.
+        UavrlError: when the last step does not end an episode.
 
     Examples:
         >>> done = torch.tensor([False, False, True, True])
@@ -117,8 +118,7 @@ def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int)
         >>> returns.tolist(), steps.tolist()
         ([2.0, 4.0, 4.0, 8.0], [2, 2, 1, 1])
     """
-    if not len(done) or not done[-1]:
-        raise ValueError(f"Expected whole episodes, got {len(done)} steps the last of which ends none.")
+    require_whole(done, flat=True)
     at = torch.arange(len(done), device=done.device)
     ends = done.nonzero().flatten()
     steps = (ends[torch.searchsorted(ends, at)] - at + 1).clamp(max=n_steps)
@@ -126,6 +126,29 @@ def multi_step_returns(reward: Tensor, done: Tensor, gamma: float, n_steps: int)
     for i in range(n_steps):
         returns += gamma**i * torch.where(i < steps, reward.roll(-i), 0.0)
     return returns, steps
+
+
+def stacked_frames(states: Tensor, done: Tensor) -> list[int]:
+    """Return the numbers of frames, from 2, that states ``[T, S]`` of whole episodes may be stacked of.
+
+    In a stack of F frames, oldest first, each state is the state before it, moved up by one frame of S / F numbers.
+
+    Args:
+        states: ``[T, S]``.
+        done: ``[T]``, true at the last step of each episode.
+
+    Returns:
+        The numbers F for which this holds, in ascending order: several where hardly anything changes.
+
+    Examples:
+        >>> states = torch.tensor([[0.0, 0.0, 1.0, 2.0], [1.0, 2.0, 3.0, 4.0]])
+        >>> stacked_frames(states, torch.tensor([False, True]))
+        [2]
+    """
+    follows = ~done[:-1]
+    before, after, width = states[:-1][follows], states[1:][follows], states.shape[-1]
+    numbers = [frames for frames in range(2, width + 1) if width % frames == 0]
+    return [f for f in numbers if torch.equal(before[:, width // f :], after[:, : width - width // f])]
 
 
 def check_labels(labels: Tensor, count: int) -> None:

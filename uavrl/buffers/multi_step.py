@@ -5,9 +5,10 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
 from uavrl.buffers.functional import multi_step_returns
+from uavrl.entries import Shown, entry
 
 
-class MultiStep(Transform):
+class MultiStep(Shown, Transform):
     """Turns whole episodes into n-step transitions while a replay buffer stores them.
 
     The reward becomes the n-step return. All else under ``"next"``, the flags included, comes from n steps later, or
@@ -49,8 +50,8 @@ class MultiStep(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Whole episodes ``[T]``, end to end; ``inv`` has made a shallow copy before."""
+        reward, done = (entry(tensordict, ("next", key), self) for key in ("reward", "done"))
         after = tensordict.get("next")
-        reward, done = after.get("reward"), after.get("done")
         returns, steps = multi_step_returns(reward.flatten(), done.flatten(), self.gamma, self.n_steps)
         reached = after[torch.arange(len(steps), device=steps.device) + steps - 1]
         tensordict.set("next", reached.set("reward", returns.reshape(reward.shape)))

@@ -72,7 +72,8 @@ def load_actor(
     config = read_config(folder)
     config.packages = list(packages)
     settings = validate_run(config)
-    actor = make_actor(settings, saved_sizes(settings), device)
+    sizes = saved_sizes(settings)
+    actor = make_actor(settings, sizes, device).to(torch.float32)  # as it was saved, whatever the host's default is
     if checkpoint is None and POLICY.is_in(folder):
         about, weights = POLICY.load(folder)
         try:
@@ -80,13 +81,13 @@ def load_actor(
         except RuntimeError as error:
             other = f"The weights in {folder} are of another policy than its {CONFIG} describes"
             raise UavrlError(f"{other}: {POLICY.remedy}.") from error
-        return config, actor, about
+        return config, actor, {**about, "inputs": sizes.state}
     path = checkpoint_path(folder, checkpoint)
     metadata = check_checkpoint(path, config)
     restore(Checkpoint(policy=actor), path, ["policy"])
     steps, episodes = metadata["collected_frames"], metadata["episodes"]
     about = dict(zip(POLICY_INFO, (path.name, steps, episodes, metadata.get("commit")), strict=True))
-    return config, actor, {**about, "versions": recorded_versions(folder)}
+    return config, actor, {**about, "inputs": sizes.state, "versions": recorded_versions(folder)}
 
 
 def read_policy(
@@ -95,7 +96,7 @@ def read_policy(
     """What :func:`load_actor` loads, as a policy of an environment on the CPU."""
     config, actor, about = load_actor(folder, checkpoint, device, packages)
     source = {"run": str(folder), **{key: about[key] for key in POLICY_INFO if key in about}}
-    return LoadedPolicy(actor, config, source)
+    return LoadedPolicy(actor, config, source, inputs=about["inputs"])
 
 
 def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:

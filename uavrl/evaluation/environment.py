@@ -25,7 +25,7 @@ class NetworkSizes:
 
     def action_spec(self, device: torch.device | str) -> Bounded:
         """The bounds of one action."""
-        return Bounded(-self.limit, self.limit, (self.actions,), device=device)
+        return Bounded(-self.limit, self.limit, (self.actions,), device=device, dtype=torch.float32)
 
 
 def network_sizes(env: EnvBase) -> NetworkSizes:

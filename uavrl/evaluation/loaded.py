@@ -6,12 +6,13 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.config import compose, validate_run
+from uavrl.entries import entry
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
@@ -29,20 +30,37 @@ class LoadedPolicy(TensorDictModuleBase):
         actor: the network with what turns its numbers into an action; to be trained further, for example.
         config: the configuration of the run that trained it.
         source: what is known of it: its run, checkpoint, training steps and episodes, commit.
+        inputs: numbers in an observation; None if that is not known.
+
+    Raises:
+        UavrlError: at a call, for an observation of another width.
     """
 
-    def __init__(self, actor: TensorDictModuleBase, config: DictConfig, source: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        config: DictConfig,
+        source: Mapping[str, Any],
+        inputs: int | None = None,
+    ) -> None:
         super().__init__()
+        self.inputs = inputs
         self.in_keys, self.out_keys = ["observation"], ["action"]
         self.actor, self.config, self.source = actor, config, dict(source)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action of each observation."""
-        observation = tensordict.select("observation")
-        at = next((each.device for each in self.parameters()), observation.device)
+        observation = entry(tensordict, "observation", self)
+        if self.inputs not in (None, observation.shape[-1]):
+            raise UavrlError(
+                f"The policy reads observations of {self.inputs} numbers and got {observation.shape[-1]}: it needs the "
+                f"cells and frames of its training, as its make_env() makes them."
+            )
+        weights = next(self.parameters(), observation)  # the host may compute elsewhere, and in another precision
+        read = TensorDict({"observation": observation.to(weights)}, tensordict.batch_size)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            acted = self.actor(observation.to(at))
-        return tensordict.set("action", acted["action"].to(tensordict["observation"].device))
+            acted = self.actor(read)
+        return tensordict.set("action", acted["action"].to(observation.device))
 
     def make_env(
         self,

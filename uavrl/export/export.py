@@ -7,7 +7,6 @@ written for one policy: it is read off the transforms that a run's configuration
 import hashlib
 import json
 import logging
-import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -36,13 +35,14 @@ from uavrl.transforms import (
     NavigationObservation,
     NavigationState,
     PointCloudReduction,
+    RangeImage,
     Threats,
     Waypoint,
 )
 from uavrl.transforms.icosahedron import truncated_icosahedron_faces
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
 from uavrl_onboard.files import replacing, writable
-from uavrl_onboard.perception.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, TOUCHING, return_bounds
+from uavrl_onboard.perception.cells import TOUCHING, VLP16_GRID, return_bounds
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.motion.threats import DIRECTIONS, GREATEST
 from uavrl_onboard.policy.contract import ACTION, ANGLES, CONTRACT, FORMAT, NETWORK, VERSION, Divisor
@@ -209,10 +209,13 @@ def _cells(reduction: PointCloudReduction) -> dict[str, Any]:
     """What the cells of a reduction are and report, in their order."""
     name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
     directions, radius, statistic = reduction.directions(), reduction.radius, reduction.statistic
-    offsets, grid = [radius] * len(directions), {}
-    if name == "range_image":
-        size = {"width": 360 / AZIMUTHS, "row_borders": [round(math.degrees(border), 9) for border in ROW_BORDERS]}
-        grid = {"columns": AZIMUTHS, "rows": ELEVATIONS, **size}
+    offsets: list[float] = [radius] * len(directions)
+    grid: dict[str, Any] = {}
+    if isinstance(reduction, RangeImage):
+        cells = reduction.grid
+        grid = {"columns": cells.columns, "rows": cells.rows, "width": 360 / cells.columns}
+        grid |= {} if cells.elevation == VLP16_GRID.elevation else {"elevation": list(cells.elevation)}
+        grid |= {"row_borders": [round(border, 9) for border in cells.row_borders]}
     else:
         offsets = [round(offset, 9) for offset in truncated_icosahedron_faces(radius).offsets.double().tolist()]
     least = "the least over the cell's points, cut to the interval; "

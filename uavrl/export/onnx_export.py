@@ -30,8 +30,8 @@ class _MeanAction(nn.Module):
     def __init__(self, actor: TensorDictModuleBase, low: list[float], high: list[float]) -> None:
         super().__init__()
         self.actor = actor
-        self.register_buffer("low", torch.tensor(low))
-        self.register_buffer("high", torch.tensor(high))
+        self.register_buffer("low", torch.tensor(low, dtype=torch.float32))
+        self.register_buffer("high", torch.tensor(high, dtype=torch.float32))
 
     def forward(self, state: Tensor) -> Tensor:
         acted = self.actor(TensorDict({"observation": state}, batch_size=state.shape[:1]))
@@ -54,7 +54,7 @@ def policy_onnx(actor: TensorDictModuleBase, terms: dict[str, Any]) -> bytes:
             f"'uavrl[export]' and export again to another folder."
         ) from error
     acts = _MeanAction(actor, terms["action"]["low"], terms["action"]["high"])
-    states = torch.randn(TRIED, terms["state"]["size"], generator=torch.Generator().manual_seed(0))
+    states = torch.randn(TRIED, terms["state"]["size"], generator=torch.Generator().manual_seed(0), dtype=torch.float32)
     training = {module: module.training for module in acts.modules()}
     acts.eval()
     try:

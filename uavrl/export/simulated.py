@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from tensordict import TensorDictBase
 
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
+from uavrl_onboard.perception.cells import VLP16_GRID
 from uavrl_onboard.policy.policy import Policy
 
 
@@ -57,6 +59,8 @@ class ExportedPolicy:
         """The keys of a configuration whose environment and perception are the contract's."""
         terms = self._policy.contract
         perception = {key: getattr(terms.cells, key) for key in ("radius", "reduction", "statistic")}
+        if terms.cells.grid != VLP16_GRID:
+            perception["grid"] = asdict(terms.cells.grid)
         perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
         perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
         perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}

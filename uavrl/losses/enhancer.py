@@ -12,6 +12,7 @@ from tensordict import TensorDictBase, TensorDictParams
 from tensordict.nn import dispatch
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
+from torchrl.data import ReplayBuffer
 from torchrl.objectives import LossModule
 from torchrl.objectives.value import ValueEstimatorBase
 
@@ -19,6 +20,22 @@ from uavrl.losses.actor_critic import ActorCriticLoss
 
 LossMethod = Callable[[TensorDictBase], tuple[Tensor, dict[str, Tensor]]]
 Sample = Callable[[int], TensorDictBase]
+
+
+def any_number(sample: Sample) -> Sample:
+    """Return a function that draws n transitions; ``buffer.sample`` warns where n is not the buffer's batch size.
+
+    Examples:
+        >>> from torchrl.data import LazyTensorStorage
+        >>> buffer = ReplayBuffer(storage=LazyTensorStorage(10), batch_size=4)
+        >>> _ = buffer.extend(torch.arange(10))
+        >>> any_number(buffer.sample)(7).shape
+        torch.Size([7])
+    """
+    buffer = getattr(sample, "__self__", None)
+    if not isinstance(buffer, ReplayBuffer) or buffer.batch_size is None or buffer.storage.ndim > 1:
+        return sample
+    return lambda count: buffer[torch.randint(len(buffer), (count,))]
 
 
 @dataclass(frozen=True, kw_only=True)

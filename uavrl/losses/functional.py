@@ -4,6 +4,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from uavrl.entries import require_whole
+
 __all__ = [
     "check_episodes",
     "clamped_smooth_l1",
@@ -119,11 +121,9 @@ def check_episodes(states: Tensor, rewards: Tensor, done: Tensor, *, width: int)
     Examples:
         >>> check_episodes(torch.zeros(2, 3), torch.zeros(2), torch.tensor([False, True]), width=3)
     """
-    if states.ndim != 2 or not len(done) or not done[-1]:
-        raise ValueError(
-            f"observe expected whole episodes [T], the last step done, got states {list(states.shape)} that are not: "
-            f"flatten them, and leave out the episode that has not ended."
-        )
+    if states.ndim != 2:
+        raise ValueError(f"observe expected states [T, {width}], got {list(states.shape)}: flatten the episodes.")
+    require_whole(done, flat=True)
     if states.shape[-1] != width:
         raise ValueError(f"observe expected states of width {width}, got {states.shape[-1]}: set observations.")
     for name, values in (("states", states), ("rewards", rewards)):

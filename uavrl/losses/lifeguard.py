@@ -10,8 +10,9 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 
+from uavrl.entries import require_whole
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import AuxiliaryModel, Enhancer, Sample
+from uavrl.losses.enhancer import AuxiliaryModel, Enhancer, Sample, any_number
 from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl_onboard.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
@@ -195,11 +196,8 @@ class LifeGuard(Enhancer):
             KeyError: when a flag is missing.
         """
         super().observe(episodes)
+        require_whole(self._next(episodes, "done"), flat=True)
         ends = self._next(episodes, "done").nonzero().squeeze(-1)
-        if episodes.ndim != 1 or not len(ends) or int(ends[-1]) != len(episodes) - 1:
-            raise ValueError(
-                f"Expected whole episodes [T], end to end, got {tuple(episodes.shape)} steps, the last ending none."
-            )
         features = self._known(episodes)
         if not features.isfinite().all():
             raise ValueError("Expected finite states and actions, got a NaN or an infinity: end the episode before it.")
@@ -227,6 +225,7 @@ class LifeGuard(Enhancer):
     def _draw_others(self, sample: Sample, count: int) -> Tensor:
         """``[count, F]`` features of random transitions that did not collide."""
         drawn: list[Tensor] = []
+        sample = any_number(sample)
         missing = count
         for _ in range(10 + 10 * count // _CHUNK):
             batch = sample(min(missing + missing // 8 + 8, _CHUNK))

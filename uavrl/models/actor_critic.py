@@ -30,6 +30,16 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, layer_norm: bool = 
     return nn.Sequential(*layers)
 
 
+def as_weights(inputs: Tensor, weight: Any) -> Tensor:
+    """Return inputs in the type of a network's weights, which were made with another default type than the data.
+
+    Examples:
+        >>> as_weights(torch.zeros(2), torch.zeros(1, dtype=torch.float64)).dtype
+        torch.float64
+    """
+    return inputs if inputs.dtype == weight.dtype else inputs.to(weight.dtype)
+
+
 class Actor(nn.Module):
     """The deterministic policy μ(s): an MLP, squashed by tanh to [-limit, limit].
 
@@ -51,7 +61,7 @@ class Actor(nn.Module):
 
     def forward(self, observation: Tensor) -> Tensor:
         """``[*B, observations]`` to ``[*B, actions]``."""
-        return self.limit * self.net(observation).tanh()
+        return self.limit * self.net(as_weights(observation, self.net[0].weight)).tanh()
 
 
 class GaussianActor(nn.Module):
@@ -78,7 +88,7 @@ class GaussianActor(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """``[*B, observations]`` to mean and deviation, each ``[*B, actions]``."""
-        loc, log_scale = self.net(observation).chunk(2, -1)
+        loc, log_scale = self.net(as_weights(observation, self.net[0].weight)).chunk(2, -1)
         return loc, log_scale.clamp(*self.log_scale).exp()
 
 
@@ -101,7 +111,7 @@ class Critic(nn.Module):
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """``[*B, observations]`` and ``[*B, actions]`` to ``[*B, 1]``."""
-        return self.net(torch.cat([observation, action], -1))
+        return self.net(as_weights(torch.cat([observation, action], -1), self.net[0].weight))
 
     def forward_stacked(self, parameters: Mapping[str, Tensor], observation: Tensor, action: Tensor) -> Tensor:
         """Evaluates K critics with stacked parameters, linear layers in one batched product.
@@ -114,7 +124,8 @@ class Critic(nn.Module):
         Returns:
             ``[K, B, 1]``.
         """
-        return _stacked(self.net, _below("net", parameters), torch.cat([observation, action], -1))
+        inputs = as_weights(torch.cat([observation, action], -1), parameters["net.0.weight"])
+        return _stacked(self.net, _below("net", parameters), inputs)
 
 
 def _stacked(layer: nn.Module, parameters: Mapping[str, Tensor], inputs: Tensor) -> Tensor:

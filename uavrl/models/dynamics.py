@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from uavrl.models.actor_critic import mlp
+from uavrl.models.actor_critic import as_weights, mlp
 from uavrl_onboard.ranges import Widths
 
 
@@ -36,7 +36,7 @@ class SystemNet(nn.Module):
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """``[*B, observations]`` and ``[*B, actions]`` to ``[*B, observations]``."""
-        return self.net(torch.cat([observation, action], -1))
+        return self.net(as_weights(torch.cat([observation, action], -1), self.net[0].weight))
 
 
 class RewardNet(nn.Module):
@@ -53,4 +53,5 @@ class RewardNet(nn.Module):
 
     def forward(self, observation: Tensor, next_observation: Tensor, action: Tensor) -> Tensor:
         """Two ``[*B, observations]`` and ``[*B, actions]`` to ``[*B, 1]``."""
-        return self.net(torch.cat([observation, next_observation, action], -1))
+        inputs = torch.cat([observation, next_observation, action], -1)
+        return self.net(as_weights(inputs, self.net[0].weight))

@@ -107,8 +107,8 @@ class OneShotClassifier(nn.Module):
         generator = torch.Generator().manual_seed(seed)
         bound = (width * kernel) ** -0.5
         for name, shape in {"weight": (features // places, width, kernel), "bias": (features // places,)}.items():
-            self.register_buffer(name, bound * (2 * torch.rand(shape, generator=generator) - 1))
-        self.register_buffer("exemplars", torch.empty(0, features))
+            self.register_buffer(name, bound * (2 * torch.rand(shape, generator=generator, dtype=torch.float32) - 1))
+        self.register_buffer("exemplars", torch.empty(0, features, dtype=torch.float32))
 
     def __len__(self) -> int:
         """How many classes there are."""

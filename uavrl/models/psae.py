@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from uavrl.errors import UavrlError
-from uavrl.models.actor_critic import mlp
+from uavrl.models.actor_critic import as_weights, mlp
 from uavrl.runs.weights import ARTIFACT
 
 # Keys of a perception that leave the meaning of a state's numbers alone: how good the sensor is, which bodies it does
@@ -45,7 +45,7 @@ class PSAE(nn.Module):
 
     def encode(self, states: Tensor) -> Tensor:
         """States ``[*B, inputs]`` to features ``[*B, features]``."""
-        return self.encoder(states)
+        return self.encoder(as_weights(states, self.encoder[0].weight))
 
     def forward(self, states: Tensor) -> tuple[Tensor, Tensor]:
         """States ``[*B, inputs]`` to features ``[*B, features]`` and reconstructions ``[*B, inputs]``."""
@@ -102,7 +102,7 @@ class TrajectoryClassifier(nn.Module):
         """States ``[*B, inputs]`` to scaled features ``[*B, features]``; UavrlError for states of another width."""
         if states.shape[-1:] != (self.inputs,):
             raise UavrlError(f"Expected states [*B, {self.inputs}], got {list(states.shape)}: use another artifact.")
-        return (self.encoder(states) - self.mean) / self.scale
+        return (self.encoder(as_weights(states, self.mean)) - self.mean) / self.scale
 
     @torch.no_grad()
     def forward(self, states: Tensor) -> Tensor:
@@ -134,7 +134,7 @@ class TrajectoryClassifier(nn.Module):
         except Exception as error:
             reason = str(error).splitlines()[0]
             raise UavrlError(f"The artifact {path} is damaged ({reason}): {ARTIFACT.remedy}.") from error
-        return classifier.requires_grad_(False).eval()
+        return classifier.float().requires_grad_(False).eval()  # as it was saved, whatever the host's default is
 
 
 def form_of_states(perception: Mapping[str, Any]) -> dict[str, Any]:

@@ -86,7 +86,7 @@ def limited(commands: Tensor, speed: float, climb: float) -> Tensor:
 
 def interpolated(noise: Tensor) -> Tensor:
     """Noise ``[*B, KNOTS, 3]`` at all steps, ``[*B, T, 3]``, straight from knot to knot."""
-    at = torch.linspace(0, KNOTS - 1, STEPS)
+    at = torch.linspace(0, KNOTS - 1, STEPS, dtype=torch.float32)
     share = (1 - (at[:, None] - torch.arange(KNOTS)).abs()).clamp_min(0)  # [T, KNOTS]
     return share @ noise
 
@@ -139,21 +139,22 @@ class MPPI(Planner):
         super().__init__(flight_level, radius, seconds, motion, airframe)
         self.costs = MPPIWeights() if costs is None else costs
         generator = torch.Generator().manual_seed(seed)
-        noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator)
+        noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator, dtype=torch.float32)
         noise[:, 0] = 0.0  # the plan itself
         self._noise = interpolated(noise) * self.costs.spread
-        self._plans, self._ages = torch.zeros(0, STEPS, 3), torch.zeros(0, dtype=torch.long)
+        self._plans, self._ages = torch.zeros(0, STEPS, 3, dtype=torch.float32), torch.zeros(0, dtype=torch.long)
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
         """The first velocities of plans that are better than the last ones, and yaw rates of 0."""
         count = len(seen.fresh)
         if len(self._plans) != count:
-            self._plans, self._ages = torch.zeros(count, STEPS, 3), torch.zeros(count, dtype=torch.long)
+            self._plans = torch.zeros(count, STEPS, 3, dtype=torch.float32)
+            self._ages = torch.zeros(count, dtype=torch.long)
         self._plans[seen.fresh[:, 0]] = 0.0
         self._ages = torch.where(seen.fresh[:, 0], 0, self._ages + 1)
         plans = self._improved(seen)
         self._plans = torch.cat([plans[:, 1:], plans[:, -1:]], 1)
-        return plans[:, 0], torch.zeros(count, 1)
+        return plans[:, 0], plans.new_zeros(count, 1)
 
     def evade(self, velocity: Tensor, seen: Surroundings) -> Tensor:
         """The same velocities: the plans keep out of the ways of what moves already."""

@@ -23,8 +23,12 @@ THINNED = 4  # of the scan's firing cycles, 0.2 degrees apart, one of so many is
 MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to forget it
 TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt
 NEVER = -(2**30)  # a scan's number before all others
-GAIN = torch.tensor([2.4, 2.4, 3.0])  # 1/s, acceleration over what a velocity lacks; fitted to flights, as the next
-LEAN = torch.tensor([0.41, 0.41, 0.63])  # share of what the acceleration lacks that comes in a step
+GAIN = torch.tensor(
+    [2.4, 2.4, 3.0], dtype=torch.float32
+)  # 1/s, acceleration over what a velocity lacks; fitted to flights, as the next
+LEAN = torch.tensor(
+    [0.41, 0.41, 0.63], dtype=torch.float32
+)  # share of what the acceleration lacks that comes in a step
 TURN_GAIN, TURN_LIMIT = 0.6, 1.0  # 1/s and rad/s; a fast turn makes a late command point elsewhere
 
 
@@ -224,7 +228,7 @@ class Planner(TensorDictModuleBase):
         """The ways of what moves, as if it flew straight on, and which there are; none where it is not told of any."""
         if self.motion is None:
             count = len(tensordict["is_init"])
-            return torch.zeros(count, 0, STEPS, 3), torch.zeros(count, 0, dtype=torch.bool)
+            return torch.zeros(count, 0, STEPS, 3, dtype=torch.float32), torch.zeros(count, 0, dtype=torch.bool)
         ways, known = straight_on(tensordict["moving_objects"])  # from the LiDAR
         tilts = body_to_level(tensordict["attitude"].double().numpy())
         sensor = self.memory.above * torch.from_numpy(tilts[:, :, 2]).to(ways)

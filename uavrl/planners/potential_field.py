@@ -48,7 +48,7 @@ def repulsion(points: Tensor, reach: float, radius: float = HULL[0]) -> Tensor:
     """
     distances = points.norm(dim=-1)
     sector = ((torch.atan2(points[:, 1], points[:, 0]) / (2 * torch.pi) + 0.5) * SECTORS).long().clamp_max(SECTORS - 1)
-    least = torch.full((SECTORS,), torch.inf).scatter_reduce(0, sector, distances, "amin")
+    least = distances.new_full((SECTORS,), torch.inf).scatter_reduce(0, sector, distances, "amin")
     points, distances = points[distances == least[sector]], distances[distances == least[sector]]
     rho = (distances - radius).clamp_min(0.05)
     push = (1 / rho - 1 / reach).clamp_min(0) / (rho * rho)

@@ -136,12 +136,12 @@ class VFHStar(Planner):
         self.directions = torch.from_numpy(grid_directions(AZIMUTHS, ELEVATIONS)).float()
         self._beyond = torch.from_numpy(grid_directions(AZIMUTHS_BEYOND, ELEVATIONS)).float()
         self._close = self.directions @ self.directions.T > BLENDED
-        self._flown = torch.zeros(0, 3)  # unit vectors, which way was flown last; 0 for none
+        self._flown = torch.zeros(0, 3, dtype=torch.float32)  # unit vectors, which way was flown last; 0 for none
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
         """The velocities of the best ways' first steps, and yaw rates to the goal."""
         if len(self._flown) != len(seen.fresh):
-            self._flown = torch.zeros(len(seen.fresh), 3)
+            self._flown = torch.zeros(len(seen.fresh), 3, dtype=torch.float32)
         self._flown = self._flown.masked_fill(seen.fresh, 0.0)
         forward = seen.velocity @ self.directions.T
         start = LAG * (seen.velocity[:, None] - forward[..., None] * self.directions)  # [N, D, 3]: where lines begin
@@ -193,7 +193,7 @@ class VFHStar(Planner):
         first = cost.unflatten(1, (AZIMUTHS, each)).argmin(-1) + each * torch.arange(AZIMUTHS)  # [N, A]
         way = self.directions[first]
         place = start[torch.arange(len(cost))[:, None], first] + step * way  # [N, A, 3]
-        goals, ahead = seen.goal.repeat_interleave(AZIMUTHS, 0), torch.zeros(first.shape)
+        goals, ahead = seen.goal.repeat_interleave(AZIMUTHS, 0), cost.new_zeros(first.shape)
         for depth in range(1, self.depth + 1):
             lines = self._look(seen.points, place[:, :, None], self._beyond)
             height = (seen.altitude + place[..., 2]).reshape(-1, 1) + step * self._beyond[:, 2]

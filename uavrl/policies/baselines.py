@@ -10,9 +10,10 @@ from torch import Tensor
 
 from uavrl.errors import UavrlError
 from uavrl.transforms.reduction import Statistic
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction
+from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.guards.evade import evade
+from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on, to_yaw
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
@@ -81,6 +82,11 @@ COSTS: dict[tuple[Reduction, Statistic], VFHWeights] = {
 }
 
 
+def _counting(cells: Tensor, width: float) -> Tensor:
+    """How much of each of the cells that lie towards ``cells [cells, 3]`` counts in each direction: ``[D, cells]``."""
+    return (DIRECTIONS @ cells.T).clamp_min(0) ** width
+
+
 class VectorFieldHistogram(TensorDictModuleBase):
     """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there.
 
@@ -97,6 +103,8 @@ class VectorFieldHistogram(TensorDictModuleBase):
         costs: None for those that were chosen for this reduction and statistic; there are none for some.
         last_action: whether the observation ends with the last action, likewise.
         motion: how far moving objects are looked for, likewise; None: it is not told of any.
+        grid: where the cells of a range image are, likewise. Cells of another grid than the default's weigh so much
+            that a scan that is full everywhere costs the same, for which the costs were chosen.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -117,6 +125,7 @@ class VectorFieldHistogram(TensorDictModuleBase):
         costs: VFHWeights | None = None,
         last_action: bool = False,
         motion: float | None = None,
+        grid: RangeGrid | None = None,
     ) -> None:
         statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and (reduction, statistic) not in COSTS:
@@ -132,13 +141,16 @@ class VectorFieldHistogram(TensorDictModuleBase):
         self.motion = motion
         self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
         self.costs = COSTS[reduction, statistic] if costs is None else costs
-        cosines = DIRECTIONS @ REDUCTIONS[reduction].directions().T
         self.directions: Tensor
         self._near: Tensor  # [D, D], cosines between directions
         self._seen_in: Tensor  # [D, cells]: how much of each counts in a direction
         self.register_buffer("directions", DIRECTIONS.clone(), persistent=False)
         self.register_buffer("_near", DIRECTIONS @ DIRECTIONS.T, persistent=False)
-        self.register_buffer("_seen_in", cosines.clamp_min(0) ** self.costs.width, persistent=False)
+        seen_in = _counting(cell_directions(reduction, grid), self.costs.width)
+        if reduction == "range_image" and grid not in (None, VLP16_GRID):
+            known = _counting(cell_directions(reduction), self.costs.width)
+            seen_in *= known.sum(-1, keepdim=True) / seen_in.sum(-1, keepdim=True)
+        self.register_buffer("_seen_in", seen_in, persistent=False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
@@ -184,6 +196,6 @@ class VectorFieldHistogram(TensorDictModuleBase):
         way = torch.nn.functional.normalize(weight @ self.directions, dim=-1)
         turn = (TURN_GAIN * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-TURN_LIMIT, TURN_LIMIT)
         right = heading_deg.remainder(360) - 180  # of straight behind, degrees; the goal's side is left below 0
-        around = torch.where(right < 0, TURN_LIMIT, -TURN_LIMIT)
+        around = torch.where(right < 0, TURN_LIMIT, -TURN_LIMIT).to(turn)
         turn = torch.where(right.abs() < BEHIND, around, turn)
         return torch.cat([(weight * speed).sum(-1, keepdim=True) * way, turn], -1)

@@ -98,7 +98,10 @@ def split_episodes(batch: TensorDictBase) -> Iterator[TensorDictBase]:
     """Splits a flat batch of whole episodes at the ends that its ``("next", "done")`` marks."""
     ends = batch["next", "done"].reshape(-1).nonzero().reshape(-1).tolist()
     if not ends or ends[-1] != len(batch) - 1:
-        raise ValueError(f"Expected whole episodes, got a batch of {len(batch)} steps whose last one ends none.")
+        raise ValueError(
+            f"Expected whole episodes, got {len(batch)} steps, and the last one does not end an episode: collect with "
+            f"trajs_per_batch=1, traj_format='cat'."
+        )
     start = 0
     for end in ends:
         yield batch[start : end + 1]

@@ -173,7 +173,7 @@ def _make_mirror(settings: TrainConfig) -> Mirror:
     known = ours and seen.get("angles", "folded") == "folded"
     require(known, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
     actions = ["action", GUIDE_ACTION] if settings.guided else ["action"]
-    told = {key: seen[key] for key in ("last_action", "reduction") if key in seen}
+    told = {key: seen[key] for key in ("last_action", "reduction", "grid") if key in seen}
     return Mirror(actions=actions, motion=seen.get("motion") is not None, **told)
 
 

@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
+import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Transform
 
+from uavrl.entries import Shown, entry
 from uavrl.transforms.waypoint import heading_to_waypoint
 
 GUIDE_ACTION = "guide_action"
@@ -15,7 +17,7 @@ GUIDE_ACTION = "guide_action"
 Acts = Callable[[TensorDictBase], TensorDictBase]
 
 
-class Guidance(Transform):
+class Guidance(Shown, Transform):
     """Writes what a scripted controller would do beside each observation, led as the policy is.
 
     Args:
@@ -29,6 +31,8 @@ class Guidance(Transform):
         self.guide, self.actions = guide, actions
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for key in self.in_keys:
+            entry(next_tensordict, key, self)
         return next_tensordict.set(GUIDE_ACTION, self.guide(heading_to_waypoint(next_tensordict.copy()))["action"])
 
     forward = _call
@@ -39,7 +43,7 @@ class Guidance(Transform):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the guide's action."""
         assert isinstance(observation_spec, Composite)
-        observation_spec[GUIDE_ACTION] = Unbounded((*observation_spec.shape, self.actions))
+        observation_spec[GUIDE_ACTION] = Unbounded((*observation_spec.shape, self.actions), dtype=torch.float32)
         return observation_spec
 
 

@@ -8,9 +8,11 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
+from uavrl.entries import Shown, entry
 from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
-from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, Reduction
+from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, Reduction, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
+from uavrl_onboard.perception.cells import RangeGrid
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 
@@ -22,11 +24,11 @@ ACTION_SIGNS = (1.0, -1.0, 1.0, -1.0)  # forward, left, up, yaw rate
 @lru_cache(maxsize=8)
 @torch.inference_mode(False)
 def _places_and_signs(
-    reduction: Reduction, last_action: bool, motion: bool, device: torch.device
+    reduction: Reduction, grid: RangeGrid | None, last_action: bool, motion: bool, device: torch.device
 ) -> tuple[Tensor, Tensor]:
     """Where each of an observation's numbers comes from in the mirrored one, and its sign."""
     kept: list[tuple[Tensor | None, tuple[float, ...]]]
-    kept = [(_image(REDUCTIONS[reduction].directions()), ()), (None, BESIDE_SIGNS)]
+    kept = [(_image(cell_directions(reduction, grid)), ()), (None, BESIDE_SIGNS)]
     if motion:
         kept += [(None, OBJECT_SIGNS * MOVING_OBJECTS), (_image(DIRECTIONS), ()), (None, STANDING_SIGN)]
     if last_action:
@@ -50,6 +52,7 @@ def mirror_observation(
     last_action: bool = False,
     motion: bool = False,
     reduction: Reduction = "truncated_icosahedron",
+    grid: RangeGrid | None = None,
 ) -> Tensor:
     """What a vehicle sees in the mirror image of its world, left and right exchanged (y → -y).
 
@@ -63,6 +66,7 @@ def mirror_observation(
         motion: whether it also holds moving objects and their threats, as :class:`uavrl.transforms.NavigationState`
             puts them there.
         reduction: as in :class:`uavrl.transforms.NavigationState`.
+        grid: as there.
 
     Raises:
         ValueError: for another width.
@@ -74,12 +78,12 @@ def mirror_observation(
         >>> mirrored.nonzero().flatten().tolist(), mirrored[33].item()
         ([1, 33], -0.25)
     """
-    places, signs = _places_and_signs(reduction, last_action, motion, observation.device)
+    places, signs = _places_and_signs(reduction, grid, last_action, motion, observation.device)
     if not observation.shape[-1] or observation.shape[-1] % len(places):
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
     image = frames.index_select(-1, places) * signs.to(frames.dtype)
-    heading = image[..., len(REDUCTIONS[reduction].directions()) + len(BESIDE_SIGNS) + HEADING]
+    heading = image[..., len(cell_directions(reduction, grid)) + len(BESIDE_SIGNS) + HEADING]
     heading.masked_fill_(heading == 1.0, -1.0)  # straight behind is -1 on either side: folded angles are in [-1, 1)
     return image.flatten(-2)
 
@@ -94,7 +98,7 @@ def mirror_action(action: Tensor) -> Tensor:
     return action * action.new_tensor(ACTION_SIGNS)
 
 
-class Mirror(Transform):
+class Mirror(Shown, Transform):
     """Shows each transition that a replay buffer samples as its mirror image, half of the time.
 
     The sensor and the rewards treat left and right alike, so the image is a transition that could have been seen. The
@@ -105,7 +109,7 @@ class Mirror(Transform):
         in_keys: the observations, ``[B, F * 35]``, with folded angles.
         actions: keys of the actions, ``[B, 4]``.
         probability: of the image.
-        last_action, motion, reduction: as in :func:`mirror_observation`.
+        last_action, motion, reduction, grid: as in :func:`mirror_observation`.
 
     Raises:
         ValueError: for a probability outside [0, 1], or an unknown reduction.
@@ -127,6 +131,7 @@ class Mirror(Transform):
         last_action: bool = False,
         motion: bool = False,
         reduction: Reduction = "truncated_icosahedron",
+        grid: RangeGrid | None = None,
     ) -> None:
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"probability must be in [0, 1], got {probability}.")
@@ -134,19 +139,23 @@ class Mirror(Transform):
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(in_keys=[*in_keys, *actions], out_keys=[*in_keys, *actions])
         self.num_actions, self.probability = len(actions), probability
-        self.last_action, self.motion, self.reduction = last_action, motion, reduction
+        self.last_action, self.motion, self.reduction, self.grid = last_action, motion, reduction, grid
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
         tensordict = tensordict.copy()  # a slice of a storage is the storage
         observations, actions = self.in_keys[: -self.num_actions], self.in_keys[-self.num_actions :]
-        device = tensordict.get(actions[0]).device
+        device = entry(tensordict, actions[0], self).device
         mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
         observed = partial(
-            mirror_observation, last_action=self.last_action, motion=self.motion, reduction=self.reduction
+            mirror_observation,
+            last_action=self.last_action,
+            motion=self.motion,
+            reduction=self.reduction,
+            grid=self.grid,
         )
         for keys, image in ((observations, observed), (actions, mirror_action)):
             for key in keys:
-                value = tensordict.get(key)
+                value = entry(tensordict, key, self)
                 tensordict.set(key, torch.where(mirrored, image(value), value))
         return tensordict

@@ -9,6 +9,7 @@ from pydantic import Field
 from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 
+from uavrl.entries import entry, entry_spec
 from uavrl.transforms.through_time import ThroughTime
 from uavrl_onboard.perception.cells import LASERS
 from uavrl_onboard.perception.motion import OBJECT, MotionSight
@@ -71,7 +72,7 @@ class MovingObjects(ThroughTime):
 
     def look(self, data: TensorDictBase, count: int, which: np.ndarray, begins: bool) -> TensorDictBase:
         """Writes the objects that each sensor sees."""
-        cloud, velocity, attitude = (data.get(key) for key in self.in_keys)
+        cloud, velocity, attitude = (entry(data, key, self) for key in self.in_keys)
         batch = cloud.shape[:-2]
         if self._sight is None or len(self._last) != count:
             self._sight = MotionSight(count, self.max_range, self.objects, self.period)
@@ -89,7 +90,7 @@ class MovingObjects(ThroughTime):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the spec of the objects."""
         assert isinstance(observation_spec, Composite)
-        cloud = observation_spec[self.in_keys[0]]
+        cloud, *_ = (entry_spec(observation_spec, key, self) for key in self.in_keys)
         shape = (*cloud.shape[:-2], self.objects * len(OBJECT))
         observation_spec[self.out_keys[0]] = Unbounded(shape, cloud.device, cloud.dtype)
         return observation_spec

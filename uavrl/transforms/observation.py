@@ -9,6 +9,8 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import ObservationTransform, Transform
 
+from uavrl.entries import Shown, entry, entry_spec
+
 Angles = Literal["folded", "turns", "raw"]
 # Beside the cells stand, in this order: altitude, heading, elevation
 BESIDE_SIGNS = (1.0, -1.0, 1.0)  # what a mirror that exchanges left and right multiplies each by
@@ -56,7 +58,7 @@ def navigation_observation(
     return torch.cat([faces / radius, altitude / flight_level - 1, heading_deg, elevation_deg], -1)
 
 
-class NavigationObservation(ObservationTransform):
+class NavigationObservation(Shown, ObservationTransform):
     """Writes the policy's observation of one frame.
 
     Args:
@@ -97,7 +99,7 @@ class NavigationObservation(ObservationTransform):
         self.angles: Angles = angles
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        values = [next_tensordict.get(key) for key in self.in_keys]
+        values = [entry(next_tensordict, key, self) for key in self.in_keys]
         observation = navigation_observation(
             *values, radius=self.radius, flight_level=self.flight_level, angles=self.angles
         )
@@ -111,13 +113,13 @@ class NavigationObservation(ObservationTransform):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the observation's spec: one float per face, altitude and angle."""
         assert isinstance(observation_spec, Composite)
-        specs = [observation_spec[key] for key in self.in_keys]
+        specs = [entry_spec(observation_spec, key, self) for key in self.in_keys]
         shape = (*specs[0].shape[:-1], sum(spec.shape[-1] for spec in specs))
         observation_spec[self.out_keys[0]] = Unbounded(shape, specs[0].device, specs[0].dtype)
         return observation_spec
 
 
-class LastAction(Transform):
+class LastAction(Shown, Transform):
     """Writes beside an observation which action led to it, zeros after a reset.
 
     A vehicle's last command says how it moves now. Join it to the observation by TorchRL's ``CatTensors``.
@@ -145,11 +147,11 @@ class LastAction(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Stored transitions with the action beside the next observation."""
-        self._step(tensordict, tensordict.get("next"))
+        self._step(tensordict, entry(tensordict, "next", self))
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set(self.out_keys[0], tensordict.get(self.in_keys[0]))
+        return next_tensordict.set(self.out_keys[0], entry(tensordict, self.in_keys[0], self))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return tensordict_reset.set(self.out_keys[0], self._action_spec().zero())
@@ -162,4 +164,4 @@ class LastAction(Transform):
 
     def _action_spec(self) -> TensorSpec:
         assert self.parent is not None, "only an environment's transform is reset"
-        return self.parent.full_action_spec[self.in_keys[0]]
+        return entry_spec(self.parent.full_action_spec, self.in_keys[0], self)

@@ -13,8 +13,8 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
+from uavrl.entries import entry, entry_spec
 from uavrl.errors import UavrlError
-from uavrl.upstream import missing_tolerance
 from uavrl_onboard.perception.cells import LARGEST_RADIUS, NEAREST_RETURN, Statistic, return_bounds
 
 __all__ = ["PointCloudReduction", "Statistic", "is_return"]
@@ -138,18 +138,19 @@ class PointCloudReduction(Transform):
         return self.reduced(obs, self.radius, self.statistic)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._dropped(super()._call(next_tensordict))
+        return self._reduce(next_tensordict)
 
     @dispatch(source="in_keys", dest="out_keys", auto_batch_size=False)
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Reduces the clouds of ``tensordict`` in place, as a module or in a replay buffer."""
-        return self._dropped(super().forward(tensordict))
+        return self._reduce(tensordict)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        with missing_tolerance(self, True):
-            return self._call(tensordict_reset)
+        return self._reduce(tensordict_reset)
 
-    def _dropped(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def _reduce(self, tensordict: TensorDictBase) -> TensorDictBase:
+        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
+            tensordict.set(out_key, self._apply_transform(entry(tensordict, in_key, self)))
         return tensordict.exclude(*self._deleted(), inplace=True)
 
     def _deleted(self) -> list[NestedKey]:
@@ -157,20 +158,34 @@ class PointCloudReduction(Transform):
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Replaces the clouds' specs by bounded ``[*B, cells]`` specs."""
-        if not isinstance(observation_spec, Composite):
-            raise ValueError(f"{type(self).__name__} needs a Composite observation spec, got {observation_spec}.")
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            if in_key not in observation_spec.keys(True, True):
-                raise KeyError(
-                    f"{type(self).__name__} reads {in_key!r}, but the environment has only "
-                    f"{sorted(map(str, observation_spec.keys(True, True)))}: set in_keys."
-                )
-            cloud = observation_spec[in_key]
+            cloud = entry_spec(observation_spec, in_key, self)
+            assert isinstance(observation_spec, Composite)
             shape = (*cloud.shape[:-2], len(self.directions()))
             observation_spec[out_key] = Bounded(0.0, self.radius, shape, cloud.device, cloud.dtype)
         for key in self._deleted():
             del observation_spec[key]
         return observation_spec
+
+    def unseen_cells(self, rays: Tensor) -> list[int]:
+        """Lists the cells in which a sensor never reports a point.
+
+        Args:
+            rays: directions of the sensor's rays ``[R, 3]``, x forward, y left, z up.
+
+        Examples:
+            A VLP-16 sees 15 degrees up and down: 24 of the 32 faces, and all 72 cells of the range image.
+
+            >>> from uavrl.envs.vlp16 import firing_directions
+            >>> from uavrl.transforms import RangeImage, TruncatedIcosahedron
+            >>> rays = torch.from_numpy(firing_directions())
+            >>> len(TruncatedIcosahedron().unseen_cells(rays)), RangeImage().unseen_cells(rays)
+            (8, [])
+        """
+        directions = torch.nn.functional.normalize(torch.as_tensor(rays).double(), dim=-1)
+        distances = torch.linspace(NEAREST_RETURN, self.radius, 9, dtype=torch.float64)[1:] * (1.0 - 1e-3)
+        seen = self.reduced((distances[:, None, None] * directions).reshape(-1, 3), self.radius, "range")
+        return (seen == 0).nonzero()[:, 0].tolist()
 
     def __repr__(self) -> str:
         """Returns the constructor call."""

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform, TransformedEnv
 
+from uavrl.entries import Shown, entry
 from uavrl_onboard.ranges import Positive
 
 RewardTerms = Callable[[TensorDictBase, TensorDictBase], dict[str, Tensor]]  # as :meth:`SumOfTerms.terms`
@@ -157,32 +158,23 @@ def navigation_reward(*quantities: Tensor, **options: Any) -> Tensor:
     return total(navigation_terms(*quantities, **options))
 
 
-class SumOfTerms(Transform):
+class SumOfTerms(Shown, Transform):
     """Reads quantities before and after a step and writes their reward: the sum of what :meth:`terms` gives."""
 
     @abstractmethod
     def terms(self, before: TensorDictBase, after: TensorDictBase) -> dict[str, Tensor]:
         """The terms of the reward, each ``[*B, 1]``, by name, of what was before and after steps ``[*B]``."""
 
-    def _get(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
-        value = tensordict.get(key, None)
-        if value is None:
-            raise KeyError(
-                f"{type(self).__name__} expected the key {key!r} and found {list(tensordict.keys())}: "
-                f"emit it from the environment, or name the right key in the constructor."
-            )
-        return value
-
     def _quantities(self, before: TensorDictBase, after: TensorDictBase) -> list[Tensor]:
         """The first in-key's value before the step, and all values after it."""
-        return [self._get(before, self.in_keys[0]), *(self._get(after, key) for key in self.in_keys)]
+        return [entry(before, self.in_keys[0], self), *(entry(after, key, self) for key in self.in_keys)]
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set(self.out_keys[0], total(self.terms(tensordict, next_tensordict)))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Recomputes the reward of stored transitions (root and ``"next"`` must hold the in-keys)."""
-        return tensordict.set("next", self._step(tensordict, tensordict.get("next")))
+        return tensordict.set("next", self._step(tensordict, entry(tensordict, "next", self)))
 
     def transform_reward_spec(self, reward_spec: TensorSpec) -> TensorSpec:
         """An unbounded float under the out-key, in the place of an environment's own reward or beside it."""

@@ -1,21 +1,24 @@
 """From the raw scan to the policy's state, in one piece."""
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import Field
+from torch import Tensor
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
+from uavrl.entries import Shown
+from uavrl.errors import UavrlError
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.motion import MovingObjects
 from uavrl.transforms.observation import Angles, LastAction, NavigationObservation
-from uavrl.transforms.range_image import RangeImage
+from uavrl.transforms.range_image import RangeImage, range_image_directions
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
 from uavrl.transforms.threats import Threats
 from uavrl.transforms.waypoint import Waypoint
 from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE
-from uavrl_onboard.perception.cells import FAR_EVERY
+from uavrl_onboard.perception.cells import FAR_EVERY, VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.ranges import Positive
 
@@ -28,6 +31,28 @@ MOVING_OBJECTS = 3  # in an observation
 ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1); a network reads it as 1
 
 
+def make_reduction(reduction: Reduction, grid: RangeGrid | None = None, **options: Any) -> PointCloudReduction:
+    """Returns a reduction by its name; ``grid`` is that of a range image.
+
+    Raises:
+        UavrlError: for an unknown name, and for a grid that the reduction does not have.
+    """
+    if reduction not in REDUCTIONS:
+        raise UavrlError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
+    if grid is None or grid == VLP16_GRID:
+        return REDUCTIONS[reduction](**options)
+    if reduction != "range_image":
+        raise UavrlError(f"grid is that of reduction=range_image, and this is {reduction}: leave one of the two out.")
+    return RangeImage(**vars(grid), **options)
+
+
+def cell_directions(reduction: Reduction, grid: RangeGrid | None = None) -> Tensor:
+    """Returns unit vectors ``[cells, 3]`` through the cells of a reduction; ``grid`` is that of a range image."""
+    if grid is not None and reduction == "range_image":
+        return range_image_directions(grid)
+    return REDUCTIONS[reduction].directions()
+
+
 def _with_last_action() -> Iterator[Transform]:
     yield LastAction()
     yield ObservationNorm(loc=0.0, scale=1.0 / ACTION_LIMIT, in_keys=["last_action"])
@@ -35,7 +60,7 @@ def _with_last_action() -> Iterator[Transform]:
 
 
 def _with_motion(max_range: float) -> Iterator[Transform]:
-    scale = torch.tensor(scales(max_range)).reciprocal()
+    scale = torch.tensor(scales(max_range), dtype=torch.float32).reciprocal()
     yield ObservationNorm(
         0.0,
         scale.repeat(MOVING_OBJECTS),
@@ -47,7 +72,7 @@ def _with_motion(max_range: float) -> Iterator[Transform]:
     yield CatTensors(["observation", "scaled_objects", "threats"], "observation", del_keys=True, sort=False)
 
 
-class NavigationState(Compose):
+class NavigationState(Shown, Compose):
     """Everything between what :class:`uavrl.envs.NavigationEnv` emits and what a policy reads.
 
     The scan becomes 32 faces (or what another reduction makes of it), these with altitude and goal angles an
@@ -58,7 +83,8 @@ class NavigationState(Compose):
         statistic: as in :class:`TruncatedIcosahedron`; None for the reduction's default.
         flight_level: the altitude at which an observation's altitude is 0, m.
         angles: as in :class:`NavigationObservation`.
-        reduction: of the scan: ``"truncated_icosahedron"``, or the 72 cells of a ``"range_image"``.
+        reduction: of the scan: ``"truncated_icosahedron"``, or the cells of a ``"range_image"``.
+        grid: where the cells of a range image are; None for its 72 cells that fit a VLP-16.
         last_action: whether an observation also holds the action that led to it.
         motion: how far :class:`MovingObjects` are looked for, m, of which an observation then also holds the nearest
             three and their :class:`Threats`; the scan must reach as far. None: not at all.
@@ -87,18 +113,18 @@ class NavigationState(Compose):
         frames: Annotated[int, Field(ge=1, le=1000)] = 3,
         *,
         reduction: Reduction = "truncated_icosahedron",
+        grid: RangeGrid | None = None,
         last_action: bool = False,
         motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
         memory: Annotated[float, Field(gt=0, le=40)] | None = None,
         sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
     ) -> None:
-        if reduction not in REDUCTIONS:
-            raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
+        reduced = make_reduction(reduction, grid, radius=radius, statistic=statistic)
         heading = "heading_deg" if memory is None else "waypoint_deg"
         super().__init__(
             *(() if memory is None else [Waypoint(memory, flight_level=flight_level, sensor_position=sensor_position)]),
             *([MovingObjects(motion, MOVING_OBJECTS, FAR_EVERY)] if motion is not None else ()),
-            REDUCTIONS[reduction](radius=radius, statistic=statistic),
+            reduced,
             NavigationObservation(
                 radius, flight_level, angles, in_keys=("faces", "altitude", heading, "elevation_deg")
             ),

@@ -7,6 +7,7 @@ from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
+from uavrl.entries import Shown, entry, entry_spec
 from uavrl_onboard.perception.motion import threats
 from uavrl_onboard.perception.motion.threats import GREATEST, greatest_threats, straight_on, to_yaw
 from uavrl_onboard.ranges import Positive
@@ -17,7 +18,7 @@ DIRECTIONS = torch.from_numpy(threats.DIRECTIONS)
 """In which a vehicle may fly, ``[72, 3]``: forward, left, up."""
 
 
-class Threats(Transform):
+class Threats(Shown, Transform):
     """Writes how near moving objects would come on the way in each of 72 directions, and standing.
 
     For each direction at full speed, and for standing, the threat
@@ -62,14 +63,14 @@ class Threats(Transform):
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.speed = speed
-        self.register_buffer("commanded", torch.cat([speed * DIRECTIONS, torch.zeros(1, 3)]))
+        self.register_buffer("commanded", torch.cat([speed * DIRECTIONS, DIRECTIONS.new_zeros(1, 3)]))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Adds the threats."""
         return self._call(tensordict)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        told = [next_tensordict.get(key) for key in self.in_keys]
+        told = [entry(next_tensordict, key, self) for key in self.in_keys]
         batch = told[0].shape[:-1]
         objects, velocity, attitude = (value.reshape(batch.numel(), value.shape[-1]) for value in told)
         found = objects.new_zeros(len(objects), len(self.commanded))
@@ -86,7 +87,7 @@ class Threats(Transform):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the spec of the threats."""
         assert isinstance(observation_spec, Composite)
-        objects = observation_spec[self.in_keys[0]]
+        objects, *_ = (entry_spec(observation_spec, key, self) for key in self.in_keys)
         shape = (*objects.shape[:-1], len(self.commanded))
         observation_spec[self.out_keys[0]] = Unbounded(shape, objects.device, objects.dtype)
         return observation_spec

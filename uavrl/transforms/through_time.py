@@ -7,10 +7,11 @@ import numpy as np
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
+from uavrl.entries import Shown, entry
 from uavrl.errors import UavrlError
 
 
-class ThroughTime(Transform):
+class ThroughTime(Shown, Transform):
     """Sees each sensor's scans one after another while episodes run; ``look`` says what it makes of them."""
 
     invertible = False
@@ -35,11 +36,11 @@ class ThroughTime(Transform):
         )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        count = next_tensordict.get(self.in_keys[0]).shape[:-2].numel()
+        count = entry(next_tensordict, self.in_keys[0], self).shape[:-2].numel()
         return self.look(next_tensordict, count, np.ones(count, bool), begins=False)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        count = tensordict_reset.get(self.in_keys[0]).shape[:-2].numel()
+        count = entry(tensordict_reset, self.in_keys[0], self).shape[:-2].numel()
         mask = None if tensordict is None else tensordict.get("_reset", None)
         which = np.ones(count, bool) if mask is None else mask.reshape(-1).cpu().numpy()
         return self.look(tensordict_reset, count, which, begins=True)

@@ -9,6 +9,7 @@ from pydantic import Field
 from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 
+from uavrl.entries import entry, entry_spec
 from uavrl.transforms.through_time import ThroughTime
 from uavrl_onboard.guards.map import Wayfinder
 from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE, sensor_place
@@ -75,7 +76,7 @@ class Waypoint(ThroughTime):
 
     def look(self, data: TensorDictBase, count: int, which: np.ndarray, begins: bool) -> TensorDictBase:
         """Writes the headings to the waypoints."""
-        cloud, *told = (data.get(key).detach().cpu() for key in self.in_keys)
+        cloud, *told = (entry(data, key, self).detach().cpu() for key in self.in_keys)
         velocity, attitude = (each.reshape(count, 3).double().numpy() for each in told[:2])
         altitude, heading = (each.reshape(count).double().numpy() for each in told[2:])
         if self._finder is None or len(self._last) != count:
@@ -100,7 +101,7 @@ class Waypoint(ThroughTime):
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the spec of the headings."""
         assert isinstance(observation_spec, Composite)
-        heading = observation_spec[self.in_keys[-1]]
+        *_, heading = (entry_spec(observation_spec, key, self) for key in self.in_keys)
         observation_spec[self.out_keys[0]] = Unbounded(heading.shape, heading.device, heading.dtype)
         return observation_spec
 

@@ -127,7 +127,7 @@ def logged_page_data(flight: LoggedFlight, points: int = 1500) -> dict[str, Any]
         "goal": pack(np.array([radius, height])),
     }
     return {
-        **drawn_parts(shell(directions(cells.reduction), cells.radius)),
+        **drawn_parts(shell(directions(cells.reduction, **cells.options), cells.radius)),
         "source": {"log": flight.path.name, "started": flight.about.get("started", "")},
         "states": STATES,
         "sceneries": {"log": place},

@@ -7,7 +7,11 @@ import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from uavrl_onboard.mesh import Mesh, loft
-from uavrl_onboard.perception.cells import AZIMUTHS, ELEVATIONS, ROW_BORDERS, ROWS, icosahedron, range_image_middles
+from uavrl_onboard.perception.cells import (
+    VLP16_GRID,
+    icosahedron,
+    range_image_middles,
+)
 
 # The vehicle that is drawn: hector_quadrotor with a Velodyne VLP-16 on top.
 ARM, ROTOR_RADIUS = 0.275, 0.14  # m
@@ -93,11 +97,10 @@ def _edges(pairs: list[np.ndarray]) -> np.ndarray:
 
 def belt(radius: float) -> Shell:
     """Returns the range image's cells on the sphere of a radius in m."""
-    azimuth, elevation = np.meshgrid(
-        (np.arange(AZIMUTHS) - 0.5) * (2 * np.pi / AZIMUTHS),
-        [-ELEVATIONS / 2 * ROWS, *ROW_BORDERS, ELEVATIONS / 2 * ROWS],
-        indexing="ij",
-    )
+    grid = VLP16_GRID
+    edges = np.radians([grid.elevation[0], *grid.row_borders, grid.elevation[1]])
+    middles = (np.arange(grid.columns) - 0.5) * (2 * np.pi / grid.columns)
+    azimuth, elevation = np.meshgrid(middles, edges, indexing="ij")
     across = np.cos(elevation)
     vertices = radius * np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], -1)
     right = np.arange(azimuth.size).reshape(azimuth.shape)

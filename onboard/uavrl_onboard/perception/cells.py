@@ -2,18 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
+
+from uavrl_onboard.errors import UavrlError
 
 Statistic = Literal["face", "range", "proximity"]
 
 NUM_FACES = 32
 """Faces of the truncated icosahedron, 12 pentagons and then 20 hexagons."""
-AZIMUTHS, ELEVATIONS = 24, 3  # cells of the range image
-ROWS = math.radians(10.0)  # from one row's middles to the next: three span the ±15 degrees of a VLP-16
-ROW_BORDERS = (math.radians(-4.0), math.radians(4.0))  # elevations half-way between lasers: at ±5 rounding would choose
 
 LARGEST_RADIUS = 1e6  # m: the squares of much larger ones overflow
 TOUCHING = 1e-6  # of the radius: what a cell reads that a point touches, as 0 means "no point"
@@ -25,6 +26,10 @@ NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes f
 # The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
 # a sensor whose range ends at the radius does not report; and it begins this much after the housing.
 _ROUNDING = 2e-6
+
+MOST_CELLS = 10_000  # of a range image
+_LEVELS = 256  # elevations of rays that a row's border is kept away from; of a sensor with more, rows are equal
+_VLP16, _VLP16_BORDERS = (3, (-15.0, 15.0)), (-4.0, 4.0)  # half-way between lasers: at ±5 rounding would choose
 
 _PHI = (1.0 + math.sqrt(5.0)) / 2.0
 
@@ -84,13 +89,143 @@ def octant() -> tuple[np.ndarray, np.ndarray]:
     return first, (images @ normals.T).argmax(-1).reshape(-1)
 
 
-@lru_cache(maxsize=1)
-def range_image_middles() -> np.ndarray:
-    """Unit vectors ``[72, 3]`` through the middles of the range image's cells.
+@dataclass(frozen=True)
+class RangeGrid:
+    """The cells of a range image: columns of azimuth all around the sensor, and in each of them rows of elevation.
 
-    Azimuths 0, 15, … 345 degrees (0 is forward, 90 left), and of each the elevations -10, 0 and 10 degrees.
+    Cell ``rows * column + row`` is in a column, counted to the left from the one straight ahead, and in a row, counted
+    from the lowest. The default fits a VLP-16: 24 columns of 15 degrees, and rows whose middles are at -10, 0 and 10
+    degrees, with borders a degree from any laser.
+
+    Args:
+        columns: of equal width.
+        rows: in a column.
+        elevation: the lowest and the highest elevation of the sensor's field of view, degrees. Points beyond them
+            belong to the lowest or the highest row.
+        borders: elevations between the rows, ascending, degrees; None for equal rows (the default grid: ±4). Keep them
+            away from the sensor's lasers, where rounding would choose the row.
+
+    Attributes:
+        middles: of the rows, degrees: those of equal rows where the borders lie between these, else half-way between
+            the borders.
+
+    Raises:
+        UavrlError: for sizes out of range, and for elevations that are not ascending within [-90, 90].
+
+    Examples:
+        >>> RangeGrid().row_borders, RangeGrid().middles
+        ((-4.0, 4.0), (-10.0, 0.0, 10.0))
+        >>> RangeGrid(columns=36, rows=4, elevation=(-25.0, 15.0)).middles
+        (-20.0, -10.0, 0.0, 10.0)
     """
-    return grid_directions(AZIMUTHS, [(row - (ELEVATIONS - 1) / 2) * ROWS for row in range(ELEVATIONS)])
+
+    columns: int = 24
+    rows: int = 3
+    elevation: tuple[float, float] = (-15.0, 15.0)
+    borders: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Checks the sizes; borders that are the default's are not kept, so that equal grids are equal."""
+        if min(self.columns, self.rows) < 1 or self.columns * self.rows > MOST_CELLS:
+            raise UavrlError(
+                f"A range image has at least one column and one row and at most {MOST_CELLS:,} cells, got "
+                f"columns={self.columns} and rows={self.rows}."
+            )
+        low, high = map(float, self.elevation)
+        object.__setattr__(self, "elevation", (low, high))
+        borders = self._default_borders() if self.borders is None else tuple(map(float, self.borders))
+        ascending = all(a < b for a, b in pairwise([low, *borders, high]))
+        if len(borders) != self.rows - 1 or not ascending or not -90.0 <= low < high <= 90.0:
+            raise UavrlError(
+                f"A range image of {self.rows} rows needs two elevations in [-90, 90] degrees and {self.rows - 1} "
+                f"borders between them, all ascending, got elevation={self.elevation} and borders={self.borders}."
+            )
+        object.__setattr__(self, "borders", None if borders == self._default_borders() else borders)
+
+    @classmethod
+    def for_sensor(cls, rays: np.ndarray, columns: int = 24, rows: int = 3) -> "RangeGrid":
+        """Returns the grid for the field of view of a sensor whose rays fly in the directions ``rays [R, 3]``.
+
+        Its rows share the elevations of the rays equally, with each border half-way between two lasers.
+
+        Raises:
+            UavrlError: for directions that are none, and for more rows than the sensor's lasers fill.
+
+        Examples:
+            >>> beams = grid_directions(360, np.radians([-25.0, -15.0, -5.0, 5.0, 15.0]))
+            >>> grid = RangeGrid.for_sensor(beams, columns=36, rows=2)
+            >>> grid.elevation, grid.row_borders
+            ((-25.0, 15.0), (-10.0,))
+        """
+        levels = np.unique(elevations_of(rays).round(2))  # a hundredth of a degree: rounding makes no lasers
+        low, high = float(levels[0]), float(levels[-1])
+        if len(levels) < max(rows, 2):
+            raise UavrlError(f"Expected rays at {max(rows, 2)} elevations or more for {rows} rows, got {len(levels)}.")
+        equal = low + np.arange(1, rows) * (high - low) / rows
+        if len(levels) > _LEVELS:
+            return cls(columns, rows, (low, high), tuple(equal.tolist()))
+        between = (levels[1:] + levels[:-1]) / 2
+        distance = np.abs(between - equal[:, None]).round(6) + 1e-7 * np.abs(between - (low + high) / 2)
+        borders = between[distance.argmin(-1)] if rows > 1 else equal  # of two alike the one nearer to the middle
+        if len(np.unique(borders)) < len(borders):
+            raise UavrlError(f"The sensor has no rays in some of {rows} equal rows: take fewer rows, or pass borders.")
+        return cls(columns, rows, (low, high), tuple(borders.round(6).tolist()))
+
+    def _equal(self, places: np.ndarray) -> tuple[float, ...]:
+        """Elevations at ``places`` rows from the lowest elevation, degrees."""
+        low, high = self.elevation
+        return tuple((low + places * ((high - low) / self.rows)).tolist())
+
+    def _default_borders(self) -> tuple[float, ...]:
+        return _VLP16_BORDERS if (self.rows, self.elevation) == _VLP16 else self._equal(np.arange(1.0, self.rows))
+
+    @property
+    def count(self) -> int:
+        """The number of cells."""
+        return self.columns * self.rows
+
+    @property
+    def row_borders(self) -> tuple[float, ...]:
+        """The elevations between the rows, degrees."""
+        return self._default_borders() if self.borders is None else self.borders
+
+    @property
+    def middles(self) -> tuple[float, ...]:
+        """The elevations of the rows' middles, degrees."""
+        edges, equal = np.array([self.elevation[0], *self.row_borders, self.elevation[1]]), np.arange(self.rows) + 0.5
+        middles = np.array(self._equal(equal))
+        if ((edges[:-1] < middles) & (middles < edges[1:])).all():
+            return tuple(middles.tolist())
+        return tuple(((edges[:-1] + edges[1:]) / 2).tolist())
+
+
+VLP16_GRID = RangeGrid()
+"""24 columns and 3 rows: the cells of the packaged policies."""
+
+
+def elevations_of(rays: np.ndarray) -> np.ndarray:
+    """The elevations of directions ``[R, 3]``, degrees; UavrlError for what are none.
+
+    Examples:
+        >>> elevations_of(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 2.0]])).tolist()
+        [0.0, 90.0]
+    """
+    rays = np.asarray(rays, np.float64)
+    if rays.ndim != 2 or rays.shape[1] != 3 or not len(rays) or not np.isfinite(rays).all() or not rays.any(-1).all():
+        raise UavrlError(
+            f"Expected the directions of a sensor's rays, finite [R, 3] and not 0, got {list(rays.shape)}."
+        )
+    return np.degrees(np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1])))
+
+
+@lru_cache(maxsize=16)
+def range_image_middles(grid: RangeGrid = VLP16_GRID) -> np.ndarray:
+    """Unit vectors ``[cells, 3]`` through the middles of a range image's cells.
+
+    Of the default grid: azimuths 0, 15, … 345 degrees (0 is forward, 90 left), and of each the elevations -10, 0 and 10
+    degrees.
+    """
+    return grid_directions(grid.columns, np.radians(grid.middles).tolist())
 
 
 def grid_directions(azimuths: int, elevations: Sequence[float]) -> np.ndarray:

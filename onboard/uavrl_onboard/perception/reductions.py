@@ -6,6 +6,7 @@ Their definitions stand there; where the cells lie, and what a return is, both t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal, get_args
@@ -14,13 +15,12 @@ import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.perception.cells import (
-    AZIMUTHS,
-    ELEVATIONS,
     LARGEST_RADIUS,
     NEAREST_RETURN,
     NUM_FACES,
-    ROW_BORDERS,
     TOUCHING,
+    VLP16_GRID,
+    RangeGrid,
     Statistic,
     icosahedron,
     octant,
@@ -80,16 +80,19 @@ def truncated_icosahedron(points: np.ndarray, radius: float = 4.0, statistic: St
     return _reported(x, y, z, images[mirrored * 7 + face], NUM_FACES, radius, statistic, inside)
 
 
-def range_image(points: np.ndarray, radius: float = 4.0, statistic: Statistic = "proximity") -> np.ndarray:
+def range_image(
+    points: np.ndarray, radius: float = 4.0, statistic: Statistic = "proximity", grid: RangeGrid = VLP16_GRID
+) -> np.ndarray:
     """Reduces one cloud to 72 distances, as `uavrl.transforms.range_image.range_image` does.
 
     Args:
         points: as in `truncated_icosahedron`.
         radius: of the ball in metres.
         statistic: as there.
+        grid: where the cells are.
 
     Returns:
-        ``[72]`` in metres.
+        ``[72]``, or ``[grid.count]``, in metres.
 
     Raises:
         UavrlError: as there.
@@ -101,13 +104,13 @@ def range_image(points: np.ndarray, radius: float = 4.0, statistic: Statistic = 
     """
     x, y, z = _returns(points, radius, statistic)
     across = np.sqrt(x * x + y * y)
-    column = np.round(np.arctan2(y, x) * (AZIMUTHS / (2.0 * np.pi))).astype(np.int64) % AZIMUTHS
+    column = np.round(np.arctan2(y, x) * (grid.columns / (2.0 * np.pi))).astype(np.int64) % grid.columns
     elevation = np.arctan2(z, across)
-    cell = sum(((elevation > border).astype(np.int64) for border in ROW_BORDERS), column * ELEVATIONS)
+    cell = sum(((elevation > math.radians(each)).astype(np.int64) for each in grid.row_borders), column * grid.rows)
     if statistic == "face":
-        middles = (radius * range_image_middles().astype(x.dtype)).astype(x.dtype)
+        middles = (radius * range_image_middles(grid).astype(x.dtype)).astype(x.dtype)
         x, y, z = (at - middle[cell] for at, middle in zip((x, y, z), middles.T, strict=True))
-    return _reported(x, y, z, cell, AZIMUTHS * ELEVATIONS, radius, statistic)
+    return _reported(x, y, z, cell, grid.count, radius, statistic)
 
 
 REDUCTIONS: dict[Reduction, Callable[..., np.ndarray]] = {
@@ -118,9 +121,9 @@ STATISTICS: dict[Reduction, Statistic] = {"truncated_icosahedron": "face", "rang
 """What each reports unless it is told otherwise."""
 
 
-def directions(reduction: Reduction) -> np.ndarray:
-    """Unit vectors through the cells of a reduction."""
-    return icosahedron(1.0).normals if reduction == "truncated_icosahedron" else range_image_middles()
+def directions(reduction: Reduction, grid: RangeGrid = VLP16_GRID) -> np.ndarray:
+    """Unit vectors through the cells of a reduction; ``grid`` is that of a range image."""
+    return icosahedron(1.0).normals if reduction == "truncated_icosahedron" else range_image_middles(grid)
 
 
 def _returns(points: np.ndarray, radius: float, statistic: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

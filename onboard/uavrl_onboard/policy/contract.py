@@ -9,11 +9,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.guards.map import navigator
-from uavrl_onboard.perception.cells import LARGEST_RADIUS, NEAREST_RETURN, TOUCHING, Statistic, return_bounds
+from uavrl_onboard.perception.cells import (
+    LARGEST_RADIUS,
+    NEAREST_RETURN,
+    TOUCHING,
+    VLP16_GRID,
+    RangeGrid,
+    Statistic,
+    return_bounds,
+)
 from uavrl_onboard.perception.motion import OBJECT, rays, threats
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.observation import Angles
@@ -62,6 +70,28 @@ class Cells(_Part):
     statistic: Statistic
     directions: Annotated[list[Three], Field(max_length=10_000)]
     interval: tuple[float, float]
+    columns: Size | None = None  #: of a range image, as the next three
+    rows: Size | None = None
+    elevation: tuple[float, float] = VLP16_GRID.elevation
+    row_borders: Annotated[list[float], Field(max_length=10_000)] | None = None
+
+    @property
+    def grid(self) -> RangeGrid:
+        """Where the cells of a range image are."""
+        if self.columns is None or self.rows is None or self.row_borders is None:
+            return VLP16_GRID
+        return RangeGrid(self.columns, self.rows, self.elevation, tuple(self.row_borders))
+
+    @property
+    def options(self) -> dict[str, RangeGrid]:
+        """What the reduction is told beside radius and statistic."""
+        return {"grid": self.grid} if self.reduction == "range_image" else {}
+
+    @model_validator(mode="after")
+    def _sound(self) -> Cells:
+        """Refuses a grid that is none."""
+        _ = self.grid
+        return self
 
 
 class Entry(_Part):
@@ -207,7 +237,7 @@ class Contract(_Part):
     def contradiction(self) -> str | None:
         """What does not hold together, or is not as this version of uavrl does it; None for a sound contract."""
         cells, state, action = self.cells, self.state, self.action
-        towards = directions(cells.reduction)
+        towards = directions(cells.reduction, **cells.options)
         same = np.shape(cells.directions) == towards.shape and np.allclose(cells.directions, towards, atol=1e-6)
         bounds = [*return_bounds(cells.radius), TOUCHING * cells.radius, cells.radius]
         found = [*self.cloud.squared_range, *cells.interval]

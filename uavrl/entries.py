@@ -1,0 +1,137 @@
+"""What the library's transforms and losses share: how they read their entries, and how they show themselves."""
+
+import inspect
+from collections.abc import Iterable
+from typing import Any, Self
+
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor, nn
+from torchrl.data import Composite, TensorSpec
+
+from uavrl.errors import UavrlError
+
+LONGEST = 80  # characters of an argument that are shown
+
+
+class MissingEntry(UavrlError, KeyError):
+    """A part reads an entry that the data or the environment do not contain."""
+
+    def __init__(self, reader: object, key: NestedKey, owner: str, found: Iterable[NestedKey]) -> None:
+        name = reader if isinstance(reader, str) else type(reader).__name__
+        super().__init__(
+            f"{name} reads {key!r}, but {owner} only {sorted(map(str, found))}: name the right key in the constructor, "
+            f"or rename your entry with TorchRL's RenameTransform."
+        )
+
+    __str__ = Exception.__str__  # KeyError would put the sentence into quotation marks
+
+
+def entry(data: TensorDictBase, key: NestedKey, reader: object) -> Tensor:
+    """Return an entry of ``data`` for ``reader``.
+
+    Raises:
+        MissingEntry: where there is none, naming the reader, the key and the keys that there are.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> entry(TensorDict(height=torch.ones(1)), "altitude", "NavigationObservation")  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        ...
+        uavrl.entries.MissingEntry: NavigationObservation reads 'altitude', but the data contain only ['height']: ...
+    """
+    value = data.get(key, None)
+    if value is None:
+        raise MissingEntry(reader, key, "the data contain", data.keys(True, True))
+    return value
+
+
+def entry_spec(spec: TensorSpec, key: NestedKey, reader: object) -> TensorSpec:
+    """Return the spec of an entry that an environment emits for ``reader``.
+
+    Raises:
+        MissingEntry: where the environment does not emit it.
+        UavrlError: where ``spec`` has no keys.
+    """
+    if not isinstance(spec, Composite):
+        raise UavrlError(f"{type(reader).__name__} needs an environment whose specs are Composite, got {spec}.")
+    known = spec.keys(True, True)
+    if key not in known:
+        raise MissingEntry(reader, key, "the environment emits", known)
+    return spec[key]
+
+
+def require_whole(done: Tensor, *, flat: bool = False) -> None:
+    """Refuse steps whose last one does not end an episode.
+
+    Args:
+        done: ``[*B, T]``, true at the last step of each episode; a row may hold several episodes, end to end.
+        flat: whether only ``[T]`` is accepted, with at least one step.
+
+    Raises:
+        UavrlError: for other steps, saying how to collect whole episodes.
+
+    Examples:
+        >>> import torch
+        >>> require_whole(torch.tensor([False, True]))
+        >>> require_whole(torch.zeros(60, dtype=torch.bool))  # doctest: +ELLIPSIS
+        Traceback (most recent call last):
+        ...
+        uavrl.errors.UavrlError: Expected whole episodes, got 60 steps, and the last one does not end an episode: ...
+    """
+    one_row, steps = done.ndim == 1, done.numel()
+    if (one_row or (done.ndim and not flat)) and (bool(done[..., -1].all()) if steps else not flat):
+        return
+    count = f"{steps} steps" if one_row else f"steps {list(done.shape)}"
+    reason = "the last one does not end an episode" if one_row or not flat else "they are not in one row [T]"
+    raise UavrlError(
+        f"Expected whole episodes, got {count}, and {reason}: collect with Collector(..., trajs_per_batch=1, "
+        f"traj_format='cat'), or cut off the episode that has not ended."
+    )
+
+
+class Shown:
+    """Shows a part by its constructor call: what must be passed, and what differs from its default.
+
+    Examples:
+        >>> from uavrl.transforms import NavigationObservation
+        >>> NavigationObservation(radius=1.5)
+        NavigationObservation(radius=1.5)
+    """
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        """Remember the arguments; a copy gets them with the rest of its state."""
+        made = super().__new__(cls)
+        signature = inspect.signature(cls.__init__)
+        try:
+            given = dict(signature.bind(made, *args, **kwargs).arguments)
+        except TypeError:  # a copy has none, and of a mistake __init__ tells
+            given = {}
+        parameters = list(signature.parameters.values())[1:]
+        for each in parameters:
+            if each.kind is each.VAR_KEYWORD:
+                given |= given.pop(each.name, {})
+        defaults = {each.name: each.default for each in parameters}
+        told = {name: value for name, value in list(given.items())[1:] if not _same(value, defaults.get(name, made))}
+        made.__dict__["_told"] = told
+        return made
+
+    def __repr__(self) -> str:
+        """Return the constructor call."""
+        told = ", ".join(f"{name}={_short(value)}" for name, value in self.__dict__.get("_told", {}).items())
+        return f"{type(self).__name__}({told})"
+
+
+def _same(value: Any, default: Any) -> bool:
+    if isinstance(value, list | tuple) and isinstance(default, list | tuple):
+        return list(value) == list(default)
+    return value is default or (isinstance(value, str | int | float | bool) and bool(value == default))
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, nn.Module) and not isinstance(value, Shown):
+        return f"{type(value).__name__}(...)"
+    if inspect.isroutine(value):
+        return value.__name__
+    text = " ".join(repr(value).split())
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
