@@ -1,6 +1,8 @@
 """What the command line turns into one sentence."""
 
+import difflib
 import signal
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -53,6 +55,18 @@ class Stopped(KeyboardInterrupt):
     def __init__(self, how_to_go_on: str = "stopped.", number: int = signal.SIGINT) -> None:
         super().__init__(how_to_go_on)
         self.number, self.exit_code = number, 128 + number
+
+
+def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: str = "", cutoff: float = 0.6) -> str:
+    """A question about the nearest known name, or the text ``otherwise`` if none is near.
+
+    Examples:
+        >>> did_you_mean("plane", ["planes", "traps"], ": ")
+        ': did you mean planes?'
+    """
+    near = difflib.get_close_matches(given, list(known), n=1, cutoff=cutoff)
+    text = f"did you mean {near[0]}?" if near else otherwise
+    return before + text if text else "."
 
 
 def reason(error: BaseException | None) -> str:

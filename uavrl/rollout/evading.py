@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 from tensordict import TensorDictBase
 
+from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import Airframe
 from uavrl.motion.evasion import Evasion
 from uavrl.rollout.filtered import Filtered
@@ -43,10 +44,11 @@ class Evading(Filtered):
         max_range: Annotated[float, Field(gt=0, le=100)] = 12.0,
         *,
         flight_level: float = 3.5,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__(policy, ("point_cloud", "attitude", "velocity", "altitude", "is_init"))
-        self.max_range, self.flight_level, self.airframe = max_range, flight_level, airframe or Airframe()
+        self.max_range, self.flight_level = max_range, flight_level
+        self.airframe = settings("airframe", Airframe, airframe)
         self._evasion: Evasion | None = None
 
     def velocities(self, asked: np.ndarray, seen: Mapping[str, np.ndarray]) -> np.ndarray:

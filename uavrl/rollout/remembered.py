@@ -10,6 +10,7 @@ from torch import Tensor
 
 from uavrl.attitude import body_to_level, body_to_world
 from uavrl.cells import LASERS, NEAREST_RETURN
+from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.mapping.navigator import LIDAR_ABOVE
 from uavrl.motion.evade import evaded
@@ -166,14 +167,14 @@ class Planner(TensorDictModuleBase):
         sight: float,
         seconds: float,
         motion: float | None = None,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__()
         self.in_keys = ["point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude"]
         self.in_keys += ["moving_objects"] if motion is not None else []
         self.motion = motion
         self.out_keys = ["action"]
-        vehicle = airframe or Airframe()
+        vehicle = settings("airframe", Airframe, airframe)
         self.hull = vehicle.hull
         self.flight_level = flight_level
         self.memory = ScanMemory(sight, seconds, above=vehicle.lidar_position[2])
