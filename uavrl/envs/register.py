@@ -11,4 +11,8 @@ def register_envs() -> None:
     except ImportError:  # the losses, models and transforms do not need it
         return
     if "uavrl/Valley-v0" not in registry:
-        register(id="uavrl/Valley-v0", entry_point="uavrl.envs.gym:make_valley")
+        register(
+            id="uavrl/Valley-v0",
+            entry_point="uavrl.envs.gym:make_valley",
+            vector_entry_point="uavrl.envs.gym_vector:make_valleys",
+        )
