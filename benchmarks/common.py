@@ -44,7 +44,7 @@ def valley_with_prize() -> Any:
 def sb3_td3(env: Any, *, learning_starts: int, seed: int) -> Any:
     """Stable-Baselines3's TD3 with our sizes; what is not said here is its default, as is ours.
 
-    It knows one learning rate: ours are 1e-3 and, for the actor, 1e-4.
+    It knows one learning rate: ours are 1e-3 and, for the actor, 1e-4. It makes one update for each step of a vehicle.
     """
     from stable_baselines3 import TD3
     from stable_baselines3.common.noise import NormalActionNoise
@@ -61,7 +61,7 @@ def sb3_td3(env: Any, *, learning_starts: int, seed: int) -> Any:
             gamma=0.99,
             tau=0.005,
             train_freq=1,
-            gradient_steps=1,
+            gradient_steps=-1,  # as many as steps, also of several vehicles
             policy_delay=2,
             action_noise=NormalActionNoise(np.zeros(4), np.full(4, 0.1)),  # of actions in [-1, 1]
             policy_kwargs={"net_arch": [400, 300]},

@@ -4,8 +4,8 @@ Run `python benchmarks/train.py [--json FILE]`. Every row trains TD3 on the stat
 rays) of 4 m range, the same reduction and frames, states of 105, networks 400-300, batches of 100, one update for each
 step, actor and targets every second update, a replay buffer for a million. "uavrl" is the default experiment of
 `uavrl-train`, 8 UAVs in one world, through its real trainer, its updates compiled where there is a C++ compiler;
-"captured" is what it does elsewhere. The Stable-Baselines3 rows fly one UAV, as its users do: `uavrl:uavrl/Valley-v0`,
-and the same environment with its rays cast by PyBullet's `rayTestBatch`.
+"captured" is what it does elsewhere. The Stable-Baselines3 rows fly one UAV in `uavrl:uavrl/Valley-v0`, 8 UAVs in one
+world by `uavrl.envs.sb3.ValleyVecEnv`, and one UAV with its rays cast by PyBullet's `rayTestBatch`.
 
 Each row runs in a process of its own with the same number of threads, one after another, in rounds; medians count.
 With `collector=async` a second process flies meanwhile: it needs a second core. Random steps and the first updates, and
@@ -129,6 +129,13 @@ def valley(_: int) -> Any:
     return gymnasium.make("uavrl:uavrl/Valley-v0")
 
 
+def vehicles(_: int) -> Any:
+    """The same with 8 UAVs in one world."""
+    from uavrl.envs.sb3 import ValleyVecEnv
+
+    return ValleyVecEnv(8)
+
+
 def pybullet_valley(threads: int) -> Any:
     """The same with PyBullet's rays."""
     from pybullet_rays import PyBulletValleyEnv
@@ -146,15 +153,17 @@ def _until_enough(train: Callable[[], Any]) -> None:
 
 Run = Callable[[int, int, int], Clock]
 OURS, CAPTURED, ASYNC = "uavrl", "uavrl, trainer.execution=captured", "uavrl, collector=async"
-SB3, SB3_PYBULLET = "Stable-Baselines3", "Stable-Baselines3 + PyBullet's rays"
+SB3, SB3_EIGHT = "Stable-Baselines3", "Stable-Baselines3, 8 UAVs in one world"
+SB3_PYBULLET = "Stable-Baselines3 + PyBullet's rays"
 ROWS: dict[str, Run] = {
     OURS: partial(uavrl_train, []),
     CAPTURED: partial(uavrl_train, ["trainer.execution=captured"]),
     ASYNC: partial(uavrl_train, ["collector=async"]),
     SB3: partial(stable_baselines, valley),
+    SB3_EIGHT: partial(stable_baselines, vehicles),
     SB3_PYBULLET: partial(stable_baselines, pybullet_valley),
 }
-SHARES = {SB3: 0.3, SB3_PYBULLET: 0.05}  # of the steps: they are slow, and their steps come one by one
+SHARES = {SB3: 0.3, SB3_EIGHT: 0.3, SB3_PYBULLET: 0.05}  # of the steps: they are slow, and their steps come one by one
 
 
 # ------------------------------------------------------------------ one process for each
@@ -213,6 +222,7 @@ def main() -> None:
         "row": chosen,
         "steps_per_second": ours,
         "vs_sb3": ours / rows[SB3]["steps_per_second"],
+        "vs_sb3_eight": ours / rows[SB3_EIGHT]["steps_per_second"],
         "vs_sb3_pybullet": ours / rows[SB3_PYBULLET]["steps_per_second"],
         "threads": args.threads,
         "rows": rows,

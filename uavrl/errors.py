@@ -1,6 +1,6 @@
 """Errors that a command prints as one sentence."""
 
-from uavrl_onboard.errors import OtherFormat, Stopped, UavrlError, reason, was_interrupted
+from uavrl_onboard.errors import OtherFormat, Stopped, UavrlError, did_you_mean, reason, was_interrupted
 
 __all__ = [
     "FlyingEnded",
@@ -9,6 +9,7 @@ __all__ = [
     "OtherFormat",
     "Stopped",
     "UavrlError",
+    "did_you_mean",
     "reason",
     "was_interrupted",
 ]

@@ -1,6 +1,8 @@
 """Errors that a command prints as one sentence."""
 
+import difflib
 import signal
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -59,3 +61,15 @@ def was_interrupted(error: BaseException | None) -> bool:
             return True
         error = error.__context__
     return False
+
+
+def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: str = "", cutoff: float = 0.6) -> str:
+    """A question about the nearest known name, or the text ``otherwise`` if none is near.
+
+    Examples:
+        >>> did_you_mean("plane", ["planes", "traps"], ": ")
+        ': did you mean planes?'
+    """
+    near = difflib.get_close_matches(given, list(known), n=1, cutoff=cutoff)
+    text = f"did you mean {near[0]}?" if near else otherwise
+    return before + text if text else "."

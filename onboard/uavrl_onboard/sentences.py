@@ -1,6 +1,5 @@
 """One clear sentence for what a user can mend."""
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -8,7 +7,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.errors import UavrlError, did_you_mean
 from uavrl_onboard.ranges import bounds, words
 
 _EXPECTED = {
@@ -32,13 +31,6 @@ def require(condition: bool, key: str, expected: str, value: Any) -> None:
 
 def _must_be(key: str, expected: str, value: Any) -> str:
     return f"{key} must be {expected}, got {value!r}: change it in the configuration or on the command line."
-
-
-def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: str = "", cutoff: float = 0.6) -> str:
-    """A question about the nearest known name, or what is said where none is near."""
-    near = difflib.get_close_matches(given, list(known), n=1, cutoff=cutoff)
-    text = f"did you mean {near[0]}?" if near else otherwise
-    return before + text if text else "."
 
 
 def require_known(given: Iterable[Any], known: Iterable[str], key: str) -> None:

@@ -57,6 +57,7 @@ def test_the_training_benchmark_writes_its_ratios(tmp_path: Path) -> None:
     speeds = {name: row["steps_per_second"] for name, row in numbers["rows"].items()}
     assert numbers["steps_per_second"] == speeds[numbers["row"]] == speeds["uavrl"]
     assert numbers["vs_sb3"] == pytest.approx(speeds["uavrl"] / speeds["Stable-Baselines3"])
+    assert numbers["vs_sb3_eight"] == pytest.approx(speeds["uavrl"] / speeds["Stable-Baselines3, 8 UAVs in one world"])
     assert numbers["vs_sb3_pybullet"] == pytest.approx(speeds["uavrl"] / speeds["Stable-Baselines3 + PyBullet's rays"])
     assert numbers["vs_sb3_pybullet"] > 1
     assert all(100 < row["peak_rss_mib"] < 10_000 for row in numbers["rows"].values())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import warnings
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -11,11 +13,15 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import AddRenderObservation, RecordVideo, RenderCollection
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from uavrl.envs.gym import ValleyEnv
+from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.quadrotor import Airframe
+from uavrl.envs.randomization import Randomization
 from uavrl.envs.register import register_with_gymnasium
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
@@ -200,3 +206,33 @@ def test_a_reset_takes_a_tasks_number(drawn: gymnasium.Env) -> None:
 def test_other_options_are_refused(drawn: gymnasium.Env, options: dict[str, Any], said: str) -> None:
     with pytest.raises(UavrlError, match=said):
         drawn.reset(options=options)
+
+
+SETTINGS: dict[str, Any] = {
+    "world": SMALL,
+    "lidar": LidarConfig(max_range=5.0),
+    "airframe": Airframe(mass=1.6),
+    "randomize": Randomization(mass=(0.9, 1.1)),
+}
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        lambda spec: EnvSpec.from_json(spec.to_json()),
+        lambda spec: pickle.loads(pickle.dumps(spec)),
+        copy.deepcopy,
+    ],
+    ids=["json", "pickle", "deepcopy"],
+)
+def test_a_specification_makes_the_same_environment_wherever_it_was_kept(kept: Callable[[EnvSpec], EnvSpec]) -> None:
+    env = gymnasium.make(NAME, max_episode_steps=7, **SETTINGS)
+    assert env.spec is not None
+    again = gymnasium.make(kept(env.spec))
+    assert again.spec is not None and again.spec.max_episode_steps == 7
+    one, other = (each.unwrapped._base for each in (env, again))  # type: ignore[attr-defined]
+    assert other._world_config == one._world_config == SMALL
+    assert (other._lidar_config, other.airframe, other.randomize) == tuple(SETTINGS.values())[1:]
+    assert identical(roll_out(env, 1), roll_out(again, 1))
+    env.close()
+    again.close()

@@ -15,13 +15,13 @@ from tests.helpers.contracts import TransformContract
 from tests.helpers.numpy_reductions import clouds
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.vlp16 import firing_directions
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.transforms import Mirror, NavigationState, RangeImage, TruncatedIcosahedron
 from uavrl.transforms.range_image import range_image, range_image_directions
 from uavrl.viewer.flight_shapes import shell
+from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.perception import reductions as in_numpy
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid, grid_directions
 

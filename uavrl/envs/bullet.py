@@ -104,6 +104,19 @@ def add_vehicle(client: int, airframe: Airframe) -> int:
     return body
 
 
+def place_body(
+    client: int,
+    body: int,
+    centre: Sequence[float] | np.ndarray,
+    attitude: Sequence[float] | np.ndarray,
+    velocity: Sequence[float] | np.ndarray = (0, 0, 0),
+    rates: Sequence[float] | np.ndarray = (0, 0, 0),
+) -> None:
+    """Puts a body's centre of mass somewhere, with an attitude (x, y, z, w), a velocity and rates in world axes."""
+    pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=client)
+    pybullet.resetBaseVelocity(body, velocity, rates, physicsClientId=client)
+
+
 def surface_samples(mesh: Mesh, spacing: float) -> np.ndarray:
     """The middles ``[P, 3]`` of a surface's triangles, cut up until no edge is over ``spacing``."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)

@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from uavrl.envs.quadrotor import GRAVITY, ROTOR_SPINS, Aerodynamics, Airframe, drag, mixing_matrix
+from uavrl.envs.quadrotor import GRAVITY, ROTOR_SPINS, Aerodynamics, Airframe, drag, mixing_matrix, most_lift
 
-THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
 CLIMB_RESERVE = 0.5  # m/s², least acceleration upwards of a vehicle that is not too heavy
 VELOCITY_GAIN = np.array([2.6, 2.6, 4.0])  # 1/s, acceleration per velocity error along x, y, z
 RATE_GAIN = np.array([24.0, 24.0, 6.0])  # 1/s, angular acceleration per rate error about x, y, z
@@ -52,11 +51,6 @@ def to_world(command: np.ndarray, rotation: np.ndarray, yaw_rate: np.ndarray) ->
     velocity[:, 0], velocity[:, 1], velocity[:, 2] = cos * forward - sin * left, sin * forward + cos * left, up
     acceleration[:, 0], acceleration[:, 1] = -yaw_rate * velocity[:, 1], yaw_rate * velocity[:, 0]
     return velocity, acceleration
-
-
-def most_lift(airframe: Airframe) -> float:
-    """The greatest vertical force in N that the controller asks of the rotors."""
-    return (1 - THRUST_RESERVE) * airframe.max_total_thrust * math.cos(airframe.tilt_limit)
 
 
 def most_load(airframe: Airframe) -> float:

@@ -1,82 +1,137 @@
 """The navigation task as a Gymnasium environment with pictures, for users of other RL libraries."""
 
-import math
-import weakref
 from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium.spaces import Box
-from scipy.spatial.transform import Rotation
 from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
 
-from uavrl.envs.bullet import connect, mesh_shape, pybullet
+from uavrl.envs.camera import Camera
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.limits import whole
+from uavrl.envs.limits import OrMapping, settings, whole
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.state import ACTION_LIMIT, Reduction
-from uavrl_onboard.mesh import Mesh
 
-WIDTH, HEIGHT = 480, 360  # pixels
-BEHIND, ABOVE, AHEAD = 3.0, 1.2, 2.0  # m from the UAV: the camera's place, and the point that it looks at
-TERRAIN, OBSTACLE, PLANE, GOAL, UAV = (0.45, 0.5, 0.35), (0.6, 0.5, 0.42), (0.8, 0.2, 0.15), (1, 1, 1), (0.1, 0.3, 0.8)
-LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_RATE}
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}
 
 
-class Camera:
-    """A camera that follows the first vehicle of an environment, which has been reset, from behind.
+class ValleyFlights:
+    """N vehicles with the reduction, the frames and the reward inside: the part that one and many environments share.
 
-    It draws in a PyBullet world of its own, in which nothing moves by itself: the physics does not notice it.
+    Args:
+        num_envs: number of vehicles N.
+        reward, radius, frames, reduction, last_action, lidar, world, render_mode, kwargs: as in :class:`ValleyEnv`.
     """
 
-    def __init__(self, env: NavigationEnv) -> None:
-        client = connect()
-        self.close = weakref.finalize(self, pybullet.disconnect, physicsClientId=client)
-        self._env = env
-        self._at: dict[str, Any] = {"physicsClientId": client}
-        config, airframe = env.world.config, env.airframe
-        for valley in env.world.valleys:
-            obstacles = Mesh.merge(obstacle.mesh for obstacle in valley.obstacles).split()
-            for parts, colour in ((valley.ground.tiles(), TERRAIN), (obstacles, OBSTACLE)):
-                for part in parts:
-                    self._mesh(part.translated((*valley.origin, 0.0)), colour)
-        self._planes = [self._mesh(env.plane_mesh, PLANE) for _ in env.plane_poses()]
-        self._goal = self._cylinder(config.goal_radius, config.ceiling, GOAL)
-        self._uav = self._cylinder(airframe.collision_radius, airframe.collision_height, UAV)
+    def __init__(
+        self,
+        num_envs: int,
+        reward: Literal["navigation", "traditional"] = "navigation",
+        *,
+        radius: float = 4.0,
+        frames: int = 3,
+        reduction: Reduction = "truncated_icosahedron",
+        last_action: bool = False,
+        lidar: OrMapping[LidarConfig] | None = None,
+        world: OrMapping[WorldConfig] | None = None,
+        render_mode: str | None = None,
+        **kwargs: Any,
+    ) -> None:
+        if reward not in _REWARDS:
+            raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
+        if render_mode not in (None, *METADATA["render_modes"]):
+            raise UavrlError(
+                f"render_mode must be rgb_array or None, got {render_mode!r}: to watch a policy, use uavrl-replay, "
+                "which shows its episodes in a page."
+            )
+        self.render_mode = render_mode
+        valley = settings("world", WorldConfig, world)
+        state = NavigationState(
+            radius, flight_level=valley.flight_level, frames=frames, reduction=reduction, last_action=last_action
+        )
+        lidar = LidarConfig(max_range=radius) if lidar is None else lidar
+        self.base = NavigationEnv(num_envs, world=valley, lidar=lidar, **kwargs)
+        self.env = TransformedEnv(self.base, Compose(state, _REWARDS[reward]()))
+        width = self.env.observation_spec["observation"].shape[-1]
+        self.observation_space = Box(-np.inf, np.inf, (width,), np.float32)
+        self.action_space = Box(-ACTION_LIMIT, ACTION_LIMIT, (4,), np.float32)
+        self._state: TensorDictBase | None = None
+        self._camera: Camera | None = None
 
-    def _mesh(self, mesh: Mesh, colour: tuple[float, ...]) -> int:
-        shape = mesh_shape(pybullet.createVisualShape, mesh, rgbaColor=(*colour, 1.0), **self._at)
-        return pybullet.createMultiBody(0, -1, shape, **self._at)
+    def reset(
+        self,
+        generator: np.random.Generator,
+        seed: int | None,
+        options: dict[str, Any],
+        mask: np.ndarray | None = None,
+    ) -> None:
+        """Start the next tasks of the vehicles in ``mask [N]``, or of all.
 
-    def _cylinder(self, radius: float, length: float, colour: tuple[float, ...]) -> int:
-        size = {"radius": radius, "length": length, "rgbaColor": (*colour, 1.0)}
-        shape = pybullet.createVisualShape(pybullet.GEOM_CYLINDER, **size, **self._at)
-        return pybullet.createMultiBody(0, -1, shape, **self._at)
+        Args:
+            generator: source of the seed of the first reset, if none is given.
+            seed: of physics and tasks from now on.
+            options: ``{"task": k}`` goes on with task k.
+            mask: which vehicles; None for all.
+        """
+        options = dict(options)
+        task = {"task": whole("options['task']", options.pop("task"))} if "task" in options else {}
+        if options:
+            raise UavrlError(f"options takes task, the number of a task, got {', '.join(map(repr, options))}.")
+        if seed is not None or self._state is None:
+            self.env.set_seed(int(generator.integers(2**31)) if seed is None else seed)
+        if mask is None or mask.all():
+            self._state = self.env.reset(**task)
+        else:
+            chosen = self.state.set("_reset", torch.from_numpy(mask.copy())[:, None])
+            self._state = self.env.reset(chosen, **task)
 
-    def picture(self, goal: np.ndarray) -> np.ndarray:
-        """Returns what is to be seen now, with the goal at ``goal [3]`` in m: ``uint8 [360, 480, 3]``."""
-        simulation = self._env.simulation
-        position, yaw = simulation.position[0], float(simulation.yaw[0])
-        self._put(self._goal, goal)
-        self._put(self._uav, position, Rotation.from_matrix(simulation.rotation[0]).as_quat())
-        for body, pose in zip(self._planes, self._env.plane_poses(), strict=True):
-            self._put(body, pose[:3], Rotation.from_euler("z", pose[3]).as_quat())
-        ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-        eye = position - BEHIND * ahead + [0.0, 0.0, ABOVE]
-        view = pybullet.computeViewMatrix(eye.tolist(), (position + AHEAD * ahead).tolist(), (0, 0, 1))
-        lens = pybullet.computeProjectionMatrixFOV(60.0, WIDTH / HEIGHT, 0.1, 100.0)
-        drawer = {"shadow": 0, "renderer": pybullet.ER_TINY_RENDERER}
-        drawn = pybullet.getCameraImage(WIDTH, HEIGHT, view, lens, **drawer, **self._at)
-        return np.reshape(drawn[2], (HEIGHT, WIDTH, 4))[..., :3].astype(np.uint8)
+    def step(self, actions: np.ndarray) -> None:
+        """Advance by 0.1 s with ``actions [N, 4]``."""
+        self.state["action"] = torch.as_tensor(actions, dtype=torch.float32)
+        self._state = self.env.step(self.state)["next"]
 
-    def _put(self, body: int, position: np.ndarray, attitude: np.ndarray = LEVEL) -> None:
-        pybullet.resetBasePositionAndOrientation(body, position.tolist(), attitude.tolist(), **self._at)
+    @property
+    def state(self) -> TensorDictBase:
+        """The newest tensordict of the environment."""
+        if self._state is None:
+            raise UavrlError("Reset the environment before the first step.")
+        return self._state
+
+    def values(self, key: str) -> np.ndarray:
+        """A copy of the newest values of a key: ``[N]`` for single numbers, else ``[N, D]``."""
+        values = self.state[key].numpy().copy()
+        return values[:, 0] if values.shape[1:] == (1,) else values
+
+    def infos(self) -> dict[str, np.ndarray]:
+        """The info of all vehicles: an array for each key."""
+        found = {"is_success": self.values("arrived"), "collided": self.values("collided")}
+        found |= {key: self.values(key) for key in ("position", "goal")}
+        return found | {"distance": self.values("distance").astype(np.float64)}
+
+    def picture(self, vehicle: int = 0) -> np.ndarray | None:
+        """The picture ``uint8 [360, 480, 3]`` of a camera behind a vehicle; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self._state is None:
+            raise UavrlError("Reset the environment before the first picture.")
+        if self._camera is None:
+            self._camera = Camera(self.base)
+        return self._camera.picture(self._state["goal"][vehicle].numpy(), vehicle)
+
+    def close(self) -> None:
+        """Free the simulation and the camera; a second call does nothing."""
+        if self._camera is not None:
+            self._camera.close()
+        self._camera = None
+        if not self.env.is_closed:
+            self.env.close()
 
 
 class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -92,7 +147,7 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         frames: observations in a state.
         reduction, last_action: as in :class:`uavrl.transforms.NavigationState`.
         lidar: the sensor; by default its range is cut at the ball, which leaves the faces identical.
-        world: the valley; ``WorldConfig(planes=3)`` gives the dynamic environment.
+        world: the valley; ``WorldConfig(planes=3)`` or ``{"planes": 3}`` gives the dynamic environment.
         render_mode: ``"rgb_array"``: :meth:`render` gives a picture from behind the UAV.
         **kwargs: as in :class:`uavrl.envs.NavigationEnv`.
 
@@ -107,100 +162,51 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         (105,)
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_RATE}  # noqa: RUF012
+    metadata = METADATA
 
     def __init__(
         self,
         reward: Literal["navigation", "traditional"] = "navigation",
         *,
-        radius: float = 4.0,
-        frames: int = 3,
-        reduction: Reduction = "truncated_icosahedron",
-        last_action: bool = False,
-        lidar: LidarConfig | None = None,
-        world: WorldConfig | None = None,
         render_mode: str | None = None,
         **kwargs: Any,
     ) -> None:
-        if reward not in _REWARDS:
-            raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise UavrlError(
-                f"render_mode must be rgb_array or None, got {render_mode!r}: to watch a policy, use uavrl-replay, "
-                "which shows its episodes in a page."
-            )
+        self._flights = ValleyFlights(1, reward, render_mode=render_mode, **kwargs)
+        self._base, self._env = self._flights.base, self._flights.env
         self.render_mode = render_mode
-        world = world or WorldConfig()
-        state = NavigationState(
-            radius, flight_level=world.flight_level, frames=frames, reduction=reduction, last_action=last_action
-        )
-        self._base = NavigationEnv(1, world=world, lidar=lidar or LidarConfig(max_range=radius), **kwargs)
-        self._env = TransformedEnv(self._base, Compose(state, _REWARDS[reward]()))
-        width = self._env.observation_spec["observation"].shape[-1]
-        self.observation_space = Box(-np.inf, np.inf, (width,), np.float32)
-        self.action_space = Box(-ACTION_LIMIT, ACTION_LIMIT, (4,), np.float32)
-        self._state: TensorDictBase | None = None
-        self._camera: Camera | None = None
+        self.observation_space, self.action_space = self._flights.observation_space, self._flights.action_space
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Starts the next task, or task k of ``options={"task": k}``; a seed rebuilds the physics and starts at 0."""
-        options = dict(options or {})
-        task = {"task": whole("options['task']", options.pop("task"))} if "task" in options else {}
-        if options:
-            raise UavrlError(f"options takes task, the number of a task, got {', '.join(map(repr, options))}.")
-        if seed is not None:
-            seed = whole("seed", seed)
-        first = self._state is None
+        seed = None if seed is None else whole("seed", seed)
         super().reset(seed=seed)
-        if seed is not None or first:
-            self._env.set_seed(int(self.np_random.integers(2**31)) if seed is None else seed)
-        self._state = self._env.reset(**task)
+        self._flights.reset(self.np_random, seed, options or {})
         return self._observation(), self._info()
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advances by 0.1 s."""
-        if self._state is None:
-            raise UavrlError("Reset the environment before the first step.")
+        flights = self._flights
         if np.shape(action) != (4,):
             raise UavrlError(f"An action is 4 numbers, (l_x, l_y, l_z, a_z), got the shape {np.shape(action)}.")
-        self._state["action"] = torch.as_tensor(action, dtype=torch.float32)[None]
-        self._state = self._env.step(self._state)["next"]
-        reward, terminated, truncated = (self._state[key].item() for key in ("reward", "terminated", "truncated"))
-        return self._observation(), float(reward), bool(terminated), bool(truncated), self._info()
+        flights.step(np.asarray(action)[None])
+        reward, terminated, truncated = (flights.values(key).item() for key in ("reward", "terminated", "truncated"))
+        return self._observation(), reward, terminated, truncated, self._info()
 
     def render(self) -> np.ndarray | None:
         """The picture ``uint8 [360, 480, 3]`` of a camera behind the UAV; None without ``render_mode="rgb_array"``."""
-        if self.render_mode is None:
-            return None
-        if self._state is None:
-            raise UavrlError("Reset the environment before the first picture.")
-        if self._camera is None:
-            self._camera = Camera(self._base)
-        return self._camera.picture(self._state["goal"][0].numpy())
+        return self._flights.picture()
 
     def _observation(self) -> np.ndarray:
-        assert self._state is not None
-        return self._state["observation"][0].numpy().copy()
+        return self._flights.values("observation")[0]
 
     def _info(self) -> dict[str, Any]:
-        assert self._state is not None
-        return {
-            "is_success": bool(self._state["arrived"].item()),
-            "collided": bool(self._state["collided"].item()),
-            "position": self._state["position"][0].numpy().copy(),
-            "goal": self._state["goal"][0].numpy().copy(),
-            "distance": float(self._state["distance"].item()),
-        }
+        return {key: value[0] if value.ndim > 1 else value[0].item() for key, value in self._flights.infos().items()}
 
     def close(self) -> None:
         """Frees the simulation and what draws; no step or reset is taken any more."""
-        if self._camera is not None:
-            self._camera.close()
-        self._camera = None
-        if not self._env.is_closed:
-            self._env.close()
+        self._flights.close()
 
 
 def make_valley(**kwargs: Any) -> ValleyEnv:

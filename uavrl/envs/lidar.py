@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from uavrl.envs.lidar_flaws import add_noise, hide_sector
-from uavrl.envs.limits import require_finite
+from uavrl.envs.limits import OrMapping, require_finite, settings
 from uavrl.envs.randomization import Plant
 from uavrl.envs.ray_culling import RayCuller
 from uavrl.errors import MissingSimulator
@@ -66,7 +66,8 @@ class LidarConfig:
 
     def __post_init__(self) -> None:
         """Checks the values."""
-        require_finite(self, ("max_range", "min_range", "range_noise", "dropout"))
+        farther = () if self.far_range is None else ("far_range",)
+        require_finite(self, ("max_range", "min_range", "range_noise", "dropout", *farther))
         if not 0.0 < self.max_range <= LARGEST_RANGE:
             raise ValueError(
                 f"max_range must be a positive length in metres, at most {LARGEST_RANGE:g}, got {self.max_range}."
@@ -100,7 +101,7 @@ class Lidar:
     Args:
         meshes: static triangle meshes in the world frame. May be empty.
         moving: the shape of all moving bodies in their own frame (x ahead, z up). None: nothing moves.
-        config: range and imperfections of the sensor, `LidarConfig()` if None.
+        config: range and imperfections of the sensor, or a dict of these; `LidarConfig()` if None.
 
     Attributes:
         directions: ``float32 [28928, 3]``, read-only, as `uavrl_onboard.lidar.vlp16.firing_directions` gives them.
@@ -115,8 +116,10 @@ class Lidar:
         ((1, 28928, 3), 2.0, True)
     """
 
-    def __init__(self, meshes: Sequence[Mesh], moving: Mesh | None = None, config: LidarConfig | None = None) -> None:
-        self.config = LidarConfig() if config is None else config
+    def __init__(
+        self, meshes: Sequence[Mesh], moving: Mesh | None = None, config: OrMapping[LidarConfig] | None = None
+    ) -> None:
+        self.config = settings("config", LidarConfig, config)
         self.directions = firing_directions()
         self.directions.setflags(write=False)
         # [3, R]: x, y and z contiguous, which numpy runs through fastest

@@ -1,11 +1,61 @@
-"""Which numbers environments take."""
+"""The numbers and settings that environments take."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from numbers import Integral, Real
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from uavrl.errors import UavrlError
+import numpy as np
+
+from uavrl.errors import UavrlError, did_you_mean
+
+T = TypeVar("T")
+
+if TYPE_CHECKING:
+    OrMapping: TypeAlias = T | Mapping[str, Any]
+else:
+
+    class OrMapping:
+        """``OrMapping[WorldConfig]``: a configuration, or a dict of its settings.
+
+        At run time it is the configuration's class alone, which is what a yaml file is validated against.
+        """
+
+        def __class_getitem__(cls, kind: type) -> type:
+            """Return the class itself."""
+            return kind
+
+
+def settings(name: str, kind: type[T], given: OrMapping[T] | None) -> T:
+    """Return the configuration that an argument means: an object of its class, a dict of its settings, or None.
+
+    Args:
+        name: of the argument, for the error message.
+        kind: class of the configuration, a dataclass.
+        given: the argument; None means the defaults.
+
+    Raises:
+        UavrlError: if a key is no setting of this class, or ``given`` is something else.
+        ValueError: if the class refuses a value.
+
+    Examples:
+        >>> from uavrl.envs.world import WorldConfig
+        >>> settings("world", WorldConfig, {"planes": 3}).planes
+        3
+    """
+    if given is None:
+        return kind()
+    if isinstance(given, kind):
+        return given
+    if not isinstance(given, Mapping):
+        raise UavrlError(f"{name} takes a {kind.__name__} or a dict of its settings, got {given!r}.")
+    known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
+    for key in given:
+        if key not in known:
+            hint = did_you_mean(str(key), known, ": ", f"it takes {', '.join(known)}.")
+            raise UavrlError(f"{name} has no setting {key!r}{hint}")
+    return kind(**given)
 
 
 def check_hull(radius: float, height: float, clearance: float) -> None:
@@ -35,9 +85,18 @@ def whole(name: str, value: Any, least: int = 0) -> int:
 
 
 def require_finite(config: object, names: Iterable[str]) -> None:
-    """Refuses a configuration whose attributes, numbers or lists of such, hold anything but finite numbers."""
+    """Refuse a configuration whose attributes, numbers or lists of such, hold anything but finite numbers.
+
+    NumPy's numbers become Python's and lists become tuples, so that two equal configurations compare as equal, and a
+    configuration can be written as JSON.
+    """
     for name in names:
         value = getattr(config, name)
         several = isinstance(value, Iterable) and not isinstance(value, str)
         if not all(isinstance(number, Real) and math.isfinite(number) for number in (value if several else (value,))):
             raise UavrlError(f"{name} must be {'finite numbers' if several else 'a finite number'}, got {value!r}.")
+        object.__setattr__(config, name, tuple(map(_plain, value)) if several else _plain(value))
+
+
+def _plain(number: Any) -> Any:
+    return number.item() if isinstance(number, np.generic) else number

@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from uavrl.envs.controller import most_load
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
-from uavrl.envs.limits import check_hull, whole
+from uavrl.envs.limits import OrMapping, check_hull, settings, whole
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import Plant, Randomization, draw_plants, require_flyable
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
@@ -55,6 +55,11 @@ class NavigationEnv(EnvBase):
     ``altitude``, ``heading_deg`` and the yaw of ``attitude``, and with them the terms of Eq. 3.6 that are made of
     these; all else stays true.
 
+    A copy, by ``copy`` or ``pickle``, has a PyBullet world of its own. It goes on from the same state, with the same
+    tasks and noise, but repeats only up to rounding, which long episodes amplify.
+
+    Configurations may also be dicts of their settings: ``world={"planes": 3}``.
+
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
         world: valley, goals and planes.
@@ -82,11 +87,11 @@ class NavigationEnv(EnvBase):
         self,
         num_uavs: Annotated[int, Field(ge=1, le=512)] = 8,
         *,
-        world: WorldConfig | None = None,
-        lidar: LidarConfig | None = None,
-        airframe: Airframe | None = None,
-        aerodynamics: Aerodynamics | None = None,
-        randomize: Randomization | None = None,
+        world: OrMapping[WorldConfig] | None = None,
+        lidar: OrMapping[LidarConfig] | None = None,
+        airframe: OrMapping[Airframe] | None = None,
+        aerodynamics: OrMapping[Aerodynamics] | None = None,
+        randomize: OrMapping[Randomization] | None = None,
         max_steps: Annotated[int, Field(ge=1, le=10**6)] = 300,
         blind: bool = False,
         blind_to: Hidden | None = None,
@@ -106,15 +111,16 @@ class NavigationEnv(EnvBase):
         if tasks is not None and not (np.iterable(tasks) and len(tasks)):
             raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
-        self._world_config = world or WorldConfig()
-        self.airframe = airframe or Airframe()
-        self.aerodynamics = aerodynamics or Aerodynamics()
-        self.randomize = randomize if randomize is not None and randomize.is_on else None
+        self._world_config = settings("world", WorldConfig, world)
+        self.airframe = settings("airframe", Airframe, airframe)
+        self.aerodynamics = settings("aerodynamics", Aerodynamics, aerodynamics)
+        drawn = settings("randomize", Randomization, randomize)
+        self.randomize = drawn if drawn.is_on else None
         if self.randomize is not None:
             require_flyable(self.randomize, most_load(self.airframe))
-        world, hull = self._world_config, self.airframe
-        check_hull(hull.collision_radius, hull.collision_height, max(world.min_clearance, world.uav_radius))
-        self._lidar_config = lidar or LidarConfig()
+        rules, hull = self._world_config, self.airframe
+        check_hull(hull.collision_radius, hull.collision_height, max(rules.min_clearance, rules.uav_radius))
+        self._lidar_config = settings("lidar", LidarConfig, lidar)
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
@@ -293,6 +299,10 @@ class NavigationEnv(EnvBase):
                 values = np.array(values if values.ndim > 1 else values[:, None])
             tensors[key] = torch.as_tensor(values, dtype=self._dtypes[key], device=self.device)
         return TensorDict(tensors, batch_size=self.batch_size, device=self.device)
+
+    def __copy__(self) -> "NavigationEnv":
+        """Return an independent copy, as ``deepcopy`` does: a physics cannot be shared."""
+        return deepcopy(self)
 
     def _require_open(self) -> None:
         if self.is_closed:

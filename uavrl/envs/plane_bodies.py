@@ -18,6 +18,9 @@ class PlaneBodies:
         client: of PyBullet.
         mesh: their shape, x forward; None where there are none.
         count: K.
+
+    Attributes:
+        poses: ``[K, 4]``, where they are: x, y, z in m and yaw in rad.
     """
 
     def __init__(self, client: int, mesh: Mesh | None, count: int) -> None:
@@ -25,26 +28,26 @@ class PlaneBodies:
         self.bodies = [] if mesh is None else [add_fixed(client, mesh, PLANE) for _ in range(count)]
         size = 0.0 if mesh is None else float(np.linalg.norm(mesh.vertices, axis=1).max())
         self._reach = CLOSEST_DISTANCE_CAP + size + ROOM
-        self._poses = np.zeros((len(self.bodies), 4))
+        self.poses = np.zeros((len(self.bodies), 4))
         self._near = np.zeros(len(self.bodies), dtype=bool)
         for plane in range(len(self.bodies)):
             self._put_aside(plane)
 
     def place(self, poses: np.ndarray, vehicles: np.ndarray) -> None:
         """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad, with vehicles at ``[N, 3]``."""
-        self._poses = poses
+        self.poses = poses
         self._choose(poses[None], vehicles)
         self.move(0)
 
     def bring(self, vehicles: np.ndarray) -> None:
         """Lets those be where they are that are near to vehicles that have come to ``[N, 3]``."""
         if self.bodies:
-            self.place(self._poses, vehicles)
+            self.place(self.poses, vehicles)
 
     def begin(self, path: np.ndarray, vehicles: np.ndarray) -> None:
         """Takes in the way of a control period: ``[T, K, 4]``, of which :meth:`move` then flies each step."""
         self._choose(path, vehicles)
-        self._poses = path[-1]
+        self.poses = path[-1]
 
     def move(self, step: int) -> None:
         """Moves the planes that are near to where they are at a step of the way."""

@@ -18,6 +18,7 @@ from uavrl_onboard.geometry import Hull
 from uavrl_onboard.ranges import Positive, Rule
 
 GRAVITY = 9.81  # m/s²
+THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
 Vector = tuple[float, float, float]
 Mass = Annotated[float, Field(le=1e4)]
 Offset = Annotated[float, Field(ge=-10, le=10)]
@@ -107,11 +108,9 @@ class Airframe:
             )
         if self.lidar_mass < 0:
             raise ValueError(f"lidar_mass must not be negative, got {self.lidar_mass} kg.")
-        if self.max_total_thrust <= self.total_mass * GRAVITY:
-            raise ValueError(
-                f"An airframe of {self.total_mass:.6g} kg must lift its weight of {self.total_mass * GRAVITY:.1f} N, "
-                f"but max_total_thrust is {self.max_total_thrust} N."
-            )
+        if not 0 < self.tilt_limit < math.pi / 2:
+            raise UavrlError(f"tilt_limit must be an angle in (0, π/2) rad, got {self.tilt_limit}.")
+        _require_hovering(self)
 
     @property
     def total_mass(self) -> float:
@@ -145,6 +144,34 @@ class Airframe:
     def hover_speed(self) -> float:
         """Rotor speed in rad/s at which four rotors carry the weight."""
         return float(np.sqrt(self.total_mass * GRAVITY / 4 / self.thrust_coefficient))
+
+
+def most_lift(airframe: Airframe) -> float:
+    """The greatest vertical force in N that the controller asks of the rotors.
+
+    It keeps a tenth of the thrust for roll, pitch and yaw, and holds the height at the greatest tilt, too.
+
+    Examples:
+        >>> round(most_lift(Airframe()), 2)
+        30.01
+    """
+    return (1 - THRUST_RESERVE) * airframe.max_total_thrust * math.cos(airframe.tilt_limit)
+
+
+def _require_hovering(airframe: Airframe) -> None:
+    """Refuse an airframe that sinks whatever is commanded."""
+    lift, weight = most_lift(airframe), airframe.total_mass * GRAVITY
+    if weight <= lift:
+        return
+    heaviest = math.floor(1000 * (lift / GRAVITY - airframe.lidar_mass)) / 1000
+    needed = math.ceil(10 * airframe.max_total_thrust * weight / lift) / 10 if lift > 0 else None
+    ways = [f"lower mass to at most {heaviest:g} kg"] if heaviest > 0 else []
+    ways += [f"raise max_total_thrust to at least {needed:g} N"] if needed else ["give a max_total_thrust above 0"]
+    raise UavrlError(
+        f"An airframe of {airframe.total_mass:.6g} kg must lift its weight of {weight:.1f} N to hover, but its rotors "
+        f"lift at most {lift:.1f} N: the controller keeps a tenth of max_total_thrust for turning, and tilts by up to "
+        f"{airframe.tilt_limit:g} rad. To make it hover, {' or '.join(ways)}."
+    )
 
 
 @dataclass

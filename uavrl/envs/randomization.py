@@ -103,6 +103,7 @@ class Randomization:
                     f"{name} must be two numbers in [{least:.4g}, {most:.4g}], the lower one first, or null for off, "
                     f"got {list(given) if np.iterable(given) else given}."
                 )
+            setattr(self, name, (float(low), float(high)))
 
     @property
     def is_on(self) -> bool:

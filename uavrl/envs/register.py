@@ -27,7 +27,11 @@ def register_with_gymnasium() -> None:
 
 def _register(registration: ModuleType) -> None:
     if VALLEY not in registration.registry:
-        registration.register(id=VALLEY, entry_point="uavrl.envs.gym:make_valley")
+        registration.register(
+            id=VALLEY,
+            entry_point="uavrl.envs.gym:make_valley",
+            vector_entry_point="uavrl.envs.gym_vector:make_valleys",
+        )
 
 
 class _WhenLoaded(MetaPathFinder):

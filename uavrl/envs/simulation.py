@@ -2,12 +2,14 @@
 
 import weakref
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uavrl.envs.bullet import STATIC, Clearance, add_fixed, add_vehicle, connect, pybullet
+from uavrl.envs.bullet import STATIC, Clearance, add_fixed, add_vehicle, connect, place_body, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
+from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.past import Past
 from uavrl.envs.plane_bodies import PlaneBodies
 from uavrl.envs.plants import Plants
@@ -32,6 +34,7 @@ PHYSICS_RATE = 240  # Hz
 COMMAND_LIMIT = 2.0  # m/s and rad/s: Chansuparp (2022), Table 4.1
 TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz; 1 where it does not divide
 CONTACT_DISTANCE = 1e-3  # m: Bullet stops a body where it touches, within rounding, before it penetrates
+_IN_BULLET = ("_client", "_disconnect", "_statics", "_planes", "_vehicles", "_clearance", "_row")  # made by _build
 
 
 class Simulation:
@@ -39,6 +42,10 @@ class Simulation:
 
     Gravity, rigid-body motion and contacts are Bullet's; rotors, drag and control are ours, at the physics rate. All
     quantities are ``float64`` numpy arrays in SI units, new ones after every reset and step.
+
+    A copy, by ``copy`` or ``pickle``, gets a PyBullet world of its own and moves on from the same state, up to rounding
+    (1e-15). Bullet remembers forces of contacts from one step to the next, and a copy does not: vehicles that touch
+    something when they are copied may move on differently.
 
     Args:
         meshes: Static geometry.
@@ -68,15 +75,16 @@ class Simulation:
         meshes: Sequence[Mesh],
         count: int,
         *,
-        airframe: Airframe | None = None,
-        aerodynamics: Aerodynamics | None = None,
+        airframe: OrMapping[Airframe] | None = None,
+        aerodynamics: OrMapping[Aerodynamics] | None = None,
         plane_mesh: Mesh | None = None,
         plane_count: int = 0,
         physics_rate: int = PHYSICS_RATE,
         control_rate: int = CONTROL_RATE,
         rng: np.random.Generator | None = None,
     ) -> None:
-        self.airframe, self.aerodynamics = airframe or Airframe(), aerodynamics or Aerodynamics()
+        self.airframe = settings("airframe", Airframe, airframe)
+        self.aerodynamics = settings("aerodynamics", Aerodynamics, aerodynamics)
         if count < 1 or physics_rate % control_rate:
             raise ValueError(
                 f"A simulation takes at least 1 vehicle and a control rate that divides the physics rate, "
@@ -90,7 +98,8 @@ class Simulation:
         self.motors_on, self._rng = True, rng
         self._past = Past(count, plane_count, self.substeps)
         self._prepare_model()
-        self._build(meshes, plane_mesh, plane_count)
+        self._contents = list(meshes), plane_mesh, plane_count
+        self._build()
         self.reset(np.arange(count), np.zeros((count, 3)), np.zeros(count))
 
     def _prepare_model(self) -> None:
@@ -105,8 +114,9 @@ class Simulation:
         self._targets = np.zeros((self.substeps // self._tracking_period + 1, self.count, 4))  # oldest first
         self.rotor_speed = np.full((self.count, 4), airframe.hover_speed)
 
-    def _build(self, meshes: Sequence[Mesh], plane_mesh: Mesh | None, plane_count: int) -> None:
+    def _build(self) -> None:
         """Connects and fills the world."""
+        meshes, plane_mesh, plane_count = self._contents
         self._client = connect()
         if self._client < 0:
             raise RuntimeError("PyBullet gave no physics client: close simulations that are no longer needed.")
@@ -132,9 +142,8 @@ class Simulation:
         if self.plants.gusty and self._rng is None:
             raise ValueError("Gusts need a source of randomness: pass rng.")
         for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
-            body, attitude = self._vehicles[row], (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
-            pybullet.resetBasePositionAndOrientation(body, centre, attitude, physicsClientId=self._client)
-            pybullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=self._client)
+            attitude = (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
+            place_body(self._client, self._vehicles[row], centre, attitude)
         self.rotor_speed[index] = self.plants.hover_speed[index]
         self._gust[index] = self._targets[:, index] = 0.0
         self._controller.reset(index, self.plants.hover_force[index])
@@ -145,6 +154,10 @@ class Simulation:
     def _rebuild(self, index: np.ndarray, plants: "Sequence[Plant]") -> None:
         """Gives vehicles the masses of their plants, and keeps the rest."""
         self.plants.put(index, plants)
+        self._weigh(index)
+
+    def _weigh(self, index: np.ndarray) -> None:
+        """Gives bodies the masses of their plants."""
         for row in index:
             mass, inertia = float(self.plants.mass[row]), self.plants.inertia[row].tolist()
             changed = {"mass": mass, "localInertiaDiagonal": inertia, "physicsClientId": self._client}
@@ -324,6 +337,29 @@ class Simulation:
         """Returns ``[N]``: m from each hull to the nearest geometry or plane, at most 5; below 0 inside."""
         self._planes.bring(self.position)
         return self._clearance.distances(self._vehicles, self.position)
+
+    def __copy__(self) -> "Simulation":
+        """Return an independent copy: two simulations cannot share arrays and have two worlds."""
+        return deepcopy(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but what is in PyBullet; :attr:`_past` has the vehicles' states, and the planes have poses."""
+        if self._client < 0:
+            raise UavrlError("A simulation that was closed cannot be copied or pickled: make a new one.")
+        kept = {name: value for name, value in vars(self).items() if name not in _IN_BULLET}
+        return kept | {"_plane_poses": self._planes.poses}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build a PyBullet world with the same contents, and move its bodies to where they were."""
+        plane_poses = state.pop("_plane_poses")
+        vars(self).update(state)
+        self._build()
+        everyone = np.arange(self.count)
+        self._weigh(everyone)
+        for body, moving in zip(self._vehicles, self._past.states(np.zeros_like(everyone), everyone), strict=True):
+            place_body(self._client, body, moving[:3], moving[3:7], moving[7:10], moving[10:])
+        self._read()
+        self._planes.place(plane_poses, self.position)
 
     def close(self) -> None:
         """Frees the PyBullet world, as the garbage collector does; a second call does nothing."""

@@ -8,7 +8,7 @@ from itertools import cycle
 import numpy as np
 
 from uavrl.envs.lanes import Lane, plan_lanes
-from uavrl.envs.limits import require_finite, whole
+from uavrl.envs.limits import OrMapping, require_finite, settings, whole
 from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
@@ -215,7 +215,7 @@ class World:
     """All valleys side by side, out of each other's LiDAR range.
 
     Args:
-        config: Size, contents and rules.
+        config: Size, contents and rules, or a dict of these.
         needed: Which of the valleys of ``config.seeds`` to build, by their places there; None for all. What is in them
             and where they lie does not depend on it.
 
@@ -232,8 +232,8 @@ class World:
         [True]
     """
 
-    def __init__(self, config: WorldConfig, needed: Iterable[int] | None = None) -> None:
-        self.config = config
+    def __init__(self, config: OrMapping[WorldConfig], needed: Iterable[int] | None = None) -> None:
+        self.config = config = settings("config", WorldConfig, config)
         columns = int(np.ceil(len(config.seeds) ** 0.5))
         pitch = np.array(config.size) + VALLEY_GAP
         counts = [count for _, count in zip(config.seeds, cycle(in_turn(config.obstacles)), strict=False)]

@@ -11,6 +11,7 @@ from pydantic import Field
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import Airframe
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl.transforms.waypoint import heading_to_waypoint
@@ -63,12 +64,12 @@ class GuardedPolicy(TensorDictModuleBase):
         evade: Annotated[float, Field(gt=0, le=100)] | None = None,
         shield: Shield | None = None,
         flight_level: float = 3.5,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__()
         self.policy: Any = policy
         self.led, self.evade, self.shield = led, evade, shield
-        self.flight_level, self.airframe = flight_level, airframe or Airframe()
+        self.flight_level, self.airframe = flight_level, settings("airframe", Airframe, airframe)
         filters = evade is not None or shield is not None
         self.reads = (*SCAN * filters, *EPISODE * (evade is not None))
         led_by = ["waypoint_deg"] * led

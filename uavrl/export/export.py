@@ -127,7 +127,8 @@ def contract(settings: TrainConfig, weights_sha256: str) -> dict[str, Any] | Non
     parts: dict[type, Any] = {type(part): part for part in inner_transforms(state)}
     seen, led = parts.get(MovingObjects), parts.get(Waypoint)
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))
-    scaled, frames = parts[NavigationObservation], parts[CatFrames]
+    frames = next(part for part in parts.values() if isinstance(part, CatFrames))
+    scaled = parts[NavigationObservation]
     observation = [
         _entry("cells", len(reduction.directions()), divisor=scaled.radius),
         _entry("altitude", 1, divisor=scaled.flight_level, offset=-1.0),

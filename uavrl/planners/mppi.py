@@ -7,6 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import GAIN, LEAN, PERIOD, Planner, Surroundings
 from uavrl_onboard.geometry import hull_distances, off_altitudes
@@ -134,7 +135,7 @@ class MPPI(Planner):
         samples: Annotated[int, Field(ge=2, le=100_000)] = 256,
         seed: Seed = 0,
         costs: MPPIWeights | None = None,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__(flight_level, radius, seconds, motion, airframe)
         self.costs = MPPIWeights() if costs is None else costs

@@ -8,6 +8,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.geometry import body_to_level, body_to_world
@@ -170,14 +171,14 @@ class Planner(TensorDictModuleBase):
         sight: float,
         seconds: float,
         motion: float | None = None,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__()
         self.in_keys = ["point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude"]
         self.in_keys += ["moving_objects"] if motion is not None else []
         self.motion = motion
         self.out_keys = ["action"]
-        vehicle = airframe or Airframe()
+        vehicle = settings("airframe", Airframe, airframe)
         self.hull = vehicle.hull
         self.flight_level = flight_level
         self.memory = ScanMemory(sight, seconds, above=vehicle.lidar_position[2])

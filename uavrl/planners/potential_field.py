@@ -7,6 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
@@ -87,7 +88,7 @@ class PotentialField(Planner):
         seconds: Positive = 0.5,
         motion: float | None = None,
         costs: FieldWeights | None = None,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__(flight_level, radius, seconds, motion, airframe)
         self.costs = FieldWeights() if costs is None else costs

@@ -10,6 +10,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.mppi import limited
 from uavrl.planners.ompl_search import APART, filled, length, load_ompl, pushed_out, search
@@ -108,7 +109,7 @@ class RRTConnect(Planner):
         tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__(flight_level, radius, seconds, motion, airframe)
         load_ompl()

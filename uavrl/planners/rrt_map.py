@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Surroundings
 from uavrl.planners.rrt_connect import RRTConnect, RRTConnectWeights
@@ -66,7 +67,7 @@ class RRTMap(RRTConnect):
         tries: Annotated[int, Field(ge=1, le=100_000)] = 150,
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
         cell: Annotated[float, Field(ge=0.1, le=1)] = 0.25,
         reach: Annotated[float, Field(ge=5, le=100)] = 40.0,
     ) -> None:

@@ -8,6 +8,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
@@ -128,7 +129,7 @@ class VFHStar(Planner):
         motion: float | None = None,
         depth: Annotated[int, Field(ge=0, le=10)] = 2,
         costs: VFHStarWeights | None = None,
-        airframe: Airframe | None = None,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__(flight_level, radius, seconds, motion, airframe)
         self.depth = depth

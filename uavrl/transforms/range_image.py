@@ -140,7 +140,7 @@ class RangeImage(PointCloudReduction):
             **kwargs: as in the constructor.
 
         Examples:
-            >>> from uavrl.envs.vlp16 import firing_directions
+            >>> from uavrl_onboard.lidar.vlp16 import firing_directions
             >>> RangeImage.for_sensor(torch.from_numpy(firing_directions())).grid == RangeImage().grid
             True
         """

@@ -176,7 +176,7 @@ class PointCloudReduction(Transform):
         Examples:
             A VLP-16 sees 15 degrees up and down: 24 of the 32 faces, and all 72 cells of the range image.
 
-            >>> from uavrl.envs.vlp16 import firing_directions
+            >>> from uavrl_onboard.lidar.vlp16 import firing_directions
             >>> from uavrl.transforms import RangeImage, TruncatedIcosahedron
             >>> rays = torch.from_numpy(firing_directions())
             >>> len(TruncatedIcosahedron().unseen_cells(rays)), RangeImage().unseen_cells(rays)

@@ -1,11 +1,13 @@
 """From the raw scan to the policy's state, in one piece."""
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from typing import Annotated, Any, Literal
 
 import torch
 from pydantic import Field
 from torch import Tensor
+from torch.nn.parameter import UninitializedBuffer
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
 from uavrl.entries import Shown
@@ -72,6 +74,19 @@ def _with_motion(max_range: float) -> Iterator[Transform]:
     yield CatTensors(["observation", "scaled_objects", "threats"], "observation", del_keys=True, sort=False)
 
 
+class Frames(CatFrames):
+    """TorchRL's ``CatFrames`` that can also be copied before its first use, when its buffers have no shape yet."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Frames":
+        """Return a copy; torch cannot copy a buffer without a shape, so such a buffer is made anew."""
+        memo[id(self)] = copied = type(self).__new__(type(self))
+        for buffer in self.buffers():
+            if isinstance(buffer, UninitializedBuffer):
+                memo[id(buffer)] = UninitializedBuffer(device=buffer.device, dtype=buffer.dtype)  # type: ignore[call-arg]
+        copied.__setstate__(deepcopy(self.__getstate__(), memo))
+        return copied
+
+
 class NavigationState(Shown, Compose):
     """Everything between what :class:`uavrl.envs.NavigationEnv` emits and what a policy reads.
 
@@ -130,5 +145,5 @@ class NavigationState(Shown, Compose):
             ),
             *(_with_motion(motion) if motion is not None else ()),
             *(_with_last_action() if last_action else ()),
-            CatFrames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
+            Frames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
         )
