@@ -71,11 +71,11 @@ def arrived(wall: float, now: float, sent: float | None = None) -> Arrived:
     ],
 )
 def test_the_age_of_a_message_is_believed_where_the_clocks_agree(made: float, stamp: float) -> None:
-    assert Stamps().of(made, arrived(1000.0, 50.0, sent=999.99)) == pytest.approx(stamp)
+    assert Stamps("/odom").of(made, arrived(1000.0, 50.0, sent=999.99)) == pytest.approx(stamp)
 
 
 def test_a_message_that_waited_is_old_whatever_its_clock() -> None:
-    stamps = Stamps()
+    stamps = Stamps("/odom")
     times = [(12.0, 50.0), (12.1, 50.1), (12.2, 50.7), (12.2, 50.8), (12.15, 50.9), (13.0, 51.0)]
     given = [stamps.of(made, arrived(1000.0 + now, now)) for made, now in times]
     assert given == [pytest.approx(each) if each else None for each in (50.0, 50.1, 50.21, None, None, 51.0)]
@@ -134,12 +134,12 @@ def test_clouds_come_as_scans(node: RosNode) -> None:
         age, waited = time.monotonic() - scan.stamp, time.monotonic() - begun
         assert 0.049 < age < 0.06 + 2.0 * waited, "as old as its header says"
         writer.write(cloud(points, made))  # sent again: it is no new scan
-        until(lambda: scans.poll(0.0) or scans.skipped.late, "the repetition")
+        until(lambda: scans.poll(0.0) or scans.skipped.late_messages, "the repetition")
         broken = cloud(points, made + 0.1)
         broken.data = broken.data[:40]
         writer.write(broken)
         until(lambda: scans.poll(0.0) or scans.skipped.malformed, "the broken cloud")
-        assert scans.skipped.sentences() == ["1 packet out of order", "1 message that could not be read"]
+        assert scans.skipped.sentences() == ["1 message no newer than the one before", "1 message that could not be read"]
 
 
 def test_what_is_no_text_does_no_harm(node: RosNode) -> None:
