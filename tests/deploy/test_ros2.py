@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import select
 import sys
 import threading
 import time
@@ -71,11 +72,11 @@ def arrived(wall: float, now: float, sent: float | None = None) -> Arrived:
     ],
 )
 def test_the_age_of_a_message_is_believed_where_the_clocks_agree(made: float, stamp: float) -> None:
-    assert Stamps().of(made, arrived(1000.0, 50.0, sent=999.99)) == pytest.approx(stamp)
+    assert Stamps("/odom").of(made, arrived(1000.0, 50.0, sent=999.99)) == pytest.approx(stamp)
 
 
 def test_a_message_that_waited_is_old_whatever_its_clock() -> None:
-    stamps = Stamps()
+    stamps = Stamps("/odom")
     times = [(12.0, 50.0), (12.1, 50.1), (12.2, 50.7), (12.2, 50.8), (12.15, 50.9), (13.0, 51.0)]
     given = [stamps.of(made, arrived(1000.0 + now, now)) for made, now in times]
     assert given == [pytest.approx(each) if each else None for each in (50.0, 50.1, 50.21, None, None, 51.0)]
@@ -134,12 +135,15 @@ def test_clouds_come_as_scans(node: RosNode) -> None:
         age, waited = time.monotonic() - scan.stamp, time.monotonic() - begun
         assert 0.049 < age < 0.06 + 2.0 * waited, "as old as its header says"
         writer.write(cloud(points, made))  # sent again: it is no new scan
-        until(lambda: scans.poll(0.0) or scans.skipped.late, "the repetition")
+        until(lambda: scans.poll(0.0) or scans.skipped.late_messages, "the repetition")
         broken = cloud(points, made + 0.1)
         broken.data = broken.data[:40]
         writer.write(broken)
         until(lambda: scans.poll(0.0) or scans.skipped.malformed, "the broken cloud")
-        assert scans.skipped.sentences() == ["1 packet out of order", "1 message that could not be read"]
+        assert scans.skipped.sentences() == [
+            "1 message no newer than the one before",
+            "1 message that could not be read",
+        ]
 
 
 def test_what_is_no_text_does_no_harm(node: RosNode) -> None:
@@ -221,3 +225,42 @@ def test_of_two_writers_the_first_is_heard_until_it_falls_silent(
         time.sleep(0.1)
         second.write(cloud(np.ones((3, 3), np.float32), 3.0))
         assert until(lambda: scans.poll(0.0), "the second's cloud").rays == 3
+
+
+def test_a_cloud_in_the_world_s_frame_is_refused(node: RosNode) -> None:
+    clouds, odometries = node.writer("rt/cloud_registered", idl_type(CLOUD)), node.writer("rt/odom", idl_type(ODOMETRY))
+    points = np.ones((3, 3), np.float32)
+    with (
+        Ros2Vehicle(f"ros2://{DOMAIN}/odom") as vehicle,
+        Ros2Scans(f"ros2://{DOMAIN}/cloud_registered", vehicle) as scans,
+    ):
+        until(lambda: clouds.get_matched_subscriptions() and odometries.get_matched_subscriptions(), "a match")
+        odometries.write(odometry((1.0, 2.0, 3.5), 0.5, 1.0, frame="lidar_init"))
+        until(lambda: [vehicle.receive(0.0), vehicle.world_frame][1], "the odometry")
+        for number, name in enumerate(("lidar_init", "/lidar_init", "map", "velodyne", "lidar_init", "camera"), 1):
+            clouds.write(cloud(points, float(number), frame=name))
+            refused = scans.skipped.other_frame
+            scan = until(lambda: scans.poll(0.0) or scans.skipped.other_frame > refused, f"the cloud in {name}")  # noqa: B023
+            assert (scan is True) == (name != "velodyne"), name
+            if name == "lidar_init":
+                assert (
+                    "cannot be used: they are in the frame lidar_init, which is fixed to the world" in scans.trouble()
+                )
+        assert "their frame changed from velodyne to camera" in scans.trouble()
+        clouds.write(cloud(points, 9.0, frame="velodyne"))
+        until(lambda: scans.poll(0.0), "a cloud of the sensor")
+        assert scans.skipped.sentences() == ["5 messages in another frame than the sensor's"]
+
+
+def test_an_odometry_whose_frame_changes_is_no_pose(node: RosNode) -> None:
+    writer = node.writer("rt/odom", idl_type(ODOMETRY))
+    with Ros2Vehicle(f"ros2://{DOMAIN}/odom") as vehicle:
+        until(lambda: writer.get_matched_subscriptions(), "a match")
+        for number, (name, x) in enumerate((("odom", 1.0), ("map", 7.0), ("odom", 2.0), ("", 8.0))):
+            writer.write(odometry((x, 0.0, 3.5), 0.0, 1.0 + number, frame=name))
+            assert select.select([vehicle], [], [], 10.0)[0]
+            vehicle.receive(0.0)
+            pose = vehicle.pose()
+            assert pose is not None and pose.position[0] == (x if name == "odom" else pose.position[0]) < 5.0
+        lost = vehicle.status(time.monotonic() + 2.0)
+    assert lost.control is Control.LOST and lost.sentence.endswith("because its frame changed from odom to none")

@@ -189,3 +189,15 @@ def test_a_long_file_takes_little_memory(tmp_path: Path) -> None:
 
     assert most(20) < 1.3 * most(6)
     assert sources.PACKET_SIZE == 1206 and len(list(read_pcap(captured(tmp_path)))) == len(PACKETS)
+
+
+def test_clouds_that_are_not_in_a_sensor_s_frame_are_refused(tmp_path: Path) -> None:
+    frames = {"world": (["/map", "/map"], "in the frame map, which is fixed to the world"),
+              "changed": (["velodyne", "ouster"], "frame changed from velodyne to ouster")}  # fmt: skip
+    for name, (ids, said) in frames.items():
+        messages = [cloud_message(store(), POINTS, 5.0 + number) for number in range(2)]
+        for message, frame_id in zip(messages, ids, strict=True):
+            message.header.frame_id = frame_id
+        path = write_bag(tmp_path / name, "db3", {"/a": (CLOUD, messages)})
+        with pytest.raises(UavrlError, match=said):
+            list(ScanSource(path))

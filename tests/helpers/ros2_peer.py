@@ -78,7 +78,7 @@ def header(stamp: float, frame_id: str = "velodyne") -> Any:
     return idl_type(HEADER)(idl_type("builtin_interfaces/msg/Time")(int(stamp), int(stamp % 1 * 1e9)), frame_id)
 
 
-def cloud(points: np.ndarray, stamp: float) -> Any:
+def cloud(points: np.ndarray, stamp: float, frame: str = "velodyne") -> Any:
     """A PointCloud2 as Velodyne's driver packs it: x, y, z, intensity, ring and time in 22 bytes."""
     field = idl_type("sensor_msgs/msg/PointField")
     layout = [("x", 0, 7, "<f4"), ("y", 4, 7, "<f4"), ("z", 8, 7, "<f4"), ("intensity", 12, 7, "<f4")]
@@ -89,11 +89,15 @@ def cloud(points: np.ndarray, stamp: float) -> Any:
         packed[axis] = points[:, column]
     fields = [field(name, offset, kind, 1) for name, offset, kind, _ in layout]
     data = packed.tobytes()
-    return idl_type(CLOUD)(header(stamp), 1, len(points), fields, False, 22, len(data), data, True)
+    return idl_type(CLOUD)(header(stamp, frame), 1, len(points), fields, False, 22, len(data), data, True)
 
 
 def odometry(
-    position: tuple[float, float, float], yaw: float, stamp: float, velocity: tuple[float, float, float] = (0, 0, 0)
+    position: tuple[float, float, float],
+    yaw: float,
+    stamp: float,
+    velocity: tuple[float, float, float] = (0, 0, 0),
+    frame: str = "odom",
 ) -> Any:
     """An Odometry of a vehicle that is level; the velocity in its own axes."""
     point, vector, turn = (idl_type(f"geometry_msgs/msg/{name}") for name in ("Point", "Vector3", "Quaternion"))
@@ -101,7 +105,7 @@ def odometry(
     twist = idl_type("geometry_msgs/msg/Twist")(vector(*map(float, velocity)), vector(0.0, 0.0, 0.0))
     still = [0.0] * 36
     return idl_type(ODOMETRY)(
-        header(stamp, "odom"),
+        header(stamp, frame),
         "base_link",
         idl_type("geometry_msgs/msg/PoseWithCovariance")(pose, still),
         idl_type("geometry_msgs/msg/TwistWithCovariance")(twist, still),

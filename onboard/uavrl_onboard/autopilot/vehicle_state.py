@@ -41,8 +41,8 @@ class VehicleStatus:
 class _Latest:
     """The latest message of a kind; packets may come late or twice, and an autopilot may start anew."""
 
-    def __init__(self) -> None:
-        self._clock = SenderClock()
+    def __init__(self, kind: str) -> None:
+        self._clock = SenderClock(f"the autopilot's {kind}")
         self.stamp = 0.0
         self.fields: Any = None
 
@@ -71,7 +71,7 @@ class Vehicle:
         self.had_mode = False  #: whether it was ever seen in the mode for set-points
         self._beat: Any = None
         self._beat_at = 0.0
-        self._position, self._attitude = _Latest(), _Latest()
+        self._position, self._attitude = _Latest("LOCAL_POSITION_NED"), _Latest("ATTITUDE")
 
     @property
     def firmware(self) -> Firmware | None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from pydantic import Field
 
@@ -21,6 +21,7 @@ from uavrl_onboard.cli.flight_lines import FlightLines
 from uavrl_onboard.cli.lidar_keys import LidarKeys
 from uavrl_onboard.cli.nonblocking_output import beside
 from uavrl_onboard.cli.process import terminable
+from uavrl_onboard.cli.ros2_keys import ROS2, Ros2Config, ros2_feed, ros2_link, ros2_reports
 from uavrl_onboard.errors import Stopped, UavrlError
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.flight.health import Doubts
@@ -38,28 +39,11 @@ from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.pluralize import counted
 from uavrl_onboard.policy.policy import Policy
-from uavrl_onboard.ranges import Folder, NonNegative, Positive, Text
+from uavrl_onboard.ranges import Folder, NonNegative, Positive
 from uavrl_onboard.sentences import require
 
 if TYPE_CHECKING:
     from uavrl_onboard.ros2.vehicle import Ros2Scans
-
-ROS2 = "ros2:"  # how addresses of ROS 2 begin
-
-
-@dataclass
-class Ros2Config:
-    """How set-points are sent to a vehicle at ``autopilot=ros2:///TOPIC``.
-
-    Args:
-        kind: type of the set-points: twist, twist_stamped, or px4, whose topics begin with autopilot=ros2:///fmu
-        setpoints: topic of a twist or twist_stamped
-        frame_id: frame of a twist_stamped
-    """
-
-    kind: Literal["twist", "twist_stamped", "px4"] = "twist"
-    setpoints: Text = "/cmd_vel"
-    frame_id: Text = "base_link"
 
 
 @dataclass
@@ -106,7 +90,7 @@ class FlyConfig(LidarKeys):
         log: file for the flight log; null: none
         json: file for the flight's numbers; null: none
         progress: print a line each second
-        ros2: set-points by ROS 2
+        ros2: set-points and reports by ROS 2
         memory: range in m up to which scans enter a map of the flight, which leads the policy out of dead ends, e.g.
             12;
             null: as in the policy's training, mostly no map
@@ -195,11 +179,12 @@ def main(settings: FlyConfig) -> None:
         log = _log(settings, policy, led)
         if log is not None:
             opened.callback(_told, log.close)
-        cycles = _cycles(settings, flight, link, opened)
+        cycles, report = _cycles(settings, flight, link, opened), _reports(settings, policy, link, opened)
         try:
             with terminable():
                 for cycle in _until_the_end(cycles, settings):
                     summary.add(cycle)
+                    report(cycle)
                     if log is not None:
                         _told(log.write, cycle)
                     if settings.progress and (line := lines.of(cycle, summary)) is not None:
@@ -219,12 +204,7 @@ def _link(settings: FlyConfig) -> VehicleLink:
         x, y, z, yaw = settings.standing
         return DryRun((x, y, z), yaw)
     if settings.autopilot.startswith(ROS2):
-        from uavrl_onboard.ros2.px4 import Px4Ros2
-        from uavrl_onboard.ros2.vehicle import Ros2Vehicle  # these need a library that few have
-
-        if settings.ros2.kind == "px4":
-            return Px4Ros2(settings.autopilot)
-        return Ros2Vehicle(settings.autopilot, **asdict(settings.ros2))
+        return ros2_link(settings.autopilot, settings.ros2)
     return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
 
 
@@ -267,16 +247,26 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
     if not settings.is_live:
         scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
         return rehearse(flight, scans, link)
-    feed = opened.enter_context(closing(_feed(settings)))
+    feed = opened.enter_context(closing(_feed(settings, link)))
     return _doubted(fly(flight, feed, link), Doubts(feed.trouble, 1.0 / flight.period, settings.safety.pose_age))
 
 
-def _feed(settings: FlyConfig) -> UdpScans | Ros2Scans:
+def _feed(settings: FlyConfig, link: VehicleLink) -> UdpScans | Ros2Scans:
     if settings.lidar.startswith(ROS2):
-        from uavrl_onboard.ros2.vehicle import Ros2Scans
-
-        return Ros2Scans(settings.lidar)
+        return ros2_feed(settings.lidar, link)
     return UdpScans(settings.lidar, settings.model, settings.product)
+
+
+def _reports(settings: FlyConfig, policy: Policy, link: VehicleLink, opened: ExitStack) -> Callable[[FlightCycle], Any]:
+    """What publishes a cycle to ROS 2, if that is asked for."""
+    if not settings.ros2.diagnostics and not settings.ros2.markers:
+        return lambda cycle: None
+    assert settings.goal is not None
+    addresses = [str(settings.autopilot), settings.lidar]
+    reports = ros2_reports(
+        settings.ros2, addresses, link, policy.contract, settings.goal, settings.radius, settings.safety
+    )
+    return opened.enter_context(reports).tell
 
 
 def _doubted(cycles: Iterable[FlightCycle], doubts: Doubts) -> Iterator[FlightCycle]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.libraries import needed
+from uavrl_onboard.lidar.frame_ids import CloudFrame
 from uavrl_onboard.lidar.mcap_file import MAGIC, McapFile
 from uavrl_onboard.lidar.ros_messages import CLOUD, DEFINITIONS, ROS1, SCAN
 from uavrl_onboard.lidar.scans import Scan, Skipped
@@ -73,8 +74,15 @@ def read_packets(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[flo
 
 
 def read_clouds(path: Path, topic: str, skipped: Skipped) -> Iterator[Scan]:
-    """The scans in a recording's messages of PointCloud2."""
+    """The scans in a recording's messages of PointCloud2.
+
+    Raises:
+        UavrlError: for clouds that are not in the frame of one sensor.
+    """
+    frame = CloudFrame()
     for _, message in _messages(path, topic, skipped):
+        if refusal := frame.refusal(message.header.frame_id):
+            raise UavrlError(f"The clouds on {topic} of {path} cannot be used: {refusal}.")
         if scan := cloud_scan(message, seconds(message.header.stamp), skipped):
             yield scan
 

@@ -12,10 +12,12 @@ TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStampe
 PX4_ODOMETRY, PX4_CONTROL_MODE = "px4_msgs/msg/VehicleOdometry", "px4_msgs/msg/VehicleControlMode"
 PX4_SETPOINT, PX4_OFFBOARD = "px4_msgs/msg/TrajectorySetpoint", "px4_msgs/msg/OffboardControlMode"
 HEADER = "std_msgs/msg/Header"
+DIAGNOSTICS, MARKERS = "diagnostic_msgs/msg/DiagnosticArray", "visualization_msgs/msg/MarkerArray"
 
 _XYZ = "float64 x\nfloat64 y\nfloat64 z"
 DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "builtin_interfaces/msg/Duration": "int32 sec\nuint32 nanosec",
     HEADER: "builtin_interfaces/Time stamp\nstring frame_id",
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     SCAN: "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
@@ -32,6 +34,21 @@ DEFINITIONS = {
     TWIST_STAMPED: "std_msgs/Header header\ngeometry_msgs/Twist twist",
     ODOMETRY: "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
     "geometry_msgs/TwistWithCovariance twist",
+    "diagnostic_msgs/msg/KeyValue": "string key\nstring value",
+    "diagnostic_msgs/msg/DiagnosticStatus": "byte level\nstring name\nstring message\nstring hardware_id\n"
+    "diagnostic_msgs/KeyValue[] values",
+    DIAGNOSTICS: "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status",
+    "std_msgs/msg/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a",
+    "sensor_msgs/msg/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
+    "visualization_msgs/msg/UVCoordinate": "float32 u\nfloat32 v",
+    "visualization_msgs/msg/MeshFile": "string filename\nuint8[] data",
+    "visualization_msgs/msg/Marker": "std_msgs/Header header\nstring ns\nint32 id\nint32 type\nint32 action\n"
+    "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 scale\nstd_msgs/ColorRGBA color\n"
+    "builtin_interfaces/Duration lifetime\nbool frame_locked\ngeometry_msgs/Point[] points\n"
+    "std_msgs/ColorRGBA[] colors\nstring texture_resource\nsensor_msgs/CompressedImage texture\n"
+    "visualization_msgs/UVCoordinate[] uv_coordinates\nstring text\nstring mesh_resource\n"
+    "visualization_msgs/MeshFile mesh_file\nbool mesh_use_embedded_materials",
+    MARKERS: "visualization_msgs/Marker[] markers",
     PX4_SETPOINT: "uint64 timestamp\nfloat32[3] position\nfloat32[3] velocity\nfloat32[3] acceleration\n"
     "float32[3] jerk\nfloat32 yaw\nfloat32 yawspeed",
     PX4_OFFBOARD: "uint64 timestamp\nbool position\nbool velocity\nbool acceleration\nbool attitude\nbool body_rate\n"

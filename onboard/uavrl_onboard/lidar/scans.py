@@ -59,6 +59,8 @@ class Skipped:
     dual: int = field(default=0, metadata={"of": "packet", "says": "with two returns per ray"})
     lost: int = field(default=0, metadata={"of": "packet", "says": "that never arrived"})
     late: int = field(default=0, metadata={"of": "packet", "says": "out of order"})
+    late_messages: int = field(default=0, metadata={"of": "message", "says": "no newer than the one before"})
+    other_frame: int = field(default=0, metadata={"of": "message", "says": "in another frame than the sensor's"})
     incomplete: int = field(default=0, metadata={"of": "turn", "says": "with a gap or without an end"})
     malformed: int = field(default=0, metadata={"of": "message", "says": "that could not be read"})
     other_sender: int = field(default=0, metadata={"of": "packet", "says": "of a second sender"})

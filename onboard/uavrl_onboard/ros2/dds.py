@@ -13,11 +13,11 @@ import threading
 import time
 from contextlib import suppress
 from functools import cache
-from importlib import import_module
 from typing import Any, NamedTuple, Self
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.ros_messages import DEFINITIONS
+from uavrl_onboard.ros2.domain import cyclonedds, enter, leave
 
 _logger = logging.getLogger(__name__)
 
@@ -25,7 +25,7 @@ _ADDRESS = re.compile(r"ros2://(?P<domain>\d{0,3})(?P<topic>(/[A-Za-z_][A-Za-z0-
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _LAST_DOMAIN = 232  # the ports of those above it do not exist
 _FIELD = re.compile(r"(?P<kind>[\w/]+)(?P<many>\[(?P<count>\d*)\])? (?P<name>\w+)")
-_PRIMITIVES = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
+_PRIMITIVES = ("byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
 SILENCE = 1.0  # s without a message of a writer after which another one may take its place
 _TICK = 0.1  # s after which the thread looks whether it shall end
 _PAUSE = 0.01  # s after a message that cannot be read
@@ -66,7 +66,7 @@ def check_topic(topic: str) -> str:
 @cache
 def idl_type(name: str) -> Any:
     """The class of a message, such as ``geometry_msgs/msg/Twist``, for `cyclonedds`."""
-    kinds = _cyclonedds("idl.types")
+    kinds = cyclonedds("idl.types")
     kind = _struct(name, kinds.sequence[kinds.uint8])
     # cyclonedds makes a list of such a sequence, one number at a time, and knows no topics of bytes.
     kind.deserialize = _struct(name, bytes).deserialize
@@ -76,7 +76,7 @@ def idl_type(name: str) -> Any:
 @cache
 def _struct(name: str, octets: Any) -> Any:
     """The class of a message whose sequences of bytes are ``octets``."""
-    kinds, fields = _cyclonedds("idl.types"), {}
+    kinds, fields = cyclonedds("idl.types"), {}
     for line in DEFINITIONS[name].splitlines():
         match = _FIELD.fullmatch(line)
         assert match is not None, line
@@ -89,7 +89,7 @@ def _struct(name: str, octets: Any) -> Any:
         )
         fields[match["name"]] = kinds.array[one, int(count)] if count else kinds.sequence[one] if match["many"] else one
     package, _, kind = name.split("/")
-    return _cyclonedds("idl").make_idl_struct(kind, f"{package}.msg.dds_.{kind}_", fields)
+    return cyclonedds("idl").make_idl_struct(kind, f"{package}.msg.dds_.{kind}_", fields)
 
 
 class Node:
@@ -108,15 +108,9 @@ class Node:
     """
 
     def __init__(self, domain: int) -> None:
-        core, self._closing = _cyclonedds("core"), threading.Event()
-        try:
-            self._participant = _cyclonedds("domain").DomainParticipant(domain)
-        except core.DDSException as error:
-            raise UavrlError(
-                f"The domain {domain} of ROS 2 cannot be entered ({error.msg}): is there a network, and does "
-                "CYCLONEDDS_URI fit it?"
-            ) from error
-        qos, policy = _cyclonedds("qos").Qos, _cyclonedds("qos").Policy
+        core, self._closing, self._domain = cyclonedds("core"), threading.Event(), domain
+        self._participant = enter(domain)
+        qos, policy = cyclonedds("qos").Qos, cyclonedds("qos").Policy
         self._reading = qos(policy.Reliability.BestEffort, policy.Durability.Volatile, policy.History.KeepLast(1))
         self._writing = qos(policy.Reliability.Reliable(0), policy.Durability.Volatile, policy.History.KeepLast(1))
         self._waiting = core.WaitSet(self._participant)
@@ -133,7 +127,7 @@ class Node:
 
     def reads(self, topic: str, kind: str) -> None:
         """Subscribes to a topic; call it before `start`."""
-        core, sub = _cyclonedds("core"), _cyclonedds("sub")
+        core, sub = cyclonedds("core"), cyclonedds("sub")
         self._readers[topic] = sub.DataReader(self._participant, self._topic(topic, kind), self._reading)
         unread = core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead
         self._conditions.append(core.ReadCondition(self._readers[topic], unread))
@@ -141,7 +135,7 @@ class Node:
 
     def writes(self, topic: str, kind: str) -> None:
         """Offers a topic."""
-        self._writers[topic] = _cyclonedds("pub").DataWriter(self._participant, self._topic(topic, kind), self._writing)
+        self._writers[topic] = cyclonedds("pub").DataWriter(self._participant, self._topic(topic, kind), self._writing)
 
     def start(self) -> None:
         """Begins to take in what comes."""
@@ -165,7 +159,7 @@ class Node:
         """Sends a message, if it can be sent at once."""
         try:
             self._writers[topic].write(message)
-        except _cyclonedds("core").DDSException as error:  # the network is down: the others' silence tells
+        except cyclonedds("core").DDSException as error:  # the network is down: the others' silence tells
             _logger.debug("A message to %s was not sent: %s", topic, error)
 
     def close(self) -> None:
@@ -178,11 +172,12 @@ class Node:
         for entities in (self._conditions, self._readers, self._writers):
             entities.clear()  # cyclonedds deletes what nothing refers to any more
         self._waiting = self._participant = None
+        leave(self._domain)
         os.close(self._woken)
         os.close(self._waker)
 
     def _topic(self, topic: str, kind: str) -> Any:
-        return _cyclonedds("topic").Topic(self._participant, f"rt{check_topic(topic)}", idl_type(kind))
+        return cyclonedds("topic").Topic(self._participant, f"rt{check_topic(topic)}", idl_type(kind))
 
     def _listen(self) -> None:
         """Takes in what comes until the node is closed."""
@@ -242,13 +237,3 @@ class OnNode:
     def close(self) -> None:
         """Leaves the domain. Nothing more is sent: what others do then is their own to decide."""
         self._node.close()
-
-
-def _cyclonedds(module: str) -> Any:
-    try:
-        return import_module(f"cyclonedds.{module}")
-    except ImportError as error:
-        raise UavrlError(
-            "ROS 2 is spoken by cyclonedds, which is not installed: pip install 'uavrl[ros2]', or build it where there "
-            "is no wheel (Linux on ARM)."
-        ) from error

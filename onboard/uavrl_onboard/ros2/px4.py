@@ -37,7 +37,7 @@ class Px4Ros2(OnNode):
         domain, prefix = topic_of(source)
         self._odometry, self._mode = f"{prefix}/out/vehicle_odometry", f"{prefix}/out/vehicle_control_mode"
         self._setpoint, self._offboard = f"{prefix}/in/trajectory_setpoint", f"{prefix}/in/offboard_control_mode"
-        self._stamps = Stamps()
+        self._stamps = Stamps(self._odometry)
         self._pose: Pose | None = None
         self._heard: Any = None
         self._heard_at = 0.0

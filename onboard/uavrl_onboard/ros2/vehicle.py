@@ -14,6 +14,7 @@ from uavrl_onboard.autopilot.frames import Pose, check_setpoint, roll_pitch_yaw,
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.bags import cloud_scan, seconds
+from uavrl_onboard.lidar.frame_ids import CloudFrame
 from uavrl_onboard.lidar.ros_messages import CLOUD, HEADER, ODOMETRY, TWIST, TWIST_STAMPED
 from uavrl_onboard.lidar.scans import Scan, Skipped
 from uavrl_onboard.ros2.dds import SILENCE, Arrived, OnNode, check_topic, idl_type, topic_of
@@ -29,10 +30,17 @@ class Stamps:
     A message's header says when. Where that is less than 10 s ago its clock agrees with ours, and its age is believed.
     Otherwise (a simulation's clock, a sensor's own) it counts from its arrival, less what it waited on its way. A
     header without a time has that at which the message was sent. One no newer than the one before is none.
+
+    Two clocks that agree cease to when one of them is set. So the age is the lesser of two: by the clocks as they are,
+    and by the clocks as they were at the first message.
+
+    Args:
+        topic: for the log.
     """
 
-    def __init__(self) -> None:
-        self._clock = SenderClock()
+    def __init__(self, topic: str) -> None:
+        self._clock = SenderClock(topic)
+        self._ours: float | None = None  # our time of day at the zero of ``time.monotonic``, at the first message
 
     def of(self, made: float, arrived: Arrived) -> float | None:
         """The time of a message on the clock of ``time.monotonic``, s.
@@ -42,8 +50,13 @@ class Stamps:
             arrived: the message.
         """
         made = made or arrived.sent
-        stamp, age = self._clock.stamp(made, arrived.now), arrived.wall - made
-        return stamp if stamp is None or not 0.0 <= age < _CLOCKS_AGREE else min(stamp, arrived.now - age)
+        self._ours = arrived.wall - arrived.now if self._ours is None else self._ours
+        stamp = self._clock.stamp(made, arrived.now)
+        if stamp is None:
+            return None
+        ages = (arrived.wall - made, arrived.now + self._ours - (made - self._clock.offset))
+        age = min((each for each in ages if 0.0 <= each < _CLOCKS_AGREE), default=0.0)
+        return min(stamp, arrived.now - age)
 
 
 class Ros2Scans(OnNode):
@@ -51,6 +64,7 @@ class Ros2Scans(OnNode):
 
     Args:
         source: ``ros2:///TOPIC``, a topic of ``sensor_msgs/msg/PointCloud2``, or ``ros2://DOMAIN/TOPIC``.
+        vehicle: on which the sensor is. Clouds in the frame of its positions are refused: they do not move with it.
 
     Attributes:
         skipped: how much was left out so far, by reason.
@@ -59,10 +73,11 @@ class Ros2Scans(OnNode):
         UavrlError: where cyclonedds is missing, or its domain cannot be entered.
     """
 
-    def __init__(self, source: str = "ros2:///velodyne_points") -> None:
+    def __init__(self, source: str = "ros2:///velodyne_points", vehicle: Ros2Vehicle | None = None) -> None:
         domain, self.topic = topic_of(source)
         self.skipped = Skipped()
-        self._stamps, self._heard = Stamps(), -math.inf  # when the last cloud came
+        self._vehicle, self._frame, self._refusal = vehicle, CloudFrame(), ""
+        self._stamps, self._heard = Stamps(self.topic), -math.inf  # when the last cloud came
         super().__init__(domain)
         self._node.reads(self.topic, CLOUD)
         self._node.start()
@@ -73,9 +88,14 @@ class Ros2Scans(OnNode):
         if arrived is None:
             return None
         self._heard = time.monotonic()
+        world = "" if self._vehicle is None else self._vehicle.world_frame
+        self._refusal = self._frame.refusal(arrived.message.header.frame_id, world)
+        if self._refusal:
+            self.skipped.other_frame += 1
+            return None
         stamp = self._stamps.of(seconds(arrived.message.header.stamp), arrived)
         if stamp is None:
-            self.skipped.late += 1
+            self.skipped.late_messages += 1
             return None
         return cloud_scan(arrived.message, stamp, self.skipped)
 
@@ -83,6 +103,8 @@ class Ros2Scans(OnNode):
         """Why no scan came out, as a sentence's second half."""
         if SILENCE < (silent := time.monotonic() - self._heard) < math.inf:
             return f"no message has come on {self.topic} for {silent:.0f} s, where there were some: look at its driver."
+        if self._refusal:
+            return f"the clouds on {self.topic} cannot be used: {self._refusal}."
         if self.skipped.sentences():
             return f"no cloud on {self.topic} could be taken ({'; '.join(self.skipped.sentences())})."
         return f"no message has come on {self.topic}: does a node in this domain publish {CLOUD} there, over DDS?"
@@ -92,13 +114,16 @@ class Ros2Vehicle(OnNode):
     """A vehicle flown by ROS 2 nodes, as a :class:`~uavrl_onboard.flight.interfaces.VehicleLink`.
 
     A Twist has no mode and no arming: whoever subscribes to it obeys it, or not. So set-points count as obeyed once
-    odometry comes and somebody subscribes.
+    odometry comes and somebody subscribes. An Odometry in another frame than the first one is no pose.
 
     Args:
         source: ``ros2:///TOPIC``, a topic of ``nav_msgs/msg/Odometry``, or ``ros2://DOMAIN/TOPIC``.
         setpoints: the topic to send to.
         kind: ``"twist"`` or ``"twist_stamped"``, of ``geometry_msgs``.
         frame_id: of a stamped one, that of the vehicle's body.
+
+    Attributes:
+        world_frame: the frame of its positions; "" before it has told.
 
     Raises:
         UavrlError: where cyclonedds is missing, or its domain cannot be entered.
@@ -116,7 +141,9 @@ class Ros2Vehicle(OnNode):
         if kind not in KINDS:
             raise UavrlError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}.")
         self.setpoints, self.kind, self.frame_id = check_topic(setpoints), kind, frame_id
-        self._stamps = Stamps()
+        self._stamps = Stamps(self.topic)
+        self.world_frame = ""
+        self._refusal = ""
         self._pose: Pose | None = None
         self._heard_at: float | None = None
         super().__init__(domain)
@@ -127,11 +154,17 @@ class Ros2Vehicle(OnNode):
     def receive(self, now: float) -> None:
         """Reads what has come."""
         arrived = self._node.take(self.topic)
-        if arrived is not None:
-            self._heard_at = arrived.now
-            stamp = self._stamps.of(seconds(arrived.message.header.stamp), arrived)
-            if stamp is not None:
-                self._pose = pose_of(arrived.message, stamp)
+        if arrived is None:
+            return
+        frame = arrived.message.header.frame_id
+        self.world_frame = self.world_frame or frame
+        if frame != self.world_frame:
+            self._refusal = f", because its frame changed from {self.world_frame} to {frame or 'none'}"
+            return
+        self._heard_at, self._refusal = arrived.now, ""
+        stamp = self._stamps.of(seconds(arrived.message.header.stamp), arrived)
+        if stamp is not None:
+            self._pose = pose_of(arrived.message, stamp)
 
     def pose(self) -> Pose | None:
         """Where the vehicle was last, which may not be finite; ``None`` before it has told."""
@@ -143,7 +176,8 @@ class Ros2Vehicle(OnNode):
         if self._heard_at is None:
             return VehicleStatus(Control.WAITING, f"no odometry has come on {self.topic} yet")
         if now - self._heard_at > LOST:
-            return VehicleStatus(Control.LOST, f"no odometry on {self.topic} for {now - self._heard_at:.1f} s")
+            silent = now - self._heard_at
+            return VehicleStatus(Control.LOST, f"no odometry on {self.topic} for {silent:.1f} s{self._refusal}")
         if not listeners:
             return VehicleStatus(Control.WAITING, f"nobody subscribes to {self.setpoints}")
         sentence = f"{self.setpoints} has {listeners} subscriber{'s' * (listeners > 1)}, which may obey it"
