@@ -327,7 +327,7 @@ def test_one_lifeguard_on_another() -> None:
     data = episodes(10)
     torch.testing.assert_close(outer.actor_loss(data)[0], inner.actor_loss(data)[0])
     trained(outer)
-    assert [one.active for one in outer.enhancers] == [True, True]
+    assert [one.active for one in outer.penalties] == [True, True]
     assert len(inner.collisions) == 160  # the outer one passes episodes on
     assert outer.actor_loss(data)[0] > inner.actor_loss(data)[0]
 
