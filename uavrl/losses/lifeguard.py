@@ -115,7 +115,10 @@ class LifeGuard(ActorPenalty):
         self.min_true_negative_rate = min_true_negative_rate
         self.classifier = CollisionClassifier(self.observations + actions, model, alpha)
         self.collisions = ReplayBuffer(storage=LazyTensorStorage(capacity, device="cpu"))
-        self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # checkpoints save empty rows, too
+        actor = next(iter(base.actor_network_params.values(True, True)))
+        self._dtype = actor.dtype  # of the features; the host's default may be another
+        empty = torch.zeros(capacity, self.observations + actions, dtype=self._dtype)
+        self.collisions.extend(empty)  # checkpoints save empty rows, too
         self.collisions.empty()
         self.evaluations: deque[list[int]] = deque(maxlen=evaluation_window)  # confusion counts of the last ones
         self.evaluated = 0  # number of evaluations so far
@@ -124,7 +127,10 @@ class LifeGuard(ActorPenalty):
         self.out_keys = [*self.out_keys, "loss_lifeguard"]
         self._active = False
         self._last_episode: Tensor | None = None
-        self.to(next(iter(base.actor_network_params.values(True, True))).device)
+        self.classifier.scaler.to(self._dtype)
+        if model == "mlp":
+            self.classifier.model.to(self._dtype)
+        self.to(actor.device)
 
     @property
     def active(self) -> bool:
@@ -210,7 +216,7 @@ class LifeGuard(ActorPenalty):
         arrived = self._next(last, "arrived") if self.successes is not None else None
         self.classifier.scaler.update(features)
         if collided.any():
-            self.collisions.extend(features[ends[collided]])
+            self.collisions.extend(features[ends[collided]].to(self._dtype))
         self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
         if self.successes is not None and arrived is not None:
             self.successes.extend(arrived.float().tolist())
