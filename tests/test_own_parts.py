@@ -1,4 +1,4 @@
-"""A package that uavrl knows nothing of brings a reward, an enhancer, a perception and an environment."""
+"""A package that uavrl knows nothing of brings a reward, an actor penalty, a perception and an environment."""
 
 from __future__ import annotations
 

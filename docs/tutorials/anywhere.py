@@ -82,7 +82,7 @@ print("faces that see something:", int((begin["faces"] > 0).sum()), "of 32")
 # %% [markdown]
 # ## A loss, and LifeGuard around it
 #
-# {class}`~uavrl.losses.LifeGuard` attaches to any TD3, DDPG or SAC loss. It needs to know what a failure is called: here every end that is not a
+# {class}`~uavrl.losses.LifeGuard` wraps TorchRL's own TD3, DDPG, SAC, REDQ and CrossQ losses, and ours. It needs to know what a failure is called: here every end that is not a
 # time-out is a crash, so `terminated`. The room has no goal to arrive at that ends a flight; with `success_window=None` LifeGuard does not ask.
 
 # %%

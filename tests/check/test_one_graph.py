@@ -1,4 +1,4 @@
-"""``torch.compile`` takes a whole loss, whatever enhances it, in one graph, and what it gives is what the loss says."""
+"""``torch.compile`` takes a whole loss with any penalties around it in one graph, and gives what the loss says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from walker.fork import BipedalFork
 
 from tests.helpers.losses import ddpg, episodes, fork, lifeguard, sac, sampler, td3
-from uavrl.losses import ActorCriticLoss, Enhancer, Fork, Imitation, LifeGuard
+from uavrl.losses import ActorCriticLoss, ActorPenalty, Fork, Imitation, LifeGuard
 from uavrl.models import SystemNet
 
 
@@ -49,7 +49,7 @@ LOSSES: dict[str, Callable[[], ActorCriticLoss]] = {
 
 
 def told(data: TensorDict, far: float = 1.0) -> TensorDict:
-    """With all that the enhancers read; no model predicts next states that lie a thousand times too far."""
+    """With all that the penalties read; no model predicts next states that lie a thousand times too far."""
     data["guide_action"] = 0.5 * data["action"]
     data["next"].update(
         {
@@ -62,14 +62,14 @@ def told(data: TensorDict, far: float = 1.0) -> TensorDict:
 
 
 def prepared(make: Callable[[], ActorCriticLoss]) -> ActorCriticLoss:
-    """A loss whose enhancers have seen enough for their terms to count."""
+    """A loss whose penalties have seen enough for their terms to count."""
     torch.manual_seed(0)
     loss, data = make(), told(episodes(10))
     for _ in range(8):
         loss.observe(data)
-        for enhancer in loss.enhancers:
-            if isinstance(enhancer, LifeGuard):
-                enhancer.fit(sampler(data), 20, enhancer.make_optimizer())
+        for penalty in loss.penalties:
+            if isinstance(penalty, LifeGuard):
+                penalty.fit(sampler(data), 20, penalty.make_optimizer())
     return loss
 
 
@@ -94,14 +94,14 @@ def test_a_loss_is_one_graph(name: str) -> None:
     compiled = torch.compile(other, backend="eager", fullgraph=True)
     for far in (1000.0, 1.0, 1000.0):
         torch.testing.assert_close(outcome(compiled, other, far), outcome(loss, loss, far))
-        gates = [each.active for each in loss.enhancers]
-        assert gates == [each.active for each in other.enhancers] == [is_open(each, far) for each in loss.enhancers]
+        gates = [each.active for each in loss.penalties]
+        assert gates == [each.active for each in other.penalties] == [is_open(each, far) for each in loss.penalties]
         assert other.diagnostics() == pytest.approx(loss.diagnostics(), nan_ok=True)
     assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 1
 
 
-def is_open(enhancer: Enhancer, far: float) -> bool:
-    return far == 1.0 or not isinstance(enhancer, Fork)
+def is_open(penalty: ActorPenalty, far: float) -> bool:
+    return far == 1.0 or not isinstance(penalty, Fork)
 
 
 def test_a_system_network_that_diverged_harms_no_actor_while_the_gate_is_closed() -> None:

@@ -59,5 +59,5 @@ def test_what_you_bring_is_trained(tmp_path: Path) -> None:
     assert targets == {
         "env": "own_parts.env.Corridor",
         "reward": "own_parts.reward.HurryReward",
-        "actor_penalty": "own_parts.enhancer.Calm",
+        "actor_penalty": "own_parts.calm.Calm",
     }

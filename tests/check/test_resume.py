@@ -48,7 +48,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[list[str]], Pat
     return lambda overrides: trained(tuple(overrides))
 
 
-def test_the_enhancers_have_their_say_in_these_runs(whole: Callable[[list[str]], Path]) -> None:
+def test_the_penalties_have_their_say_in_these_runs(whole: Callable[[list[str]], Path]) -> None:
     for name in ("lifeguard_active", "lifeguard_penalty", "fork_gate", "fork_weight"):
         (log,) = (whole(FORK_AND_LIFEGUARD) / "logs").rglob(f"{name}.csv")
         assert max(float(line.split(",")[-1]) for line in log.read_text().splitlines()) > 0, name

@@ -45,9 +45,9 @@ def test_every_environment_composes_for_evaluation(name: str) -> None:
 
 
 @pytest.mark.parametrize("algo", ["td3", "ddpg", "sac"])
-@pytest.mark.parametrize("enhancers", [[], ["fork=on", "lifeguard=mlp"]], ids=["bare", "enhanced"])
-def test_what_a_run_writes_is_read_as_it_was(algo: str, enhancers: list[str], tmp_path: Path) -> None:
-    config = resolve(composed("config", f"algo={algo}", "run_dir=here", "env=dynamic", *enhancers))
+@pytest.mark.parametrize("penalties", [[], ["fork=on", "lifeguard=mlp"]], ids=["bare", "penalized"])
+def test_what_a_run_writes_is_read_as_it_was(algo: str, penalties: list[str], tmp_path: Path) -> None:
+    config = resolve(composed("config", f"algo={algo}", "run_dir=here", "env=dynamic", *penalties))
     (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
     again = OmegaConf.load(tmp_path / "config.yaml")
     assert resolve(again) == config

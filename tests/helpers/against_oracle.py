@@ -90,8 +90,8 @@ def library(case: Case) -> ActorCriticLoss:
     return loss.double() if torch.get_default_dtype() == torch.float64 else loss  # some buffers do not ask the default
 
 
-def enhancer(loss: ActorCriticLoss, kind: type) -> LifeGuard | Fork | None:
-    return next((one for one in loss.enhancers if isinstance(one, kind)), None)
+def penalty(loss: ActorCriticLoss, kind: type) -> LifeGuard | Fork | None:
+    return next((one for one in loss.penalties if isinstance(one, kind)), None)
 
 
 def leaves(params: TensorDictBase, index: int | None = None, *, grad: bool = False) -> list[Tensor]:
@@ -105,7 +105,7 @@ def leaves(params: TensorDictBase, index: int | None = None, *, grad: bool = Fal
 
 def networks(loss: ActorCriticLoss, learner: oracle.DDPG) -> dict[str, tuple[TensorDictBase, int | None, nn.Module]]:
     """Each network: its parameters in the library, its index if it is stacked there, and the oracle's module."""
-    base, fork = loss.unwrapped, enhancer(loss, Fork)
+    base, fork = loss.unwrapped, penalty(loss, Fork)
     found = {
         "actor": (base.actor_network_params, None, learner.actor),
         "target actor": (base.target_actor_network_params, None, learner.target_actor),
@@ -116,8 +116,8 @@ def networks(loss: ActorCriticLoss, learner: oracle.DDPG) -> dict[str, tuple[Ten
         found[f"critic{index}"] = (base.critic_network_params, at, critic)
         found[f"target critic{index}"] = (targets, at, target)
     if fork is not None:
-        found["system"] = (fork.system_network_params, None, learner.enhancers[0].system)
-        found["reward"] = (fork.reward_network_params, None, learner.enhancers[0].reward)
+        found["system"] = (fork.system_network_params, None, learner.penalties[0].system)
+        found["reward"] = (fork.reward_network_params, None, learner.penalties[0].reward)
     return found
 
 
@@ -132,14 +132,14 @@ def by_hand(case: Case, loss: ActorCriticLoss) -> oracle.DDPG:
     low, high = torch.tensor(case.low), torch.tensor(case.high)
     actor = oracle.Actor(STATE, case.cells, low, high)
     critics = [oracle.OfPair(STATE + ACTIONS, case.cells, 1) for _ in range(1 if case.algo == "ddpg" else 2)]
-    enhancers: list[oracle.ActorLoss] = []
+    penalties: list[oracle.ActorLoss] = []
     if case.fork is not None:
         system = oracle.OfPair(STATE + ACTIONS, case.cells, STATE)
         reward = oracle.OfPair(2 * STATE + ACTIONS, case.cells, 1)
-        enhancers.append(oracle.Fork(system, reward, lr=3e-4, threshold=case.fork, max_reward=MAX_REWARD))
+        penalties.append(oracle.Fork(system, reward, lr=3e-4, threshold=case.fork, max_reward=MAX_REWARD))
     if case.guard is not None:
-        enhancers.append(oracle.LifeGuard(lambda x: x[..., 0], last=FRAME))
-    learner = {"td3": oracle.TD3, "ddpg": oracle.DDPG}[case.algo](actor, critics, low, high, enhancers)
+        penalties.append(oracle.LifeGuard(lambda x: x[..., 0], last=FRAME))
+    learner = {"td3": oracle.TD3, "ddpg": oracle.DDPG}[case.algo](actor, critics, low, high, penalties)
     for params, index, module in networks(loss, learner).values():
         copy_into(module, leaves(params, index))
     return learner
@@ -162,12 +162,12 @@ def show(stepper: ActorCriticStepper, learner: oracle.DDPG, data: TensorDict) ->
     stepper.observe(data, lambda n: data[torch.randint(len(data), (n,))])
     done = data["next", "done"].squeeze(-1)
     lengths = torch.diff(done.nonzero().squeeze(-1), prepend=torch.tensor([-1])).tolist()
-    for one in learner.enhancers:
+    for one in learner.penalties:
         if isinstance(one, oracle.Fork):
             one.observe(torch.cat([data["observation"], data["next", "observation"]]))
             one.returns.extend(float(rewards.sum()) for rewards in data["next", "reward"].split(lengths))
         if isinstance(one, oracle.LifeGuard):
-            guard = enhancer(stepper.loss, LifeGuard)
+            guard = penalty(stepper.loss, LifeGuard)
             assert isinstance(guard, LifeGuard)
             arrived = data["next", "arrived"].squeeze(-1)[done]
             one.observe(data["observation"], data["action"], arrived.tolist())
@@ -180,7 +180,7 @@ def show(stepper: ActorCriticStepper, learner: oracle.DDPG, data: TensorDict) ->
 def compare_update(result: TensorDictBase, loss: ActorCriticLoss, learner: oracle.DDPG, tolerance: float) -> None:
     """Losses and gradients of the update that both have just made."""
     ours = {"critic": float(result["loss_value"]), "actor": float(result["loss_actor"])}
-    if (fork := enhancer(loss, Fork)) is not None:
+    if (fork := penalty(loss, Fork)) is not None:
         said = fork.diagnostics()
         ours |= {"system": said["system_loss"], "reward": said["reward_loss"]}
     for name, expected in learner.losses.items():
@@ -220,7 +220,7 @@ def _compare_updates(case: Case, execution: Execution, tolerance: float) -> None
     for update in range(UPDATES):
         if update % EPISODES_EVERY == 0:
             show(stepper, learner, cast(episodes(update)))
-            active += [one.active for one in learner.enhancers if isinstance(one, oracle.LifeGuard)]
+            active += [one.active for one in learner.penalties if isinstance(one, oracle.LifeGuard)]
         data = cast(batch_number(update))
         batch = plain(data)
         torch.manual_seed(update)
@@ -231,7 +231,7 @@ def _compare_updates(case: Case, execution: Execution, tolerance: float) -> None
     compare_parameters(loss, learner, tolerance)
     assert active == (ACTIVE if case.guard else [])
     if case.fork == THRESHOLD:
-        opened = learner.enhancers[0].opened[learner.delay - 1 :: learner.delay]  # as the actor's updates saw the gate
+        opened = learner.penalties[0].opened[learner.delay - 1 :: learner.delay]  # as the actor's updates saw the gate
         assert 5 < sum(opened) < len(opened) - 5
         assert sum(one != two for one, two in itertools.pairwise(opened)) > 5
 

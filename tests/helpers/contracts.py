@@ -265,7 +265,7 @@ class LossContract:
 
 
 class ActorCriticLossContract(LossContract):
-    """The contract of losses that have an actor, critics and targets, and of enhancers around them."""
+    """The contract of losses that have an actor, critics and targets, and of penalties around them."""
 
     def test_the_value_estimator_can_be_changed(self) -> None:
         data, loss = self.make_data(), self.seeded_loss()

@@ -101,14 +101,14 @@ class DDPG:
         critics: Sequence[OfPair],
         low: Tensor,
         high: Tensor,
-        enhancers: Sequence[ActorLoss] = (),
+        penalties: Sequence[ActorLoss] = (),
     ) -> None:
         self.actor, self.critics = actor, list(critics)
         self.target_actor, self.target_critics = copy.deepcopy(actor), copy.deepcopy(self.critics)
         self.actor_optimizer = adam(actor, ACTOR_LR)
         self.critic_optimizers = [adam(critic, CRITIC_LR) for critic in self.critics]
         self.low, self.high = low, high
-        self.enhancers = list(enhancers)
+        self.penalties = list(penalties)
         self.updates = 0
         self.losses: dict[str, float] = {}
         self.gradients: dict[str, list[Tensor]] = {}
@@ -124,7 +124,7 @@ class DDPG:
             return batch.reward + GAMMA * (~batch.terminated).to(value.dtype) * value
 
     def update(self, batch: Batch) -> None:
-        """One update on one batch: the critics, what the enhancers learn, and every `delay` times actor and targets."""
+        """One update on one batch: the critics, what the penalties learn, and every `delay` times actor and targets."""
         self.updates += 1
         self.losses, self.gradients = {}, {}
         target = self.target(batch)
@@ -134,8 +134,8 @@ class DDPG:
             total += loss.item()
             self.gradients[f"critic{index}"] = step(optimizer, loss)
         self.losses["critic"] = total
-        for enhancer in self.enhancers:
-            enhancer.after_critics(self, batch)
+        for penalty in self.penalties:
+            penalty.after_critics(self, batch)
         if self.updates % self.delay == 0:
             self.update_actor(batch)
             self.update_targets()
@@ -143,8 +143,8 @@ class DDPG:
     def update_actor(self, batch: Batch) -> None:
         action = self.actor(batch.observation)
         loss = -self.critics[0](batch.observation, action)
-        for enhancer in self.enhancers:
-            term = enhancer.term(self, batch.observation, action)
+        for penalty in self.penalties:
+            term = penalty.term(self, batch.observation, action)
             if term is not None:
                 loss = loss + term
         mean = loss.mean()

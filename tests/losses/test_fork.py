@@ -26,12 +26,12 @@ from tests.helpers.losses import (
     td3,
     trained,
 )  # fmt: skip
-from uavrl.losses import ActorCriticLoss, DDPGLoss, Enhancer, Fork, TD3Loss
+from uavrl.losses import ActorCriticLoss, ActorPenalty, DDPGLoss, Fork, TD3Loss
 from uavrl.models import Actor, Critic, SystemNet
 
 
-class Push(Enhancer):
-    """An enhancer without models: a cost on large actions."""
+class Push(ActorPenalty):
+    """An actor penalty without models: a cost on large actions."""
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         return acted["action"].square().sum(-1), {"push": acted["action"].detach()}
@@ -47,24 +47,24 @@ class ForkContract(ActorCriticLossContract):
     }
 
     def make_loss(self, **kwargs: object) -> torch.nn.Module:
-        loss = self.enhance(**kwargs)
-        (gated,) = (one for one in loss.enhancers if isinstance(one, Fork))
+        loss = self.penalize(**kwargs)
+        (gated,) = (one for one in loss.penalties if isinstance(one, Fork))
         gated.update_gate(0.0)
         return loss
 
-    def enhance(self, **kwargs: object) -> Enhancer:
+    def penalize(self, **kwargs: object) -> ActorPenalty:
         raise NotImplementedError
 
 
 class TestForkOnTD3(ForkContract):
     compiled: ClassVar[tuple[str, ...]] = ("actor_loss", "model_loss")
 
-    def enhance(self, **kwargs: object) -> Fork:
+    def penalize(self, **kwargs: object) -> Fork:
         return fork(td3(**kwargs))
 
 
 class TestForkOnSAC(ForkContract):
-    def enhance(self, **kwargs: object) -> Fork:
+    def penalize(self, **kwargs: object) -> Fork:
         return fork(sac(**kwargs))
 
 
@@ -88,14 +88,14 @@ class _WithLifeGuard(ForkContract):
 
 
 class TestForkOnLifeGuard(_WithLifeGuard):
-    def enhance(self, **kwargs: object) -> Fork:
+    def penalize(self, **kwargs: object) -> Fork:
         return fork(trained(lifeguard(td3(**kwargs))))
 
 
 class TestLifeGuardOnFork(_WithLifeGuard):
     methods: ClassVar[dict[str, str]] = {"value_loss": "critic", "actor_loss": "actor"}
 
-    def enhance(self, **kwargs: object) -> Enhancer:
+    def penalize(self, **kwargs: object) -> ActorPenalty:
         loss = lifeguard(fork(sac(**kwargs)))
         data = episodes(10)
         data["next"].update({"observation": data["observation"], "reward": torch.ones(len(data), 1)})
@@ -232,7 +232,7 @@ def test_state_dict_restores_gate_weight_returns_and_range() -> None:
     assert other.weight == loss.weight
 
 
-def test_enhancers_nest_either_way() -> None:
+def test_penalties_nest_either_way() -> None:
     data = TestForkOnTD3().make_data()
     base = td3()
     inner = fork(Push(base))
@@ -247,7 +247,7 @@ def test_enhancers_nest_either_way() -> None:
     assert base.vmap_randomness == "different"
     torch.testing.assert_close(inner.actor_loss(data)[0], outer.actor_loss(data)[0])
     assert inner.active and nested.active
-    assert outer.enhancers == [outer, nested]
+    assert outer.penalties == [outer, nested]
     assert outer.unwrapped is base
     outer.observe(episode([1.0], width=6))
     assert list(nested.returns) == [1.0]
@@ -316,15 +316,15 @@ def test_keys_may_be_nested_and_renamed(base: type[TD3Loss | DDPGLoss], renamed_
     loss = base.of_networks(policy, values, SPEC)
     if base is TD3Loss and not renamed_after:
         loss.set_keys(action=act)
-    enhanced = fork(loss)
+    penalized = fork(loss)
     if renamed_after:
-        enhanced.set_keys(observation=state, action=act)
+        penalized.set_keys(observation=state, action=act)
     data = TensorDict({state: torch.randn(5, 6), act: torch.randn(5, 2), "next": {"reward": torch.randn(5, 1)}}, [5])
     data["next", "agent", "state"] = torch.randn(5, 6)
-    assert enhanced.model_loss(data)[0].isfinite()
+    assert penalized.model_loss(data)[0].isfinite()
     data["next", "done"] = torch.arange(5)[:, None] == 4
-    enhanced.observe(data)
-    assert len(enhanced.returns) == 1
+    penalized.observe(data)
+    assert len(penalized.returns) == 1
     if not renamed_after:
-        enhanced.update_gate(0.0)
-        assert enhanced.actor_loss(data)[0].isfinite()
+        penalized.update_gate(0.0)
+        assert penalized.actor_loss(data)[0].isfinite()

@@ -12,7 +12,7 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.losses import episodes, lifeguard, sampler, td3, trained
 from uavrl.losses import ActorCriticLoss, LifeGuard
-from uavrl.losses.enhancer import any_number
+from uavrl.losses.actor_penalty import any_number
 
 
 class _Contract(ActorCriticLossContract):
@@ -338,13 +338,30 @@ def test_diagnostics_agree_with_autograd_through_the_actor_term() -> None:
     assert numbers["lifeguard_active"] == 1.0
 
 
+@pytest.mark.parametrize("model", ["linear", "mlp"])
+def test_the_type_of_the_actor_and_not_of_the_host_decides(model: str) -> None:
+    base, data = td3(), episodes(10)
+    torch.set_default_dtype(torch.float64)
+    try:
+        loss = lifeguard(base, model=model)
+        loss.observe(data)
+        loss.fit(sampler(data), 5, loss.make_optimizer())
+        loss._active = True
+        value, _ = loss.actor_loss(data)
+        value.backward()
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert value.dtype == torch.float32
+    assert all(p.grad.dtype == torch.float32 for p in base.actor_network_params.values(True, True))
+
+
 def test_one_lifeguard_on_another() -> None:
     inner = trained(lifeguard(model="mlp", model_lr=1e-2))
     outer = lifeguard(inner, penalty_weight=3.0)
     data = episodes(10)
     torch.testing.assert_close(outer.actor_loss(data)[0], inner.actor_loss(data)[0])
     trained(outer)
-    assert [one.active for one in outer.enhancers] == [True, True]
+    assert [one.active for one in outer.penalties] == [True, True]
     assert len(inner.collisions) == 160  # the outer one passes episodes on
     assert outer.actor_loss(data)[0] > inner.actor_loss(data)[0]
 

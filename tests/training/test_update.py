@@ -29,7 +29,7 @@ def make_loss(name: str) -> TD3Loss | DDPGLoss:
     return DDPGLoss(actor, critics[0])
 
 
-def make_enhanced(threshold: float = 1e9) -> LifeGuard:
+def make_penalized(threshold: float = 1e9) -> LifeGuard:
     """TD3 with FORK and, around both, LifeGuard with a network for a classifier."""
     return lifeguard(fork(make_loss("td3"), threshold=threshold), model="mlp", model_lr=1e-2)
 
@@ -38,7 +38,7 @@ def make_any(name: str) -> ActorCriticLoss:
     torch.manual_seed(0)
     if name == "sac":
         return SACLoss(stochastic_actor(), critics(), action_spec=Bounded(-2.0, 2.0, (2,)))
-    return make_enhanced() if name == "td3_fork_lg" else make_loss(name)
+    return make_penalized() if name == "td3_fork_lg" else make_loss(name)
 
 
 def flown() -> TensorDict:
@@ -113,7 +113,7 @@ def test_a_restored_stepper_goes_on_the_same(name: str) -> None:
     assert {key for key in state if "optimizer" in key} == OPTIMISERS[name]
     assert all(state[key]["state"] for key in OPTIMISERS[name])  # each has made a step
     if name == "td3_fork_lg":
-        assert [enhancer.active for enhancer in loss.enhancers] == [True, True]
+        assert [penalty.active for penalty in loss.penalties] == [True, True]
     other_loss = make_any(name)
     other = ActorCriticStepper(other_loss, policy_delay=5)
     other_loss.load_state_dict(copy.deepcopy(loss.state_dict()))
@@ -132,7 +132,7 @@ def test_a_restored_stepper_goes_on_the_same(name: str) -> None:
 def test_the_actors_loss_is_recorded_once_for_each_set_of_terms() -> None:
     """The gate of FORK and the trust in LifeGuard change the loss; a recording of another mode would be wrong."""
     torch.manual_seed(0)
-    loss = make_enhanced()
+    loss = make_penalized()
     data, others = flown(), flown()[:10]
     for _ in range(4):
         loss.observe(data)

@@ -17,7 +17,7 @@ from uavrl.config.validation import validate
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import make_actor
 from uavrl.evaluation.environment import NetworkSizes, inner_transforms, network_sizes
-from uavrl.losses import ActionRate, Enhancer
+from uavrl.losses import ActionRate, ActorPenalty
 from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_buffer, make_loss, make_training_env
@@ -27,8 +27,8 @@ from uavrl.transforms import Mirror
 from uavrl.transforms.guidance import GuidedEnv
 
 
-class Calm(Enhancer):
-    """An enhancer from elsewhere that says nothing of n-step returns."""
+class Calm(ActorPenalty):
+    """An actor penalty from elsewhere that says nothing of n-step returns."""
 
     def actor_term(self, acted: TensorDictBase) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         return acted["action"].square().sum(-1), {}
@@ -119,7 +119,7 @@ def test_a_guides_costs_can_be_given(tmp_path: Path) -> None:
     env.close()
 
 
-def test_imitation_asks_for_a_guide_and_other_enhancers_for_single_steps(tmp_path: Path) -> None:
+def test_imitation_asks_for_a_guide_and_other_penalties_for_single_steps(tmp_path: Path) -> None:
     alone = small_config(tmp_path / "a", "actor_penalty=imitation")
     with pytest.raises(UavrlError, match="guide must be a scripted controller"):
         train(alone, create_run(alone))
@@ -136,7 +136,7 @@ def test_so_do_ours_and_a_variant_says_if_it_does_not(group: str, kind: str, mon
     actor = make_actor(settings, sizes)
     with pytest.raises(UavrlError, match=rf"algo.n_steps must be 1: uavrl.losses.{kind} learns from single steps"):
         make_loss(settings, actor, sizes, cpu)
-    monkeypatch.setattr(Enhancer, "learns_from_single_steps", False)
+    monkeypatch.setattr(ActorPenalty, "learns_from_single_steps", False)
     assert type(make_loss(settings, actor, sizes, cpu)).__name__ == kind.partition(".")[2]
 
 

@@ -14,7 +14,7 @@ _ENHANCER = ("base", "gamma", *_NETWORK)
 CONTEXT: Mapping[str, tuple[str, ...]] = {
     "env": ("seed", "measure_clearance", "tasks"),
     "perception": ("sensor_position",),
-    "algo": ("actor_network", "qvalue_networks", "value_network", "action_spec"),
+    "algo": ("actor_network", "qvalue_network", "num_qvalue_nets", "value_network", "action_spec"),
     "fork": _ENHANCER,
     "lifeguard": _ENHANCER,
     "actor_penalty": _ENHANCER,

@@ -2,8 +2,8 @@
 
 from uavrl.losses.action_rate import ActionRate
 from uavrl.losses.actor_critic import ActorCriticLoss
+from uavrl.losses.actor_penalty import ActorPenalty, AuxiliaryModel
 from uavrl.losses.ddpg import DDPGLoss
-from uavrl.losses.enhancer import AuxiliaryModel, Enhancer
 from uavrl.losses.fork import Fork
 from uavrl.losses.imitation import Imitation
 from uavrl.losses.lifeguard import LifeGuard
@@ -14,9 +14,9 @@ from uavrl.losses.td3 import TD3Loss
 __all__ = [
     "ActionRate",
     "ActorCriticLoss",
+    "ActorPenalty",
     "AuxiliaryModel",
     "DDPGLoss",
-    "Enhancer",
     "Fork",
     "Imitation",
     "LifeGuard",

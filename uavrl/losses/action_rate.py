@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
+from torchrl.objectives import LossModule
 
-from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import Enhancer
+from uavrl.losses.actor_penalty import ActorPenalty
 from uavrl.losses.imitation import action_distance
 from uavrl_onboard.ranges import Count, NonNegative, Positive
 
 
-class ActionRate(Enhancer):
+class ActionRate(ActorPenalty):
     """Adds the distance between the actor's action and the one before it to the actor's objective.
 
     The term is ``weight · mean |objective| · ‖(μ(s_t) - a_{t-1}) / limit‖² / A``, so that its share stays while values
@@ -48,7 +48,7 @@ class ActionRate(Enhancer):
     reads_last_action = True
 
     @dataclass
-    class _AcceptedKeys(Enhancer._AcceptedKeys):
+    class _AcceptedKeys(ActorPenalty._AcceptedKeys):
         """``observation`` is the state, which ends with the last action; ``action`` is the actor's."""
 
         observation: NestedKey = "observation"
@@ -56,9 +56,7 @@ class ActionRate(Enhancer):
 
     default_keys = _AcceptedKeys
 
-    def __init__(
-        self, base: ActorCriticLoss, *, actions: Count, limit: Positive = 1.0, weight: NonNegative = 0.2
-    ) -> None:
+    def __init__(self, base: LossModule, *, actions: Count, limit: Positive = 1.0, weight: NonNegative = 0.2) -> None:
         super().__init__(base)
         self.actions, self.limit, self.weight = actions, limit, weight
 

@@ -22,7 +22,8 @@ class ActorCriticLoss(_LossModule):
     """The interface of a deterministic or reparameterised actor–critic loss.
 
     The actor's loss follows from :meth:`act` and :meth:`action_value`, which are here those of a deterministic actor
-    and its first critic. An :class:`~uavrl.losses.Enhancer` calls the same methods, so that it attaches to any of them.
+    and its first critic. An :class:`~uavrl.losses.ActorPenalty` calls the same methods, so that it attaches to any of
+    them; TorchRL's own losses get them from :mod:`uavrl.losses.adapter`.
     """
 
     actor_network_params: TensorDictParams
@@ -61,7 +62,7 @@ class ActorCriticLoss(_LossModule):
         return self
 
     @property
-    def enhancers(self) -> list[ActorCriticLoss]:
+    def penalties(self) -> list[ActorCriticLoss]:
         """The actor penalties around the loss, the outermost first; here there are none."""
         return []
 

@@ -1,8 +1,47 @@
-"""Several critics evaluated as one."""
+"""Several critics of one, and several evaluated as one."""
+
+import copy
+from collections.abc import Sequence
 
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
+
+from uavrl.errors import UavrlError
+
+
+def several(network: TensorDictModule | Sequence[TensorDictModule], count: int) -> list[TensorDictModule]:
+    """Return ``count`` critics: those of a list, or one critic and copies of it with weights of their own.
+
+    The copies draw their weights by ``reset_parameters``. TorchRL draws those of all critics from a uniform
+    distribution between the smallest and the largest weight instead, which is wider than the network's own.
+
+    Raises:
+        ValueError: for a list of another length, or a network that cannot draw its weights again.
+
+    Examples:
+        >>> import torch
+        >>> critic = TensorDictModule(nn.Linear(3, 1), ["observation"], ["state_action_value"])
+        >>> first, second = several(critic, 2)
+        >>> first is critic, torch.equal(first.module.weight, second.module.weight)
+        (True, False)
+    """
+    if not isinstance(network, TensorDictModuleBase):
+        if len(network) != count:
+            raise ValueError(
+                f"Expected a list of {count} critics, got {len(network)}: pass num_qvalue_nets={len(network)}, or one "
+                "critic, of which copies are made."
+            )
+        return list(network)
+    copies = [copy.deepcopy(network) for _ in range(count - 1)]
+    for other in copies:
+        other.reset_parameters_recursive()
+        if all(one.equal(two) for one, two in zip(network.parameters(), other.parameters(), strict=True)):
+            raise UavrlError(
+                f"{count} critics were to be made of one, and its modules have no reset_parameters() that draws other "
+                f"weights: pass a list of {count} critics."
+            )
+    return [network, *copies]
 
 
 def is_stackable(network: nn.Module) -> bool:

@@ -49,8 +49,8 @@ class DDPGLoss(ActorCriticLoss, _DDPGLoss):
         reduction: str = "mean",
         **kwargs: Any,
     ) -> None:
-        kwargs |= {"loss_function": loss_function, "reduction": reduction}
-        super().__init__(actor_network, value_network, delay_actor=True, delay_value=True, **kwargs)
+        kwargs = {"delay_actor": True, "delay_value": True} | kwargs
+        super().__init__(actor_network, value_network, loss_function=loss_function, reduction=reduction, **kwargs)
         self.out_keys = ["loss_actor", "loss_value", "pred_value", "target_value", "pred_value_max", "target_value_max"]
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
 

@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,15 +11,15 @@ from tensordict import NestedKey, TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import unravel_key
 from torch import Tensor, nn
+from torchrl.objectives import LossModule
 
-from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import AuxiliaryModel, Enhancer
+from uavrl.losses.actor_penalty import ActorPenalty, AuxiliaryModel
 from uavrl.losses.functional import check_episodes, clamped_smooth_l1, episode_returns, fork_objective, fork_weight
-from uavrl.losses.gate import Gate
+from uavrl.losses.model_gate import ModelGate
 from uavrl_onboard.ranges import Count, Discount, NonNegative, Positive
 
 
-class Fork(Enhancer):
+class Fork(ActorPenalty):
     """Lets the actor look two predicted steps ahead (Chansuparp (2022), Eq. 2.14).
 
     A system network f predicts the next state, a reward network g the reward. The term
@@ -63,7 +64,7 @@ class Fork(Enhancer):
     """
 
     @dataclass
-    class _AcceptedKeys(Enhancer._AcceptedKeys):
+    class _AcceptedKeys(ActorPenalty._AcceptedKeys):
         """The keys that FORK reads of a transition; by default ``observation`` and ``action`` are the actor's.
 
         If TorchRL's ``RewardSum`` has written ``episode_reward`` under ``"next"``, :meth:`observe` takes the returns
@@ -77,6 +78,7 @@ class Fork(Enhancer):
         episode_reward: NestedKey = "episode_reward"
 
     default_keys = _AcceptedKeys
+    computed: ClassVar[Mapping[str, str]] = {"weight": "base_weight, max_reward and the returns"}
 
     predicts_rewards: ClassVar[bool] = True
     """Whether there is a reward network."""
@@ -93,7 +95,7 @@ class Fork(Enhancer):
 
     def __init__(
         self,
-        base: ActorCriticLoss,
+        base: LossModule,
         *,
         system_network: nn.Module,
         reward_network: nn.Module | None = None,
@@ -111,7 +113,10 @@ class Fork(Enhancer):
             wanted, got = ("a", "none") if self.predicts_rewards else ("no", "one")
             raise ValueError(f"{type(self).__name__} expected {wanted} reward_network, got {got}.")
         super().__init__(base)
-        self.tensor_keys.observation, self.tensor_keys.action = _keys_of(base)
+        if len(states := self.unwrapped.actor_network.in_keys) != 1:
+            raise ValueError(
+                f"Fork expected an actor that reads one key, the state, got {states}: concatenate them first."
+            )
         self._wrapped: list[str] = []  # networks that came without keys
         self._model_names = ["system", "reward"] if self.predicts_rewards else ["system"]
         self._add_network("system_network", system_network, ("next", self.tensor_keys.observation))
@@ -125,7 +130,7 @@ class Fork(Enhancer):
         self.register_buffer("observed_high", torch.full((observations,), math.inf, device=device))
         self.returns: deque[float] = deque(maxlen=return_window)
         self.out_keys = [*self.out_keys, *(f"loss_{name}" for name in self._model_names)]
-        self.gate = Gate(threshold, device)
+        self.gate = ModelGate(threshold, device)
 
     def _add_network(self, name: str, network: nn.Module, out_key: NestedKey) -> None:
         if not isinstance(network, TensorDictModuleBase):
@@ -138,13 +143,22 @@ class Fork(Enhancer):
         return [state, action] if name == "system_network" else [state, unravel_key(("next", state)), action]
 
     def set_keys(self, **kwargs: NestedKey | None) -> None:
-        """As :meth:`Enhancer.set_keys`; networks that came without keys read the new ones."""
+        """As :meth:`ActorPenalty.set_keys`; networks that came without keys read the new ones."""
         super().set_keys(**kwargs)
         for name in self._wrapped:
             getattr(self, name).in_keys = self._read_by(name)
 
+    @property
+    def threshold(self) -> float:
+        """The system loss below which the term is active; it can be set."""
+        return self.gate.threshold
+
+    @threshold.setter
+    def threshold(self, value: float) -> None:
+        self.gate.threshold = value
+
     def reset_parameters_recursive(self) -> None:
-        """As :meth:`Enhancer.reset_parameters_recursive`; the gate is closed until the new models' losses are known."""
+        """As :meth:`ActorPenalty.reset_parameters_recursive`; the gate is closed until the new losses are known."""
         super().reset_parameters_recursive()
         self.gate.close()
 
@@ -253,6 +267,11 @@ class Fork(Enhancer):
             self.observed_high.copy_(torch.maximum(self.observed_high, high) if self.returns else high)
         counted = episodes.get(("next", keys.episode_reward), None)
         self.returns.extend((episode_returns(rewards, done) if counted is None else counted[done]).flatten().tolist())
+        self._refresh()
+
+    @torch.no_grad()
+    def _refresh(self) -> None:
+        """Computes the weight."""
         returns = torch.tensor(self.returns, dtype=self.weight.dtype)
         self.weight.copy_(fork_weight(returns, self.max_reward, self.base_weight))
 
@@ -277,11 +296,3 @@ def _call(network: TensorDictModuleBase, params: TensorDictBase, inputs: TensorD
     """The output of a network with these parameters; the inputs are not modified."""
     with params.to_module(network, preserve_module_state=False):
         return network(inputs.select(*network.in_keys)).get(network.out_keys[0])
-
-
-def _keys_of(base: ActorCriticLoss) -> tuple[NestedKey, NestedKey]:
-    """The keys of the state and of the action."""
-    own = base.unwrapped
-    if len(states := own.actor_network.in_keys) != 1:
-        raise ValueError(f"Fork expected an actor that reads one key, the state, got {states}: concatenate them first.")
-    return states[0], getattr(own.tensor_keys, "action", own.actor_network.out_keys[-1])

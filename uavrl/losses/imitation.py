@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
+from torchrl.objectives import LossModule
 
 from uavrl.errors import UavrlError
-from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import Enhancer
+from uavrl.losses.actor_penalty import ActorPenalty
 from uavrl_onboard.ranges import Count, NonNegative, Positive
 
 
@@ -38,7 +39,7 @@ def decayed(first: float, final: float | None, share: float) -> float:
     return first if final is None else first ** (1 - share) * final**share
 
 
-class Imitation(Enhancer):
+class Imitation(ActorPenalty):
     """Adds the distance between the actor's action and that of a scripted controller g to the actor's objective.
 
     The term is ``weight · mean |objective| · ‖(μ(s) - g(s)) / limit‖² / A``, so that its share stays while values grow.
@@ -75,9 +76,10 @@ class Imitation(Enhancer):
 
     learns_from_single_steps = False
     relative = True
+    computed: ClassVar[Mapping[str, str]] = {"weight": "first_weight, final_weight and decay_steps"}
 
     @dataclass
-    class _AcceptedKeys(Enhancer._AcceptedKeys):
+    class _AcceptedKeys(ActorPenalty._AcceptedKeys):
         """``guide_action`` is the scripted controller's action in the state, ``action`` the actor's."""
 
         guide_action: NestedKey = "guide_action"
@@ -87,7 +89,7 @@ class Imitation(Enhancer):
 
     def __init__(
         self,
-        base: ActorCriticLoss,
+        base: LossModule,
         *,
         limit: Positive = 1.0,
         weight: NonNegative = 1.0,
@@ -116,6 +118,11 @@ class Imitation(Enhancer):
         """Lets the weight decay by the steps of whole new episodes ``[T]``."""
         super().observe(episodes)
         self.steps += len(episodes)
+        self._refresh()
+
+    @torch.no_grad()
+    def _refresh(self) -> None:
+        """Computes the weight."""
         self.weight.fill_(decayed(self.first_weight, self.final_weight, self.steps.item() / self.decay_steps))
 
     def diagnostics(self) -> dict[str, float]:
@@ -125,11 +132,11 @@ class Imitation(Enhancer):
     @property
     def in_keys(self) -> list[NestedKey]:
         """What :meth:`forward` reads."""
-        return [*self.base.in_keys, self.tensor_keys.guide_action]
+        return [*super().in_keys, self.tensor_keys.guide_action]
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The base's action, and the scripted controller's if the batch has it."""
-        acted, scripted = self.base.act(tensordict), tensordict.get(self.tensor_keys.guide_action, None)
+        acted, scripted = super().act(tensordict), tensordict.get(self.tensor_keys.guide_action, None)
         return acted if scripted is None else acted.set(self.tensor_keys.guide_action, scripted)
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:

@@ -1,25 +1,26 @@
 """LifeGuard (Chansuparp (2022), §3.5): a collision classifier that restrains the actor."""
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torch.func import functional_call
 from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.objectives import LossModule
 
 from uavrl.entries import require_whole
-from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.enhancer import AuxiliaryModel, Enhancer, Sample, any_number
+from uavrl.losses.actor_penalty import ActorPenalty, AuxiliaryModel, Sample, any_number
 from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl_onboard.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
 
 _CHUNK = 8192  # transitions drawn at once: bounds the memory, a thousand bytes each
 
 
-class LifeGuard(Enhancer):
+class LifeGuard(ActorPenalty):
     """Adds ``p_cp c(o, μ(s))`` to the actor's objective: c predicts that the action collides (Eq. 3.7-3.11).
 
     Call :meth:`observe` and then :meth:`fit` once for each episode. The classifier reads the last observation in the
@@ -69,7 +70,7 @@ class LifeGuard(Enhancer):
     """
 
     @dataclass
-    class _AcceptedKeys(Enhancer._AcceptedKeys):
+    class _AcceptedKeys(ActorPenalty._AcceptedKeys):
         """The keys that LifeGuard reads of a transition; ``collided``, ``arrived``, ``done`` under ``"next"``."""
 
         observation: NestedKey = "observation"
@@ -79,11 +80,13 @@ class LifeGuard(Enhancer):
         done: NestedKey = "done"
 
     default_keys = _AcceptedKeys
+    computed: ClassVar[Mapping[str, str]] = {"weight": "penalty_weight and the success rate"}
+
     weight: Tensor
 
     def __init__(
         self,
-        base: ActorCriticLoss,
+        base: LossModule,
         *,
         observations: int,
         actions: int,
@@ -113,7 +116,10 @@ class LifeGuard(Enhancer):
         self.min_true_negative_rate = min_true_negative_rate
         self.classifier = CollisionClassifier(self.observations + actions, model, alpha)
         self.collisions = ReplayBuffer(storage=LazyTensorStorage(capacity, device="cpu"))
-        self.collisions.extend(torch.zeros(capacity, self.observations + actions))  # checkpoints save empty rows, too
+        actor = next(iter(base.actor_network_params.values(True, True)))
+        self._dtype = actor.dtype  # of the features; the host's default may be another
+        empty = torch.zeros(capacity, self.observations + actions, dtype=self._dtype)
+        self.collisions.extend(empty)  # checkpoints save empty rows, too
         self.collisions.empty()
         self.evaluations: deque[list[int]] = deque(maxlen=evaluation_window)  # confusion counts of the last ones
         self.evaluated = 0  # number of evaluations so far
@@ -122,10 +128,10 @@ class LifeGuard(Enhancer):
         self.out_keys = [*self.out_keys, "loss_lifeguard"]
         self._active = False
         self._last_episode: Tensor | None = None
-        states = base.unwrapped.actor_network.in_keys
-        if len(states) == 1:
-            self.tensor_keys.observation = states[0]
-        self.to(next(iter(base.actor_network_params.values(True, True))).device)
+        self.classifier.scaler.to(self._dtype)
+        if model == "mlp":
+            self.classifier.model.to(self._dtype)
+        self.to(actor.device)
 
     @property
     def active(self) -> bool:
@@ -133,7 +139,9 @@ class LifeGuard(Enhancer):
         return self._active
 
     def _refresh(self) -> None:
-        """Computes :attr:`active`: to compute it within the actor's loss would break a traced graph."""
+        """Computes the weight and :attr:`active`: to do so within the actor's loss would break a traced graph."""
+        success = sum(self.successes) / len(self.successes) if self.successes else 0.0
+        self.weight.fill_(self.penalty_weight * (1.0 - success))
         rate = confusion_rates(self._counts()).true_negative
         self._active = self.evaluated > self.min_evaluations and rate > self.min_true_negative_rate
 
@@ -177,7 +185,7 @@ class LifeGuard(Enhancer):
         return flag.reshape(tensordict.batch_size).bool()
 
     def reset_parameters_recursive(self) -> None:
-        """As :meth:`Enhancer.reset_parameters_recursive`; the evaluations of the old classifier are forgotten."""
+        """As :meth:`ActorPenalty.reset_parameters_recursive`; the evaluations of the old classifier are forgotten."""
         super().reset_parameters_recursive()
         for module in reversed(list(self.classifier.modules())):  # the parts first, as TorchRL does
             reset = getattr(module, "reset_parameters", None)
@@ -206,11 +214,11 @@ class LifeGuard(Enhancer):
         arrived = self._next(last, "arrived") if self.successes is not None else None
         self.classifier.scaler.update(features)
         if collided.any():
-            self.collisions.extend(features[ends[collided]])
+            self.collisions.extend(features[ends[collided]].to(self._dtype))
         self._last_episode = features[int(ends[-2]) + 1 if len(ends) > 1 else 0 :]
         if self.successes is not None and arrived is not None:
             self.successes.extend(arrived.float().tolist())
-            self.weight.fill_(self.penalty_weight * (1.0 - sum(self.successes) / len(self.successes)))
+        self._refresh()
 
     def _known(self, transitions: TensorDictBase) -> Tensor:
         """The constant features of transitions, with the classifier's device and type."""
@@ -305,7 +313,7 @@ class LifeGuard(Enhancer):
     def in_keys(self) -> list[NestedKey]:
         """What :meth:`forward` reads."""
         keys = self.tensor_keys
-        return list(dict.fromkeys([*self.base.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
+        return list(dict.fromkeys([*super().in_keys, keys.observation, keys.action, ("next", keys.collided)]))
 
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """The classifier's loss."""

@@ -14,21 +14,25 @@ from torchrl.objectives import SACLoss as _SACLoss
 from torchrl.objectives import ValueEstimators
 from torchrl.objectives.utils import distance_loss
 
+from uavrl.errors import UavrlError
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.critics import is_stackable, stacked_values
-from uavrl_onboard.ranges import Discount
+from uavrl.losses.critics import is_stackable, several, stacked_values
+from uavrl_onboard.ranges import Count, Discount
 
 
 class SACLoss(ActorCriticLoss, _SACLoss):
     """SAC's critic, actor and temperature losses, in the form without a state-value network.
 
-    What differs from :class:`torchrl.objectives.SACLoss`: the squared error is the default, both critics keep the
-    weights they come with, and :meth:`value_loss` is the critics' loss, with the metadata of :class:`TD3Loss`.
+    What differs from :class:`torchrl.objectives.SACLoss`: the squared error is the default, critics keep the weights
+    they come with, and :meth:`value_loss` is the critics' loss, with the metadata of :class:`TD3Loss`.
 
     Args:
         actor_network: reads the state, samples ``action`` by reparameterisation and gives its log-probability.
-        qvalue_networks: the two critics; each reads the state and ``action``, writes ``state_action_value``.
-        action_spec: the spec of one action, for the target entropy.
+        qvalue_network: a list of critics, or one critic, of which the others are copies with weights of their own; each
+            reads the state and ``action``, writes ``state_action_value``.
+        value_network: None: this is the form without one.
+        action_spec: the spec of one action, for the target entropy; None: that of the actor, if it has one.
+        num_qvalue_nets: how many critics.
         gamma: discount γ.
         target_entropy: the entropy of the policy to which the temperature leads; ``"auto"``: minus the action's width.
         loss_function: ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
@@ -36,7 +40,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         **kwargs: as in :class:`torchrl.objectives.SACLoss`.
 
     Raises:
-        ValueError: for another number of critics than two.
+        ValueError: for a list of another number of critics, or a state-value network.
 
     Examples:
         >>> import torch
@@ -55,20 +59,26 @@ class SACLoss(ActorCriticLoss, _SACLoss):
     def __init__(
         self,
         actor_network: ProbabilisticTensorDictSequential,
-        qvalue_networks: Sequence[TensorDictModule],
+        qvalue_network: TensorDictModule | Sequence[TensorDictModule],
+        value_network: TensorDictModule | None = None,
         *,
-        action_spec: TensorSpec,
+        action_spec: TensorSpec | None = None,
+        num_qvalue_nets: Count = 2,
         gamma: Discount = 0.99,
         target_entropy: float | Literal["auto"] = "auto",
         loss_function: str = "l2",
         reduction: str = "mean",
         **kwargs: Any,
     ) -> None:
-        if len(qvalue_networks) != 2:
-            raise ValueError(f"SAC takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
+        if value_network is not None:
+            raise UavrlError(
+                "uavrl's SACLoss is the form without a state-value network, got one: leave value_network out, or use "
+                "torchrl.objectives.SACLoss."
+            )
         kwargs.setdefault("scalar_output_mode", "exclude" if reduction == "none" else None)
         kwargs |= {"target_entropy": target_entropy, "loss_function": loss_function, "reduction": reduction}
-        super().__init__(actor_network, list(qvalue_networks), action_spec=action_spec, **kwargs)
+        critics = several(qvalue_network, num_qvalue_nets)
+        super().__init__(actor_network, critics, action_spec=action_spec, num_qvalue_nets=num_qvalue_nets, **kwargs)
         self.out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy"]
         _ = self.target_entropy  # makes it a buffer now, so that state dicts have it also below an actor penalty
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
@@ -91,7 +101,7 @@ class SACLoss(ActorCriticLoss, _SACLoss):
             self._vmap_qnetworkN0 = partial(stacked_values, self.qvalue_network)
 
     def _values(self, tensordict: TensorDictBase, params: TensorDictBase) -> Tensor:
-        """Values ``[2, *B]`` of states and actions ``[*B]``."""
+        """Values ``[K, *B]`` of K critics at states and actions ``[*B]``."""
         inputs = tensordict.select(*self.qvalue_network.in_keys)
         return self._vmap_qnetworkN0(inputs, params).get(self.tensor_keys.state_action_value).squeeze(-1)
 
@@ -101,9 +111,9 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         return [self.log_alpha] if isinstance(self.log_alpha, nn.Parameter) else []
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The squared error of both critics against ``r + γ (1 - d) (min_j Q'_j(s', a') - α log π(a'|s'))``, reduced.
+        """The squared error of all critics against ``r + γ (1 - d) (min_j Q'_j(s', a') - α log π(a'|s'))``, reduced.
 
-        The metadata of transitions ``[*B]`` are detached, ``td_error`` (squared, ``[2, *B]``) among them.
+        The metadata of transitions ``[*B]`` are detached, ``td_error`` (squared, ``[K, *B]``) among them.
         """
         target = self._compute_target_v2(tensordict)
         value = self._values(tensordict, self.qvalue_network_params)

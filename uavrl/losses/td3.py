@@ -10,21 +10,23 @@ from torchrl.objectives import TD3Loss as _TD3Loss
 from torchrl.objectives import ValueEstimators
 
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.critics import is_stackable, stacked_values
-from uavrl_onboard.ranges import Discount, NonNegative
+from uavrl.losses.critics import is_stackable, several, stacked_values
+from uavrl_onboard.ranges import Count, Discount, NonNegative
 
 
 class TD3Loss(ActorCriticLoss, _TD3Loss):
     """TD3's critic and actor losses (Chansuparp (2022), Eq. 2.10–2.13).
 
     What differs from :class:`torchrl.objectives.TD3Loss`: the squared error is the default, target noise
-    and clip are stated for unit actions and scaled by half the action's range, both critics keep the
-    weights they come with, and the actor's loss evaluates the first critic only.
+    and clip are stated for unit actions and scaled by half the action's range, critics keep the weights
+    they come with, and the actor's loss evaluates the first critic only.
 
     Args:
         actor_network: reads the state, writes ``action``.
-        qvalue_networks: the two critics; each reads the state and ``action``, writes ``state_action_value``.
-        action_spec: the bounded spec of one action.
+        qvalue_network: a list of critics, or one critic, of which the others are copies with weights of their own; each
+            reads the state and ``action``, writes ``state_action_value``.
+        action_spec: the bounded spec of one action; in place of it ``bounds=(low, high)``.
+        num_qvalue_nets: how many critics.
         gamma: discount γ.
         policy_noise: σ of Eq. 2.10, for unit actions.
         noise_clip: c of Eq. 2.10, for unit actions.
@@ -33,7 +35,7 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
         **kwargs: as in :class:`torchrl.objectives.TD3Loss`.
 
     Raises:
-        ValueError: for another number of critics than two.
+        ValueError: for a list of another number of critics.
 
     Examples:
         >>> import torch
@@ -51,9 +53,10 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
     def __init__(
         self,
         actor_network: TensorDictModule,
-        qvalue_networks: Sequence[TensorDictModule],
+        qvalue_network: TensorDictModule | Sequence[TensorDictModule],
         *,
-        action_spec: Bounded,
+        action_spec: Bounded | None = None,
+        num_qvalue_nets: Count = 2,
         gamma: Discount = 0.99,
         policy_noise: NonNegative = 0.2,
         noise_clip: NonNegative = 0.5,
@@ -61,10 +64,8 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
         reduction: str = "mean",
         **kwargs: Any,
     ) -> None:
-        if len(qvalue_networks) != 2:
-            raise ValueError(f"TD3 takes two critics, got {len(qvalue_networks)}: pass a list of two modules.")
-        kwargs |= {"loss_function": loss_function, "reduction": reduction}
-        super().__init__(actor_network, list(qvalue_networks), action_spec=action_spec, **kwargs)
+        kwargs |= {"loss_function": loss_function, "reduction": reduction, "num_qvalue_nets": num_qvalue_nets}
+        super().__init__(actor_network, several(qvalue_network, num_qvalue_nets), action_spec=action_spec, **kwargs)
         values = ["pred_value", "state_action_value_actor", "next_state_value", "target_value"]
         self.out_keys = ["loss_actor", "loss_qvalue", *values]
         half_range = (self.max_action - self.min_action) / 2

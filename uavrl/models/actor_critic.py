@@ -135,10 +135,18 @@ def _stacked(layer: nn.Module, parameters: Mapping[str, Tensor], inputs: Tensor)
             inputs = _stacked(child, _below(name, parameters), inputs)
         return inputs
     if type(layer) is nn.Linear and parameters.keys() == {"weight", "bias"}:
-        return _StackedLinear.apply(inputs, parameters["weight"], parameters["bias"])
+        return _StackedLinear.apply(*_autocast(inputs, parameters["weight"], parameters["bias"]))
     if parameters:
         return torch.vmap(partial(functional_call, layer))(dict(parameters), (inputs,))
     return layer(inputs)
+
+
+def _autocast(*tensors: Tensor) -> tuple[Tensor, ...]:
+    """The tensors in the type of ``torch.autocast``, where it is on, so that forward and backward agree."""
+    device = tensors[0].device.type
+    if not torch.is_autocast_enabled(device) or any(tensor.dtype == torch.float64 for tensor in tensors):
+        return tensors
+    return tuple(tensor.to(torch.get_autocast_dtype(device)) for tensor in tensors)
 
 
 def _below(name: str, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:

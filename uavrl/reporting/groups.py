@@ -46,8 +46,8 @@ def label(choices: Mapping[str, str]) -> str:
         choice = choices.get(group, NONE)
         return [] if choice == NONE else [_NAMES.get(group, {}).get(choice, choice)]
 
-    enhancers = [name for group in ("fork", "lifeguard", "actor_penalty", "smoothness") for name in named(group)]
-    learner = "-".join([choices["algo"].upper(), *enhancers])
+    penalties = [name for group in ("fork", "lifeguard", "actor_penalty", "smoothness") for name in named(group)]
+    learner = "-".join([choices["algo"].upper(), *penalties])
     return ", ".join([" + ".join([learner, *named("backward_reward")]), *named("reward")])
 
 

@@ -24,7 +24,7 @@ from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import loss_class, make_actor, make_network, network_context, saved_sizes
 from uavrl.evaluation.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
-from uavrl.losses import ActorCriticLoss, Enhancer, LifeGuard
+from uavrl.losses import ActorCriticLoss, ActorPenalty, LifeGuard
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import EpisodeLog
@@ -98,22 +98,22 @@ def make_loss(
     loss = loss_type.of_networks(actor, critics, sizes.action_spec(device), **written)
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.actor_penalty, settings.smoothness):
-        enhanced = build(part, Enhancer, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
-        if enhanced is None:
+        penalized = build(part, ActorPenalty, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
+        if penalized is None:
             continue
         steps = settings.algo.get("n_steps", 1)
-        single = enhanced.learns_from_single_steps
+        single = penalized.learns_from_single_steps
         require(steps == 1 or not single, "algo.n_steps", f"1: {part._target_} learns from single steps", steps)
         require(
-            settings.perception.get("last_action", False) or not enhanced.reads_last_action,
+            settings.perception.get("last_action", False) or not penalized.reads_last_action,
             "perception.last_action",
             f"true: {part._target_} compares an action with the one before",
             False,
         )
-        demonstrated = settings.guided or GUIDE_ACTION not in enhanced.in_keys
+        demonstrated = settings.guided or GUIDE_ACTION not in penalized.in_keys
         wanted = f"a scripted controller, such as vfh: {part._target_} learns what it would do"
         require(demonstrated, "guide", wanted, None)
-        loss = enhanced
+        loss = penalized
     return loss.to(device)
 
 
@@ -126,7 +126,7 @@ def load_risk(
     sizes = saved_sizes(settings)
     loss = make_loss(settings, make_actor(settings, sizes, device), sizes, device)
     restore(Checkpoint(loss_module=loss), checkpoint, ["loss_module"])
-    guard = next((part for part in getattr(loss, "enhancers", []) if isinstance(part, LifeGuard)), None)
+    guard = next((part for part in getattr(loss, "penalties", []) if isinstance(part, LifeGuard)), None)
     if guard is None:
         return None
 

@@ -23,7 +23,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from torchrl.objectives import SoftUpdate
 
 from uavrl.errors import UavrlError
-from uavrl.losses.enhancer import LossMethod
+from uavrl.losses.actor_penalty import LossMethod
 from uavrl.upstream import add, compile_graph, fused_adam, lerp
 
 log = logging.getLogger(__name__)

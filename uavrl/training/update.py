@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from uavrl.losses import ActorCriticLoss
-from uavrl.losses.enhancer import Sample
+from uavrl.losses.actor_penalty import Sample
 from uavrl.training.compiled import Execution, FusedSoftUpdate, GradientStep
 from uavrl_onboard.ranges import Positive, Rule, Share
 
@@ -39,7 +39,7 @@ class ActorCriticStepper(OptimizationStepper):
     """Critics and models every step; actor and targets every ``policy_delay``, while ``actor_learns`` (Algorithm 3.1).
 
     Args:
-        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its ``enhancers`` say what else is trained.
+        loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its ``penalties`` say what else is trained.
         actor_lr: Adam's step for the actor.
         actor_lr_decay: updates between which it falls linearly to 2 % of that; None: it stays.
         critic_lr: Adam's step for the critics.
@@ -78,7 +78,7 @@ class ActorCriticStepper(OptimizationStepper):
         self.targets = FusedSoftUpdate(loss.unwrapped, tau=tau)
         temperature = loss.unwrapped.alpha_params
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
-        models = [model for enhancer in loss.enhancers for model in enhancer.models]
+        models = [model for penalty in loss.penalties for model in penalty.models]
         self.models = [
             (GradientStep(model.loss, model.parameters, model.lr, execution), model.on_update)
             for model in models
@@ -122,7 +122,7 @@ class ActorCriticStepper(OptimizationStepper):
 
     def _active(self) -> tuple[bool, ...]:
         """Which terms the actor's loss has now: what its recording holds for."""
-        return tuple(enhancer.active for enhancer in self.loss.enhancers)
+        return tuple(penalty.active for penalty in self.loss.penalties)
 
     def observe(self, episodes: TensorDictBase, sample: Sample) -> None:
         """Shows whole new episodes ``[T]`` to the actor penalties; trains the models that learn after each episode."""

@@ -1,4 +1,4 @@
-"""An enhancer of one's own with a model of its own, which it says how to train."""
+"""An actor penalty of one's own with a model of its own, which it says how to train."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from uavrl.losses import ActorCriticLoss, AuxiliaryModel, Enhancer
+from uavrl.losses import ActorCriticLoss, ActorPenalty, AuxiliaryModel
 from uavrl_onboard.ranges import NonNegative, Positive
 
 
-class Wary(Enhancer):
+class Wary(ActorPenalty):
     """Actions that are likely to end the flight cost: ``weight P(s, a)``, where P is learned from each batch.
 
     Args:
-        base: the loss to enhance.
+        base: the loss to add the term to.
         observations: width of the state.
         actions: width of the action.
         weight: of the cost.

@@ -284,7 +284,7 @@ ENHANCED = [
 ]
 
 
-def test_a_resumed_run_with_both_enhancers_is_bit_identical(tmp_path: Path) -> None:
+def test_a_resumed_run_with_both_penalties_is_bit_identical(tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole/run", tmp_path / "cut/run"  # the logger names its folder by the last part
     told = [*SMALL, *ENHANCED, "trainer.episodes=12"]
     for run_dir in (whole, cut):

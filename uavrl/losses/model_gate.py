@@ -6,14 +6,14 @@ import torch
 from torch import Tensor, nn
 
 
-class Gate(nn.Module):
+class ModelGate(nn.Module):
     """Open while the last loss of a model was under a threshold.
 
     Its state stays on the device, since ``torch.compile`` breaks a graph that reads a number from it: there
     :attr:`is_open` is always true, and :meth:`mask` replaces the branch. No state dict holds the state; its owner does.
 
     Examples:
-        >>> gate = Gate(threshold=0.1)
+        >>> gate = ModelGate(threshold=0.1)
         >>> gate.update(0.05), gate.is_open
         (None, True)
     """

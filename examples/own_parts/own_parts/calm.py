@@ -5,15 +5,15 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from uavrl.losses import ActorCriticLoss, Enhancer
+from uavrl.losses import ActorCriticLoss, ActorPenalty
 from uavrl_onboard.ranges import NonNegative
 
 
-class Calm(Enhancer):
+class Calm(ActorPenalty):
     """Large actions cost: ``weight |a|²`` comes to what the actor minimises.
 
     Args:
-        base: the loss to enhance.
+        base: the loss to add the term to.
         weight: of the cost.
     """
 
