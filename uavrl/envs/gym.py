@@ -1,6 +1,5 @@
 """The navigation task as a Gymnasium environment with pictures, for users of other RL libraries."""
 
-import math
 import weakref
 from typing import Any, Literal
 
@@ -20,6 +19,7 @@ from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.state import ACTION_LIMIT, Reduction
+from uavrl_onboard.geometry import heading_vector
 from uavrl_onboard.mesh import Mesh
 
 WIDTH, HEIGHT = 480, 360  # pixels
@@ -67,7 +67,7 @@ class Camera:
         self._put(self._uav, position, Rotation.from_matrix(simulation.rotation[0]).as_quat())
         for body, pose in zip(self._planes, self._env.plane_poses(), strict=True):
             self._put(body, pose[:3], Rotation.from_euler("z", pose[3]).as_quat())
-        ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+        ahead = np.append(heading_vector(yaw), 0.0)
         eye = position - BEHIND * ahead + [0.0, 0.0, ABOVE]
         view = pybullet.computeViewMatrix(eye.tolist(), (position + AHEAD * ahead).tolist(), (0, 0, 1))
         lens = pybullet.computeProjectionMatrixFOV(60.0, WIDTH / HEIGHT, 0.1, 100.0)

@@ -9,6 +9,8 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import ObservationTransform, Transform
 
+from uavrl_onboard.vehicle import VEHICLE
+
 Angles = Literal["folded", "turns", "raw"]
 # Beside the cells stand, in this order: altitude, heading, elevation
 BESIDE_SIGNS = (1.0, -1.0, 1.0)  # what a mirror that exchanges left and right multiplies each by
@@ -22,7 +24,7 @@ def navigation_observation(
     elevation_deg: Tensor,
     *,
     radius: float = 4.0,
-    flight_level: float = 3.5,
+    flight_level: float = VEHICLE.flight_level,
     angles: Angles = "folded",
 ) -> Tensor:
     """Chansuparp (2022), §3.2: o = (f_1 … f_32, z, h, g), scaled for a network.
@@ -78,7 +80,7 @@ class NavigationObservation(ObservationTransform):
     def __init__(
         self,
         radius: float = 4.0,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         angles: Angles = "folded",
         *,
         in_keys: Sequence[NestedKey] = ("faces", "altitude", "heading_deg", "elevation_deg"),
