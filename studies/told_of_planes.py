@@ -29,9 +29,11 @@ from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.rollout import fly
 from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.runs.episodes import wilson
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.mesh import Mesh
-from uavrl_onboard.perception.motion.threats import TIMES, to_yaw
+from uavrl_onboard.perception.motion.threats import TIMES
 
 SIGHTS = {"nothing": 0.0, "in view within 8 m": 8.0, "in view within 10 m": 10.0, "in view within 14 m": 14.0}
 ALL = "all within 14 m, as they will fly"
@@ -63,7 +65,8 @@ class ToldOfPlanes(VectorFieldHistogram):
         if self.known != ALL:
             later = now[:, None] + (later[:, 0] - now)[:, None] * CONTROL_RATE * torch.from_numpy(TIMES)[:, None]
         known = self.known_of(place, now)
-        return to_yaw(later - place[:, None, None], tensordict["attitude"][:, 2]), known
+        seen = call_numpy(world_to_yaw, later - place[:, None, None], tensordict["attitude"][:, 2])
+        return seen, known
 
     def known_of(self, place: Tensor, now: Tensor) -> Tensor:
         """Which of the planes at ``now [K, 3]`` vehicles at ``place [N, 3]`` are told of: ``bool [N, K]``."""

@@ -36,7 +36,7 @@ FLIES = [
     {"lidar"},
     {"perception"},
     {"geometry", "mesh", "values", "files", "libraries", "provenance"},
-    {"sentences", "arrays", "pluralize"},
+    {"sentences", "vehicle", "pluralize"},
     {"ranges"},
     {"errors"},
 ]

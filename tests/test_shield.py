@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.evaluation.rollout import fly
 from uavrl_onboard.guards.shield import Shield, fitted
+from uavrl_onboard.vehicle import Vehicle
 
 LEVEL = (0.0, 0.0)
 STILL = np.zeros(3)
@@ -133,23 +135,22 @@ def test_an_evaluation_flies_behind_a_shield_of_the_vehicles_own_size(
     result = json.loads(output.read_text())
     assert "shield=true" in result["overrides"] and result["outcomes"] == "TT"
     assert max(flight["flown"] for flight in result["flights"]) < 0.2
-    assert shields == {Shield(radius=0.3, height=0.28, sensor=0.1)}
+    assert shields == {Shield(vehicle=Vehicle(radius=0.3))}
 
 
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
         ({"time": 0.0}, "time must be a finite number above 0, got 0.0"),
-        ({"radius": -1.0}, "radius must be a finite number above 0, got -1.0"),
         ({"lag": float("nan")}, "lag must be a finite number of 0 or more, got nan"),
         ({"margin": -0.1}, "margin must be a finite number of 0 or more, got -0.1"),
         (
-            {"height": 0.5},
+            {"vehicle": Vehicle(height=0.5)},
             "rim of a hull of radius 0.35 m and height 0.5 m sticks out .* margin of 0.12 m: raise margin",
         ),
     ],
 )
-def test_a_shield_that_bounds_nothing_is_refused(wrong: dict[str, float], told: str) -> None:
+def test_a_shield_that_bounds_nothing_is_refused(wrong: dict[str, Any], told: str) -> None:
     with pytest.raises(UavrlError, match=told):
         Shield(**wrong)
 
@@ -172,7 +173,9 @@ def test_of_a_sensor_that_sees_nothing_near_more_distance_is_kept() -> None:
 def test_a_velocity_beyond_the_limit_keeps_its_direction() -> None:
     oblique = at_hulls_height(*((0.8 + 0.5 * y, y) for y in np.linspace(-1, 1, 21)))
     asked = np.array([2.0, -2.0, 0.0])
-    free, limited = (Shield(limit=most)(asked, oblique, LEVEL, STILL) for most in (100.0, 0.2))
+    free, limited = (
+        Shield(vehicle=Vehicle(velocity_limit=most))(asked, oblique, LEVEL, STILL) for most in (100.0, 0.2)
+    )
     assert np.abs(limited).max() == pytest.approx(0.2)
     assert limited / np.linalg.norm(limited) == pytest.approx(free / np.linalg.norm(free))
 

@@ -51,7 +51,7 @@ def test_a_point_cloud(run: Any) -> None:
 def test_a_vehicle(run: Any) -> None:
     names = run("vehicle")
     assert names["env"].airframe.mass == 1.9
-    assert all(0.8 <= plant.mass <= 1.2 for plant in names["env"].plants)
+    assert all(0.8 <= plant.mass <= 1.2 for plant in names["env"].vehicle_params)
     names["env"].close()
 
 

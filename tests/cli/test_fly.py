@@ -191,8 +191,10 @@ def test_evasion_knows_the_vehicle_as_the_shield_does(
     for told in (("evade=9", *vehicle), ("evade=12",), ("evade=12", "shield.sensor=0.2"), ()):
         assert in_process(fly.main, f"policy={policy}", GOAL, *recording, *told) == 0
     own, usual, higher, none = made
-    assert (own.max_range, own.hull, own.sensor, own.limit) == (9.0, (0.3, 0.1), 0.15, 1.5)
-    assert (usual.max_range, usual.hull, usual.sensor, usual.limit) == (12.0, (0.35, 0.14), 0.1, 2.0)
-    assert (higher.hull, higher.sensor) == ((0.35, 0.14), 0.2)
+    flown = [
+        (each.vehicle.hull, each.vehicle.lidar_above, each.vehicle.velocity_limit) for each in (own, usual, higher)
+    ]
+    assert flown == [((0.3, 0.1), 0.15, 1.5), ((0.35, 0.14), 0.1, 2.0), ((0.35, 0.14), 0.2, 2.0)]
+    assert (own.max_range, usual.max_range) == (9.0, 12.0)
     assert none is None
     assert LoggedFlight(tmp_path / "flight.mcap").about["evade"] == "9.0"

@@ -13,13 +13,13 @@ from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
 from uavrl_onboard.autopilot.frames import (
     Pose,
-    roll_pitch_yaw,
     swap_attitude,
     swap_world,
     swap_yaw,
     to_command,
     to_goal,
 )
+from uavrl_onboard.geometry import roll_pitch_yaw
 
 QUARTER = math.pi / 2
 

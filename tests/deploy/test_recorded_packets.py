@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from tests.helpers.packets import RECORDED
+from uavrl_onboard.geometry import is_return
 from uavrl_onboard.lidar.packets import PACKET, STRONGEST, decode_vlp16
 from uavrl_onboard.lidar.scans import make_decoder
 from uavrl_onboard.lidar.sources import ScanSource, read_bare
-from uavrl_onboard.perception.reductions import is_return, range_image
+from uavrl_onboard.perception.reductions import range_image
 
 
 def test_real_packets_give_whole_turns_of_a_room() -> None:

@@ -12,9 +12,9 @@ from tests.helpers.numpy_reductions import MISSES, PAIRS, check_clouds
 from uavrl.errors import UavrlError
 from uavrl.transforms import REDUCTIONS
 from uavrl.transforms.reduction import is_return as torch_is_return
+from uavrl_onboard.geometry import NEAREST_RETURN, is_return
 from uavrl_onboard.lidar.vlp16 import firing_directions
-from uavrl_onboard.perception.cells import NEAREST_RETURN
-from uavrl_onboard.perception.reductions import directions, is_return, range_image
+from uavrl_onboard.perception.reductions import directions, range_image
 
 
 @pytest.mark.parametrize("statistic", ["face", "range", "proximity"])

@@ -16,11 +16,11 @@ import pytest
 from tests.helpers.captures import KINDS, PACKETS, TIMES, captured
 from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, store, write_bag
 from uavrl.errors import UavrlError
+from uavrl_onboard.geometry import is_return
 from uavrl_onboard.lidar import bags, sources
 from uavrl_onboard.lidar.pcap import read_pcap, udp_content
 from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.udp import address, read_udp
-from uavrl_onboard.perception.reductions import is_return
 
 POINTS = np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [0.0, 0.0, 0.0], [-4.0, 5.5, 6.0]], np.float32)
 

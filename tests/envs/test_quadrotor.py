@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from uavrl.envs.controller import Mixer, feasible_command, limit_force, tilt_error, to_world
-from uavrl.envs.quadrotor import Aerodynamics, Airframe, drag, gust_path, mixing_matrix, rotation_from_quaternion
+from uavrl.envs.quadrotor import Aerodynamics, Airframe, drag, gust_path, mixing_matrix
+from uavrl_onboard.geometry import rotations_of
 
 
 def test_centre_of_mass_and_inertia():
@@ -44,12 +45,10 @@ def test_drag_never_adds_energy(entries):
     assert power <= 0
 
 
-def test_rotation_from_quaternion():
+def test_rotations_of_quaternions():
     quaternions = np.random.default_rng(0).normal(size=(50, 4))
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    np.testing.assert_allclose(
-        rotation_from_quaternion(quaternions), Rotation.from_quat(quaternions).as_matrix(), atol=1e-14
-    )
+    np.testing.assert_allclose(rotations_of(quaternions), Rotation.from_quat(quaternions).as_matrix(), atol=1e-14)
 
 
 def test_gusts_have_their_intensity_and_memory():

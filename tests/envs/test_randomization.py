@@ -14,8 +14,9 @@ from uavrl.envs.controller import most_load
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
-from uavrl.envs.randomization import LIMITS, Plant, Randomization, draw_plant
+from uavrl.envs.randomization import LIMITS, Randomization, draw_vehicle
 from uavrl.envs.simulation import Simulation
+from uavrl.envs.vehicle_params import VehicleParams
 from uavrl.errors import UavrlError
 from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, NUM_RAYS
 from uavrl_onboard.mesh import Mesh
@@ -28,7 +29,7 @@ BOX = Mesh([[-3, -2, 0], [5, -2, 0], [5, 4, 0], [-3, 4, 0], [-3, -2, 9], [5, -2,
 MASS, WEIGHT, THRUST = 2.307, 2.307 * 9.81, 1.53819e-5
 
 
-def begin(simulation: Simulation, *plants: Plant) -> None:
+def begin(simulation: Simulation, *plants: VehicleParams) -> None:
     """Places the vehicles anew, at (0, 0, 3.5) along x, as these plants."""
     count = simulation.count
     simulation.reset(np.arange(count), np.tile([0.0, 0.0, 3.5], (count, 1)), np.zeros(count), plants)
@@ -41,7 +42,7 @@ def fly(simulation: Simulation, steps: int, *command: float) -> None:
 
 def test_a_vehicle_hovers_from_the_first_step_at_the_rotor_speed_of_its_own_mass_and_thrust() -> None:
     with world(3) as simulation:
-        begin(simulation, Plant(), Plant(mass=1.2, thrust=0.9), Plant(mass=0.8, thrust=1.15))
+        begin(simulation, VehicleParams(), VehicleParams(mass=1.2, thrust=0.9), VehicleParams(mass=0.8, thrust=1.15))
         factors = np.array([1.0, 1.2 / 0.9, 0.8 / 1.15])
         expected = np.sqrt(factors * WEIGHT / 4 / THRUST)
         np.testing.assert_allclose(simulation.rotor_speed, expected[:, None].repeat(4, 1), rtol=1e-12)
@@ -52,7 +53,7 @@ def test_a_vehicle_hovers_from_the_first_step_at_the_rotor_speed_of_its_own_mass
 
 def test_the_controller_learns_the_difference_as_a_disturbance() -> None:
     with world(2) as simulation:
-        begin(simulation, Plant(mass=1.1), Plant(thrust=1.1))
+        begin(simulation, VehicleParams(mass=1.1), VehicleParams(thrust=1.1))
         fly(simulation, 35)
         np.testing.assert_allclose(simulation.velocity, np.zeros((2, 3)), atol=0.01)
         lift = np.array([[1.0], [1.1]]) * THRUST * simulation.rotor_speed**2
@@ -63,7 +64,7 @@ def test_the_controller_learns_the_difference_as_a_disturbance() -> None:
 
 
 def test_acceleration_and_turning_go_by_mass_thrust_and_inertia() -> None:
-    plant = Plant(mass=1.3, inertia=0.7, thrust=0.9)
+    plant = VehicleParams(mass=1.3, inertia=0.7, thrust=0.9)
     with world(1, aerodynamics=NO_DRAG, control_rate=240) as simulation:
         begin(simulation, plant)
         simulation._controller.thrusts = lambda rotation, twist: THRUST * simulation.rotor_speed**2
@@ -77,14 +78,14 @@ def test_acceleration_and_turning_go_by_mass_thrust_and_inertia() -> None:
         assert simulation.velocity[0, 2] == pytest.approx(climb, abs=2e-4)
         known = pybullet.getDynamicsInfo(simulation._vehicles[0], -1, physicsClientId=simulation._client)
         assert known[0] == pytest.approx(1.3 * MASS)
-        begin(simulation, Plant())
+        begin(simulation, VehicleParams())
         known = pybullet.getDynamicsInfo(simulation._vehicles[0], -1, physicsClientId=simulation._client)
         assert known[0] == pytest.approx(MASS) and known[2] == pytest.approx(Airframe().combined_inertia)
 
 
 def test_motors_follow_with_their_own_time_constants() -> None:
     with world(2, control_rate=240) as simulation:
-        begin(simulation, Plant(motor_time_constant=0.5), Plant(motor_time_constant=2.0))
+        begin(simulation, VehicleParams(motor_time_constant=0.5), VehicleParams(motor_time_constant=2.0))
         simulation._controller.thrusts = lambda rotation, twist: np.full((2, 4), THRUST * 900.0**2)
         first = simulation.rotor_speed.copy()
         fly(simulation, 12)  # 0.05 s
@@ -94,7 +95,7 @@ def test_motors_follow_with_their_own_time_constants() -> None:
 
 def test_terminal_velocities_go_by_mass_and_drag() -> None:
     with world(2, aerodynamics=Aerodynamics(force_coefficients=(0.2, 0.2, 1.0))) as simulation:
-        begin(simulation, Plant(drag=1.5), Plant(mass=1.2, drag=0.5))
+        begin(simulation, VehicleParams(drag=1.5), VehicleParams(mass=1.2, drag=0.5))
         simulation.motors_on = False
         fly(simulation, 80)
         expected = np.sqrt(2 * WEIGHT * np.array([1 / 1.5, 1.2 / 0.5]) / 1.225)
@@ -103,14 +104,14 @@ def test_terminal_velocities_go_by_mass_and_drag() -> None:
 
 def test_the_drag_moment_stays_as_the_controller_believes_it() -> None:
     with world(2) as simulation:
-        begin(simulation, Plant(drag=0.5), Plant(drag=1.5))
+        begin(simulation, VehicleParams(drag=0.5), VehicleParams(drag=1.5))
         force, moment = Aerodynamics().coefficients
-        np.testing.assert_allclose(simulation.plants.drag, [[0.5 * force, moment], [1.5 * force, moment]])
+        np.testing.assert_allclose(simulation.params.drag, [[0.5 * force, moment], [1.5 * force, moment]])
 
 
 def test_a_steady_wind_is_leant_against() -> None:
     with world(2, aerodynamics=Aerodynamics(wind=(0.0, 1.0, 0.0))) as simulation:
-        begin(simulation, Plant(wind=(2.0, 0.0)), Plant())
+        begin(simulation, VehicleParams(wind=(2.0, 0.0)), VehicleParams())
         fly(simulation, 45)
         np.testing.assert_allclose(simulation.velocity, np.zeros((2, 3)), atol=5e-3)
         for row, wind in enumerate([(2.0, 1.0), (0.0, 1.0)]):  # on top of that of the air
@@ -122,14 +123,14 @@ def test_a_steady_wind_is_leant_against() -> None:
 def test_gusts_have_the_intensity_of_each_vehicle() -> None:
     air = Aerodynamics(gust_intensity=2.0, gust_time_constant=0.02)
     with world(3, aerodynamics=air, rng=np.random.default_rng(0)) as simulation:
-        begin(simulation, Plant(gust_intensity=0.0), Plant(gust_intensity=0.5), Plant())
+        begin(simulation, VehicleParams(gust_intensity=0.0), VehicleParams(gust_intensity=0.5), VehicleParams())
         met = []
         for _ in range(60):
             fly(simulation, 1)
             met.append(simulation._gust)
         np.testing.assert_allclose(np.std(met, axis=(0, 2)), [0.0, 0.5, 2.0], rtol=0.2)
     with world() as simulation, pytest.raises(ValueError, match="Gusts need"):
-        begin(simulation, Plant(gust_intensity=0.5))
+        begin(simulation, VehicleParams(gust_intensity=0.5))
 
 
 def places(simulation: Simulation, commands: list[tuple[float, ...]]) -> np.ndarray:
@@ -137,7 +138,7 @@ def places(simulation: Simulation, commands: list[tuple[float, ...]]) -> np.ndar
     seen = []
     for command in commands:
         fly(simulation, 1, *command)
-        seen += [state[:, :3] for state in simulation._past._states[1:]]
+        seen += [state[:, :3] for state in simulation._history._states[1:]]
     return np.array(seen)
 
 
@@ -145,14 +146,14 @@ def test_an_action_that_comes_late_flies_the_same_path_later() -> None:
     """From rest, which lasts, each command begins and ends d later."""
     delays = [0, 3, 12, 24]  # physics steps
     with world(len(delays)) as simulation:
-        begin(simulation, *(Plant(action_delay=delay / 240) for delay in delays))
+        begin(simulation, *(VehicleParams(action_delay=delay / 240) for delay in delays))
         path = places(
             simulation, [(1.0, 0.0, 0.5, 0.0), (-1.0, 2.0, 0.0, 1.0), (0.0, 0.0, 0.0, -2.0), (2.0, 1.0, 0.0, 0.0)]
         )
         for row, delay in enumerate(delays):
             np.testing.assert_allclose(path[delay:, row], path[: len(path) - delay, 0], atol=1e-6)
         assert np.abs(path[:, 0] - path[:, -1]).max() > 0.02
-        begin(simulation, *simulation.plants.each)  # the last command of one episode is not the first of the next
+        begin(simulation, *simulation.params.each)  # the last command of one episode is not the first of the next
         fly(simulation, 1)
         np.testing.assert_allclose(simulation.velocity, np.zeros((4, 3)), atol=1e-6)
 
@@ -164,8 +165,8 @@ def test_a_scan_that_is_late_shows_what_was_seen_then(distorted: bool) -> None:
     planes = np.array([[2.0, 0.0, 3.5, 1.0]])
     path = planes + np.arange(25)[:, None, None] * [0.02, 0.0, 0.0, 0.0]
     with world(3, plane_mesh=sail, plane_count=1) as simulation, world(1) as alone:
-        begin(simulation, *(Plant(scan_delay=delay / 240) for delay in (0, 5, 24)))
-        begin(alone, Plant())
+        begin(simulation, *(VehicleParams(scan_delay=delay / 240) for delay in (0, 5, 24)))
+        begin(alone, VehicleParams())
         simulation.place_planes(planes)
         first = simulation.scan(lidar, np.arange(3), planes, rng)
         for row in range(3):  # there was nothing before
@@ -174,7 +175,7 @@ def test_a_scan_that_is_late_shows_what_was_seen_then(distorted: bool) -> None:
         simulation.step(np.tile([2.0, 1.0, 0.0, 2.0], (3, 1)), path[1:])
         late = simulation.scan(lidar, np.array([2, 1, 0]), path[-1], rng)
         for cloud, delay in zip(late, [24, 5, 0], strict=True):
-            alone_at(alone, simulation._past._states[-1 - delay][0])
+            alone_at(alone, simulation._history._states[-1 - delay][0])
             expected = alone.scan(lidar, np.array([0]), path[-1 - delay], rng)[0]
             np.testing.assert_allclose(cloud, expected, atol=2e-3)
 
@@ -188,7 +189,7 @@ def alone_at(simulation: Simulation, state: np.ndarray) -> None:
     simulation._publish()
 
 
-def scan(*plants: Plant, config: LidarConfig | None = None) -> np.ndarray:
+def scan(*plants: VehicleParams, config: LidarConfig | None = None) -> np.ndarray:
     with world(len(plants)) as simulation:
         begin(simulation, *plants)
         lidar = Lidar([BOX, FLOOR], config=config)
@@ -196,9 +197,9 @@ def scan(*plants: Plant, config: LidarConfig | None = None) -> np.ndarray:
 
 
 def test_a_turned_mount_turns_the_cloud() -> None:
-    turned, straight = np.linalg.norm(scan(Plant(mount_yaw=10 * AZIMUTH_STEP), Plant()), axis=-1).reshape(
-        2, AZIMUTH_STEPS, 16
-    )
+    turned, straight = np.linalg.norm(
+        scan(VehicleParams(mount_yaw=10 * AZIMUTH_STEP), VehicleParams()), axis=-1
+    ).reshape(2, AZIMUTH_STEPS, 16)
     np.testing.assert_allclose(turned[10:], straight[:-10], rtol=1e-4)  # the sensor turns clockwise
     assert np.abs(turned - straight).max() > 0.1
 
@@ -207,7 +208,7 @@ def test_a_tilted_mount_looks_down_on_one_side() -> None:
     """Nose down by θ: the laser at elevation e straight ahead meets the ground at h / sin(θ - e)."""
     tilt, height = 0.05, 3.6
     with world(1) as simulation:
-        begin(simulation, Plant(mount_tilt=tilt, mount_axis=np.pi / 2))
+        begin(simulation, VehicleParams(mount_tilt=tilt, mount_axis=np.pi / 2))
         cloud = simulation.scan(Lidar([FLOOR]), np.array([0]), None, np.random.default_rng(0))[0, :16]
     elevation = np.radians([-15, -13, -11, -9, -7, -5])
     lasers = [0, 2, 4, 6, 8, 10]
@@ -220,7 +221,7 @@ def test_a_tilted_mount_looks_down_on_one_side() -> None:
 
 @pytest.mark.parametrize(("azimuth", "width"), [(0.0, 0.5), (2.0, 1.0), (-3.1, 1.0), (6.0, 2 * math.pi), (1.0, 0.0)])
 def test_nothing_returns_from_the_blind_sector(azimuth: float, width: float) -> None:
-    blind, seen = scan(Plant(blind_azimuth=azimuth, blind_sector=width), Plant())
+    blind, seen = scan(VehicleParams(blind_azimuth=azimuth, blind_sector=width), VehicleParams())
     directions = Lidar([]).directions
     off = np.abs((np.arctan2(directions[:, 1], directions[:, 0]) - azimuth + np.pi) % (2 * np.pi) - np.pi)
     hidden = np.isnan(blind[:, 0])
@@ -230,9 +231,14 @@ def test_nothing_returns_from_the_blind_sector(azimuth: float, width: float) -> 
 
 
 def test_noise_and_dropout_are_those_of_each_vehicle() -> None:
-    exact = np.linalg.norm(scan(Plant())[0], axis=-1)
+    exact = np.linalg.norm(scan(VehicleParams())[0], axis=-1)
     config = LidarConfig(range_noise=0.05, dropout=0.3)
-    noisy = scan(Plant(range_noise=0.0, dropout=0.0), Plant(range_noise=0.02, dropout=0.1), Plant(), config=config)
+    noisy = scan(
+        VehicleParams(range_noise=0.0, dropout=0.0),
+        VehicleParams(range_noise=0.02, dropout=0.1),
+        VehicleParams(),
+        config=config,
+    )
     error = np.linalg.norm(noisy, axis=-1) - exact
     np.testing.assert_allclose(np.nanstd(error, axis=1), [0.0, 0.02, 0.05], rtol=0.03, atol=1e-6)
     hits = (~np.isnan(exact)).sum()
@@ -249,7 +255,7 @@ ALL = Randomization(
 
 def test_each_quantity_is_uniform_in_its_range_and_independent_of_the_others() -> None:
     rng = np.random.default_rng(0)
-    plants = [draw_plant(ALL, rng) for _ in range(4000)]
+    plants = [draw_vehicle(ALL, rng) for _ in range(4000)]
     drawn = {name: np.array([getattr(plant, name) for plant in plants]) for name in LIMITS if name != "wind"}
     wind = np.array([plant.wind for plant in plants])
     drawn["wind"] = np.hypot(*wind.T)
@@ -269,7 +275,7 @@ def test_each_quantity_is_uniform_in_its_range_and_independent_of_the_others() -
 
 def test_a_vehicle_is_no_heavier_than_its_rotors_carry_and_the_heaviest_climbs() -> None:
     heavy = Randomization(mass=(1.2, 1.2), thrust=(0.85, 0.85))
-    plant = draw_plant(heavy, np.random.default_rng(0), most_load(Airframe()))
+    plant = draw_vehicle(heavy, np.random.default_rng(0), most_load(Airframe()))
     lift = 0.9 * 38.0 * np.cos(0.5)
     assert plant.thrust == 0.85 and plant.mass == pytest.approx(0.85 * lift / (MASS * 10.31))
     with world() as simulation:
@@ -303,10 +309,12 @@ def test_ranges_whose_vehicles_sink_or_rise_are_refused(ranges: dict[str, tuple[
 
 
 def test_a_quantity_that_is_switched_off_changes_none_of_the_others() -> None:
-    whole = draw_plant(ALL, np.random.default_rng(7))
+    whole = draw_vehicle(ALL, np.random.default_rng(7))
     for name in LIMITS:
-        part = draw_plant(Randomization(**{n: getattr(ALL, n) for n in LIMITS if n != name}), np.random.default_rng(7))
-        others = [f.name for f in fields(Plant) if f.name != name]
+        part = draw_vehicle(
+            Randomization(**{n: getattr(ALL, n) for n in LIMITS if n != name}), np.random.default_rng(7)
+        )
+        others = [f.name for f in fields(VehicleParams) if f.name != name]
         assert [getattr(part, n) for n in others] == [getattr(whole, n) for n in others]
         assert getattr(part, name) in (1.0, 0.0, None, (0.0, 0.0))
 

@@ -12,7 +12,7 @@ from torchrl.envs import check_env_specs
 
 from tests.helpers.valleys import SMALL, act, differing, rollout
 from uavrl.config import compose, validate
-from uavrl.envs import NavigationEnv, Plant, Randomization
+from uavrl.envs import NavigationEnv, Randomization, VehicleParams
 from uavrl.envs.randomization import LIMITS
 from uavrl.evaluation.environment import make_env
 
@@ -33,7 +33,10 @@ def test_vehicles_that_are_drawn_as_believed_fly_bit_by_bit_as_none_that_are_dra
     none, off = make(), make(randomize=Randomization())
     assert neutral.randomize is not None and off.randomize is None
     assert not differing(rollout(none, 8), rollout(neutral, 8))
-    assert [replace(plant, mount_axis=0.0, blind_azimuth=0.0) for plant in neutral.plants] == [Plant(), Plant()]
+    assert [replace(plant, mount_axis=0.0, blind_azimuth=0.0) for plant in neutral.vehicle_params] == [
+        VehicleParams(),
+        VehicleParams(),
+    ]
 
 
 def test_the_vehicles_of_a_task_are_the_same_in_any_company_and_under_any_policy(
@@ -43,7 +46,7 @@ def test_the_vehicles_of_a_task_are_the_same_in_any_company_and_under_any_policy
         found, state = {}, env.reset()
         while len(found) < 4:
             for row in range(env.num_uavs):
-                begun = env._goal[row], env.plants[row]
+                begun = env._goal[row], env.vehicle_params[row]
                 found.setdefault(int(state["task"][row]), (begun[0].copy(), begun[1]))
             state = env.step_and_maybe_reset(act(state, *action))[1]
         return found
@@ -52,7 +55,7 @@ def test_the_vehicles_of_a_task_are_the_same_in_any_company_and_under_any_policy
     three = drawn(make(3, randomize=REAL, max_steps=4), 1, 1, 0, 1)
     plain = drawn(make(2, max_steps=4), 0, 0, 0, 0)
     for task in range(4):
-        assert one[task][1] == three[task][1] != Plant()
+        assert one[task][1] == three[task][1] != VehicleParams()
         np.testing.assert_array_equal(one[task][0], three[task][0])
         np.testing.assert_array_equal(one[task][0], plain[task][0])
     assert len({plant for _, plant in one.values()}) == len(one)
@@ -67,11 +70,11 @@ def test_another_seed_has_other_vehicles_and_the_same_one_the_same_flights(make:
     """What a resumed run relies on: it goes on with a seed of its own."""
     env = make(2, randomize=REAL, world=PLANES, max_steps=3, seed=1)
     env.reset()
-    first = env.plants
+    first = env.vehicle_params
     rollout(env, 4)
     env.set_seed(7)
     went_on = rollout(env, 8)
-    assert first != env.plants
+    assert first != env.vehicle_params
     anew = make(2, randomize=REAL, world=PLANES, max_steps=3, seed=7)
     assert not differing(went_on, rollout(anew, 8))
 
@@ -83,9 +86,9 @@ def test_a_partial_reset_changes_only_its_own_vehicle(make: Callable[..., Naviga
     for step in range(8):
         state, other = (e.step(act(s, 0.5, 0, 0, 1))["next"] for e, s in ((env, state), (undisturbed, other)))
         if step == 3:
-            before = env.plants
+            before = env.vehicle_params
             state = env.reset(state.set("_reset", torch.tensor([[True], [False]])))
-            assert env.plants[0] != before[0] and env.plants[1] == before[1]
+            assert env.vehicle_params[0] != before[0] and env.vehicle_params[1] == before[1]
         assert not differing(state[1].exclude("_reset"), other[1])
 
 
@@ -106,6 +109,6 @@ def test_a_blind_environment_and_one_of_a_whole_configuration_take_it(make: Call
     config = validate(compose("randomize=vehicle", "env.randomize.mass=null", *small))
     env = make_env(config.env, config.perception, config.reward, seed=0, num_uavs=2)
     env.reset()
-    plant = env.base_env.plants[0]
+    plant = env.base_env.vehicle_params[0]
     env.close()
     assert plant.mass == 1.0 != plant.thrust and plant.action_delay == 0.0

@@ -8,7 +8,8 @@ import numpy as np
 
 from tests.helpers.scenes import clutter, poses
 from uavrl.envs.lidar import Lidar
-from uavrl_onboard.perception.cells import NEAREST_RETURN, icosahedron
+from uavrl_onboard.geometry import NEAREST_RETURN
+from uavrl_onboard.perception.cells import icosahedron
 from uavrl_onboard.perception.reductions import REDUCTIONS
 
 MM2 = 0.002 + 1e-6  # m

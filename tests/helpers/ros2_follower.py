@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from uavrl_onboard.perception.reductions import is_return
+from uavrl_onboard.geometry import is_return
 from uavrl_onboard.ros2.px4 import Px4Ros2
 from uavrl_onboard.ros2.vehicle import Ros2Scans, Ros2Vehicle
 

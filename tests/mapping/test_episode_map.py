@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl_onboard.geometry import HULL
 from uavrl_onboard.guards.map import EpisodeMap, GoalFinder
 from uavrl_onboard.guards.map.route import SEEN_AROUND, route, waypoint
+from uavrl_onboard.vehicle import VEHICLE
 
 CELL = 0.25
 GOAL = np.array([9.0, 0.0])
@@ -92,7 +92,7 @@ def test_a_cell_is_entered_once_whatever_its_signs() -> None:
 def test_the_waypoint_is_the_goal_where_nothing_is_between() -> None:
     way = np.array([[0.0, 0.0], [3.0, 0.5], [6.0, 0.0]])
     assert waypoint(way, np.zeros(2), NONE, ahead=4.0) == (2, True)
-    beside = np.array([[3.0, HULL[0] + SEEN_AROUND + 0.01]])
+    beside = np.array([[3.0, VEHICLE.radius + SEEN_AROUND + 0.01]])
     assert waypoint(way, np.zeros(2), beside, ahead=4.0) == (2, True)
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from uavrl_onboard.geometry import body_to_world
 from uavrl_onboard.guards.map import Wayfinder
-from uavrl_onboard.guards.map.navigator import EVERY, LIDAR_ABOVE
+from uavrl_onboard.guards.map.navigator import EVERY
+from uavrl_onboard.vehicle import VEHICLE
 
 ALTITUDE = 3.5
 STILL = np.zeros((1, 3))
@@ -23,7 +24,7 @@ def wall(start: tuple[float, float], end: tuple[float, float]) -> np.ndarray:
 def scanned(points: np.ndarray, place: np.ndarray, attitude: np.ndarray) -> np.ndarray:
     """A scan ``[1, P, 3]`` of points, by the sensor of a vehicle at ``place [3]`` with ``attitude [3]``."""
     rotation = body_to_world(attitude[None])[0]
-    return ((points - place - LIDAR_ABOVE * rotation[:, 2]) @ rotation)[None]
+    return ((points - place - VEHICLE.lidar_above * rotation[:, 2]) @ rotation)[None]
 
 
 def looked(finder: Wayfinder, points: np.ndarray, heading: float = 0.0, attitude: np.ndarray = STILL[0]) -> float:

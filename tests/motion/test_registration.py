@@ -14,7 +14,7 @@ from uavrl_onboard.perception.motion.registration import (
     orthonormal,
     point_images,
     register,
-    rotation_about,
+    rotation_by,
     sample,
 )
 
@@ -75,7 +75,7 @@ def test_too_few_returns_say_so() -> None:
 
 
 def test_rotations_about_vectors_and_without_rounding() -> None:
-    yaw = rotation_about(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]]))
+    yaw = rotation_by(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]]))
     assert np.allclose(yaw, body_to_world(np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]])))
     mended = orthonormal(yaw * (1 + 1e-4))
     assert np.allclose(mended @ mended.transpose(0, 2, 1), np.eye(3), atol=1e-7)

@@ -27,6 +27,7 @@ from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
+from uavrl_onboard.vehicle import Vehicle
 
 ABOVE = 0.1  # m, of the LiDAR over the hull's middle
 PERIOD = 0.1
@@ -114,12 +115,16 @@ def test_what_stands_is_reckoned_from_the_hulls_middle_in_level_axes_without_the
     """Rolled by 90 degrees the LiDAR is 0.5 m to the right, and what it sees above it lies to the right, too."""
     rolled = body_to_level(np.array([[np.pi / 2, 0.0, 2.0]]))[0]
     rotor, above = [0.2, 0.2, -0.45], [1.0, 0.0, 1.5]
-    found = Evasion(sensor=0.5)._around(np.array([rotor, above]), rolled)
+    found = Evasion(vehicle=Vehicle(lidar_position=(0.0, 0.0, 0.5)))._around(np.array([rotor, above]), rolled)
     assert found[0] == pytest.approx(np.array([[1.0, -2.0, 0.0]]), abs=1e-6)
 
 
 def test_what_passes_over_the_hull_is_let_pass_however_near_to_the_lidar() -> None:
-    high, still, asked = Evasion(sensor=0.5), np.zeros((1, 3)), np.array([[2.0, 0.0, 0.0]])
+    high, still, asked = (
+        Evasion(vehicle=Vehicle(lidar_position=(0.0, 0.0, 0.5))),
+        np.zeros((1, 3)),
+        np.array([[2.0, 0.0, 0.0]]),
+    )
     for step in range(14):
         cloud = ball(np.array([8.0 - 0.3 * step, 0.0, 0.4]), radius=0.1)[None]  # 0.9 m over the hull's middle
         assert high(asked, cloud, still, still, np.zeros(1)).tolist() == asked.tolist()
@@ -166,7 +171,7 @@ def test_arrays_and_tensors_are_evaded_alike() -> None:
 
 def test_what_is_asked_for_counts_as_far_as_it_may_be_flown() -> None:
     """At 2 m/s the vehicle would be past before the ball comes; at 1 m/s, which it may fly, both meet."""
-    quick, slow, still = Evasion(), Evasion(limit=1.0), np.zeros((1, 3))
+    quick, slow, still = Evasion(), Evasion(vehicle=Vehicle(velocity_limit=1.0)), np.zeros((1, 3))
     for step in range(10):
         scan = ball(np.array([0.4, 7.5 - 0.3 * step, 0.0]))[None], still, still, np.zeros(1)
         free, bent = (evasion(np.array([[2.0, 0.0, 0.0]]), *scan)[0].tolist() for evasion in (quick, slow))
@@ -175,7 +180,7 @@ def test_what_is_asked_for_counts_as_far_as_it_may_be_flown() -> None:
 
 
 def test_where_less_may_be_flown_it_evades_more_slowly() -> None:
-    slow, still, most = Evasion(limit=1.0), np.zeros((1, 3)), 0.0
+    slow, still, most = Evasion(vehicle=Vehicle(velocity_limit=1.0)), np.zeros((1, 3)), 0.0
     for step in range(12):
         cloud = ball(np.array([9.0 - 0.3 * step, 0.5, 0.0]))[None]
         flown = slow(np.array([[1.0, 0.0, 0.0]]), cloud, still, still, np.zeros(1))
@@ -214,7 +219,7 @@ def test_an_evaluation_looks_as_far_and_knows_the_vehicles_size(
     made, reached = set[tuple[object, ...]](), list[float]()
 
     def stands(evasion: Evasion, asked: np.ndarray, clouds: np.ndarray, *_: object) -> np.ndarray:
-        made.add((evasion.vehicles, evasion.max_range, evasion.hull, evasion.sensor))
+        made.add((evasion.vehicles, evasion.max_range, evasion.vehicle.hull, evasion.vehicle.lidar_above))
         reached.append(float(np.linalg.norm(np.nan_to_num(clouds, posinf=0.0), axis=-1).max()))
         return np.zeros_like(asked)
 

@@ -12,10 +12,11 @@ from tensordict import TensorDict
 from uavrl.config.build import find_class
 from uavrl.envs import Airframe
 from uavrl.evaluation.policies import BASELINES, named_policy
-from uavrl.planners.point_memory import LIDAR_ABOVE, PERIOD, Planner
+from uavrl.planners.point_memory import PERIOD, Planner
 from uavrl_onboard.geometry import hull_distances
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
+from uavrl_onboard.vehicle import VEHICLE
 
 PLANNERS = ("vfh_star", "mppi", "potential_field", *["rrt_connect", "rrt_map"] * bool(find_spec("ompl")))
 NOTHING = torch.full((1, 16, 3), torch.nan)
@@ -32,7 +33,7 @@ def flight(planner: Callable[[TensorDict], TensorDict], begin: list[float], spee
     for step in range(40):
         apart = torch.tensor(begin) + PERIOD * step * torch.tensor(speed) - place
         nearest = min(nearest, float(torch.maximum(apart[:2].norm() / WIDE, apart[2].abs() / HIGH)))
-        from_lidar = apart - torch.tensor([0.0, 0.0, LIDAR_ABOVE])
+        from_lidar = apart - torch.tensor([0.0, 0.0, VEHICLE.lidar_above])
         told = torch.cat([from_lidar, torch.tensor([*speed, 1.0]), torch.zeros(14)])
         state = {
             "point_cloud": NOTHING,

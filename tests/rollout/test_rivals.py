@@ -18,12 +18,12 @@ from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import BASELINES, choose, named_policy
 from uavrl.evaluation.rollout import fly
 from uavrl.planners.mppi import MPPI, STEPS, MPPIWeights, places_of
-from uavrl.planners.point_memory import LIDAR_ABOVE, PERIOD, THINNED, Planner, ScanMemory
+from uavrl.planners.point_memory import PERIOD, THINNED, Planner, ScanMemory
 from uavrl.planners.potential_field import FieldWeights, PotentialField
 from uavrl.planners.vfh_star import VFHStar, VFHStarWeights, look_along
-from uavrl_onboard.geometry import HULL
 from uavrl_onboard.guards.histogram import polar_histogram
 from uavrl_onboard.perception.cells import LASERS
+from uavrl_onboard.vehicle import VEHICLE
 
 Rival = Callable[[TensorDictBase], TensorDictBase]
 PLANNERS = ("vfh_star", "mppi")
@@ -45,7 +45,7 @@ def grid(x: float, left: tuple[float, float], up: tuple[float, float] = (-0.7, 0
 
 def scan(points: torch.Tensor) -> torch.Tensor:
     """A scan ``[R, 3]`` of points given from the hull's middle, as a sensor gives it that is read thinly."""
-    points = points - torch.tensor([0.0, 0.0, LIDAR_ABOVE])
+    points = points - torch.tensor([0.0, 0.0, VEHICLE.lidar_above])
     full = torch.full((LASERS * 64, 3), torch.nan)
     full[: len(points)] = points
     return full.unflatten(0, (-1, LASERS)).repeat_interleave(THINNED, 0).flatten(0, 1)
@@ -83,7 +83,7 @@ def test_they_are_chosen_like_any_other_policy(name: str) -> None:
     rival = named_policy(name, {"flight_level": 3.0, "radius": 5.0, "reduction": "range_image", "frames": 3}, ())
     assert isinstance(rival, kind(name)) and isinstance(rival, Planner)
     assert {"point_cloud", "is_init"} <= set(rival.in_keys)
-    assert (rival.flight_level, rival.memory.sight) == (3.0, 5.0)
+    assert (rival.vehicle.flight_level, rival.memory.sight) == (3.0, 5.0)
 
 
 @pytest.mark.parametrize("name", RIVALS)
@@ -92,9 +92,9 @@ def test_they_reckon_with_the_hull_and_the_lidar_of_the_environments_vehicle(nam
     told.append("env.airframe.lidar_position=[0.0,0.0,0.13]")
     config = compose(*told, name="evaluate")
     chosen: Any = choose(validate(config, EvaluateConfig), config, told, None, torch.device("cpu")).policy
-    assert (chosen.hull, chosen.memory.above) == ((0.4, 0.15), 0.13)
+    assert (chosen.vehicle.hull, chosen.memory.above) == ((0.4, 0.15), 0.13)
     default = kind(name)()
-    assert (default.hull, default.memory.above) == (HULL, LIDAR_ABOVE)
+    assert (default.vehicle.hull, default.memory.above) == (VEHICLE.hull, VEHICLE.lidar_above)
 
 
 @pytest.mark.parametrize("name", RIVALS)
@@ -262,7 +262,7 @@ def test_memory_moves_with_the_vehicle_and_turns_with_its_yaw() -> None:
     look(memory, [[1.0, 0.0, 1.0]], velocity=1.0, yaw=np.pi / 2, fresh=True)
     look(memory, [[np.nan] * 3], velocity=1.0, yaw=0.3)
     look(memory, [[np.nan] * 3], velocity=1.0, yaw=-1.0)
-    assert memory.recall()[0][0] == pytest.approx([-0.2, 1.0, 1.0 + LIDAR_ABOVE], abs=1e-5)
+    assert memory.recall()[0][0] == pytest.approx([-0.2, 1.0, 1.0 + VEHICLE.lidar_above], abs=1e-5)
 
 
 def test_memory_takes_a_scan_from_where_its_lidar_sits() -> None:
@@ -277,7 +277,7 @@ def test_memory_forgets_what_is_seen_through_and_what_is_old() -> None:
     look(memory, [above, level], fresh=True)
     look(memory, [[np.nan] * 3])
     points, owners = memory.recall()
-    assert points.tolist() == [pytest.approx([1.0, 0.0, 1.0 + LIDAR_ABOVE])] and owners.tolist() == [0]
+    assert points.tolist() == [pytest.approx([1.0, 0.0, 1.0 + VEHICLE.lidar_above])] and owners.tolist() == [0]
     for _ in range(10):
         look(memory, [[np.nan] * 3])
     assert not len(memory.recall()[0])

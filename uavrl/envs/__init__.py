@@ -7,7 +7,8 @@ if TYPE_CHECKING:
     from uavrl.envs.lidar import Lidar, LidarConfig
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.envs.quadrotor import Aerodynamics, Airframe
-    from uavrl.envs.randomization import Plant, Randomization
+    from uavrl.envs.randomization import Randomization
+    from uavrl.envs.vehicle_params import VehicleParams
     from uavrl.envs.world import World, WorldConfig
 
 _MODULES = {
@@ -16,8 +17,8 @@ _MODULES = {
     "Lidar": "lidar",
     "LidarConfig": "lidar",
     "NavigationEnv": "navigation",
-    "Plant": "randomization",
     "Randomization": "randomization",
+    "VehicleParams": "vehicle_params",
     "World": "world",
     "WorldConfig": "world",
 }
@@ -27,8 +28,8 @@ __all__ = [
     "Lidar",
     "LidarConfig",
     "NavigationEnv",
-    "Plant",
     "Randomization",
+    "VehicleParams",
     "World",
     "WorldConfig",
 ]

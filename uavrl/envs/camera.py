@@ -1,6 +1,5 @@
 """Pictures of the valley from behind a vehicle, drawn by PyBullet."""
 
-import math
 import weakref
 from typing import Any
 
@@ -9,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from uavrl.envs.bullet import connect, mesh_shape, pybullet
 from uavrl.envs.navigation import NavigationEnv
+from uavrl_onboard.geometry import heading_vector
 from uavrl_onboard.mesh import Mesh
 
 WIDTH, HEIGHT = 480, 360  # pixels
@@ -60,7 +60,7 @@ class Camera:
         self._put(self._uav, position, Rotation.from_matrix(simulation.rotation[vehicle]).as_quat())
         for body, pose in zip(self._planes, self._env.plane_poses(), strict=True):
             self._put(body, pose[:3], Rotation.from_euler("z", pose[3]).as_quat())
-        ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+        ahead = np.append(heading_vector(yaw), 0.0)
         eye = position - BEHIND * ahead + [0.0, 0.0, ABOVE]
         view = pybullet.computeViewMatrix(eye.tolist(), (position + AHEAD * ahead).tolist(), (0, 0, 1))
         lens = pybullet.computeProjectionMatrixFOV(60.0, WIDTH / HEIGHT, 0.1, 100.0)

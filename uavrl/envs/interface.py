@@ -6,6 +6,7 @@ from torchrl.data import Binary, Composite, Unbounded
 
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
+from uavrl_onboard.geometry import attitude_of
 from uavrl_onboard.lidar.vlp16 import NUM_RAYS
 from uavrl_onboard.perception.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 
@@ -36,12 +37,12 @@ def quantities(simulation: Simulation, goal: np.ndarray, *, clearance: bool) -> 
 
     Altitude, heading and attitude are as the vehicles measure them, with their biases.
     """
-    position, plants = simulation.position, simulation.plants
+    position, params = simulation.position, simulation.params
     found = {"position": position, "velocity": simulation.velocity, "goal": goal}
-    yaw, rotation = simulation.yaw + plants.heading_bias, simulation.rotation
-    roll, pitch = np.arctan2(rotation[:, 2, 1], rotation[:, 2, 2]), -np.arcsin(rotation[:, 2, 0].clip(-1, 1))
+    yaw = simulation.yaw + params.heading_bias
+    roll, pitch, _ = attitude_of(simulation.rotation).T
     found["attitude"] = np.stack([roll, pitch, (yaw + np.pi) % (2 * np.pi) - np.pi], -1)
-    found["altitude"] = position[:, 2] + plants.altitude_bias
+    found["altitude"] = position[:, 2] + params.altitude_bias
     found["distance"] = goal_distance(position, goal)
     found["heading_deg"] = goal_heading_deg(position, yaw, goal)
     found["elevation_deg"] = goal_elevation_deg(position, goal)

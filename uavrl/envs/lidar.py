@@ -12,9 +12,10 @@ from pydantic import Field
 
 from uavrl.envs.lidar_flaws import add_noise, hide_sector
 from uavrl.envs.limits import OrMapping, require_finite, settings
-from uavrl.envs.randomization import Plant
 from uavrl.envs.ray_culling import RayCuller
+from uavrl.envs.vehicle_params import VehicleParams
 from uavrl.errors import MissingSimulator
+from uavrl_onboard.geometry import turn_about, yaw_rotation
 from uavrl_onboard.lidar.vlp16 import (
     AZIMUTH_STEP,
     AZIMUTH_STEPS,
@@ -151,7 +152,7 @@ class Lidar:
         velocities: np.ndarray | None = None,
         angular_velocities: np.ndarray | None = None,
         rng: np.random.Generator | None = None,
-        flaws: Sequence[Plant] | None = None,
+        flaws: Sequence[VehicleParams] | None = None,
         rays: slice | None = None,
     ) -> np.ndarray:
         """Casts one scan per vehicle.
@@ -189,7 +190,7 @@ class Lidar:
         poses = np.broadcast_to(poses, (len(positions), *poses.shape[-2:]))
         if poses.size and self._moving_scene is None:
             raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
-        flaws = [Plant()] * len(positions) if flaws is None else flaws
+        flaws = [VehicleParams()] * len(positions) if flaws is None else flaws
         noise = [config.range_noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
         dropout = [config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
         if rng is None and (any(noise) or any(dropout)):
@@ -247,8 +248,7 @@ class Lidar:
         if gap > radius:
             met = np.flatnonzero(offset.astype(np.float32) @ directions > math.sqrt(gap**2 - radius**2))
             directions, rays = _of_rays(met, directions), met if rays is None else rays[met]
-        cos, sin = math.cos(pose[3]), math.sin(pose[3])
-        to_body = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]], dtype=np.float32)
+        to_body = yaw_rotation(-pose[3]).astype(np.float32)
         from_body = to_body @ (_of_rays(rays, origins) - pose[:3, None].astype(np.float32))
         assert self._moving_scene is not None
         _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
@@ -279,14 +279,9 @@ def _cast(
 
 
 def _turned(directions: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
-    """Turns directions ``[3, R]`` by ``angular_velocity [3]`` times the firing times (Rodrigues' formula)."""
+    """Turns directions ``[3, R]`` by ``angular_velocity [3]`` times the firing times."""
     speed = np.linalg.norm(angular_velocity)
-    axis = (angular_velocity / np.maximum(speed, 1e-12))[:, None]
-    angle = speed * FIRING_TIMES
-    cos, sin = np.cos(angle), np.sin(angle)
-    across = np.cross(axis, directions, axis=0)
-    along = (axis * directions).sum(axis=0)
-    return directions * cos + across * sin + axis * (along * (1.0 - cos))
+    return turn_about(directions, angular_velocity / np.maximum(speed, 1e-12), speed * FIRING_TIMES)
 
 
 def _checked(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from uavrl_onboard.geometry import yaw_rotation
 from uavrl_onboard.mesh import Mesh, loft
 
 
@@ -82,5 +83,4 @@ def blob(
 
 def turned(mesh: Mesh, yaw: float) -> Mesh:
     """Returns the mesh turned about the z axis by ``yaw`` in rad."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return Mesh(mesh.vertices @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]), mesh.faces)
+    return Mesh(mesh.vertices @ yaw_rotation(-yaw), mesh.faces)

@@ -17,9 +17,10 @@ from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import OrMapping, check_hull, settings, whole
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
-from uavrl.envs.randomization import Plant, Randomization, draw_plants, require_flyable
+from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyable
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
+from uavrl.envs.vehicle_params import VehicleParams
 from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
 from uavrl.transforms.state import ACTION_LIMIT
@@ -211,7 +212,7 @@ class NavigationEnv(EnvBase):
             self._next_task += 1
         self._steps[index] = 0
         tasks, most = range(first, self._next_task), most_load(self.airframe)
-        drawn = None if self.randomize is None else draw_plants(self.randomize, self._seed, tasks, most)
+        drawn = None if self.randomize is None else draw_vehicles(self.randomize, self._seed, tasks, most)
         self.simulation.reset(index, starts, yaws, drawn)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -247,9 +248,9 @@ class NavigationEnv(EnvBase):
         return self._built(self._simulation)
 
     @property
-    def plants(self) -> tuple[Plant, ...]:
+    def vehicle_params(self) -> tuple[VehicleParams, ...]:
         """The N vehicles as they are in their episodes; there are none before the first reset."""
-        return tuple(self.simulation.plants.each)
+        return tuple(self.simulation.params.each)
 
     @property
     def traffic(self) -> Traffic:

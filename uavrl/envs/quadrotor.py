@@ -14,8 +14,8 @@ from pydantic import Field
 
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
-from uavrl_onboard.geometry import Hull
 from uavrl_onboard.ranges import Positive, Rule
+from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 GRAVITY = 9.81  # m/s²
 THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
@@ -30,14 +30,6 @@ Tilt = Annotated[float, Rule("an angle in (0, π/2) rad", lambda angle: 0 < angl
 # The rotors sit in front, at the left, at the back and at the right; neighbours turn against each other.
 ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 ROTOR_SPINS = np.array([-1.0, 1.0, -1.0, 1.0])  # sign of the yaw moment that each rotor leaves on the body
-
-# MatmulBackend of quaternion entries (x, y, z, w), numbered 4 i + j, that add up to the entries of a rotation matrix.
-_ENTRIES = (
-    {0: 1, 5: -1, 10: -1, 15: 1}, {1: 2, 11: -2}, {2: 2, 7: 2},
-    {1: 2, 11: 2}, {0: -1, 5: 1, 10: -1, 15: 1}, {6: 2, 3: -2},
-    {2: 2, 7: -2}, {6: 2, 3: 2}, {0: -1, 5: -1, 10: 1, 15: 1},
-)  # fmt: skip
-_PRODUCTS = np.array([[float(terms.get(product, 0)) for terms in _ENTRIES] for product in range(16)])
 
 
 def _require_three(config: object, names: tuple[str, ...]) -> None:
@@ -86,10 +78,10 @@ class Airframe:
     motor_time_constant: Annotated[float, Field(le=100)] = 0.05
     max_total_thrust: Annotated[float, Field(le=1e6)] = 38.0
     tilt_limit: Tilt = 0.5
-    collision_radius: Positive = 0.35
-    collision_height: Positive = 0.28
+    collision_radius: Positive = VEHICLE.radius
+    collision_height: Positive = VEHICLE.height
     lidar_mass: Mass = 0.83
-    lidar_position: tuple[Offset, Offset, Offset] = (0.0, 0.0, 0.1)
+    lidar_position: tuple[Offset, Offset, Offset] = VEHICLE.lidar_position
     lidar_diameter: Length = 0.103
     lidar_height: Length = 0.072
 
@@ -117,10 +109,14 @@ class Airframe:
         """Mass with the LiDAR in kg."""
         return self.mass + self.lidar_mass
 
-    @property
-    def hull(self) -> Hull:
-        """Radius and half the height of the collision cylinder in m."""
-        return self.collision_radius, self.collision_height / 2
+    def vehicle(self, flight_level: float = VEHICLE.flight_level) -> Vehicle:
+        """Return the vehicle that guards and planners assume, around a flight level in m."""
+        return Vehicle(
+            radius=self.collision_radius,
+            height=self.collision_height,
+            lidar_position=self.lidar_position,
+            flight_level=flight_level,
+        )
 
     @property
     def centre_of_mass(self) -> Vector:
@@ -223,12 +219,6 @@ class Aerodynamics:
     def coefficients(self) -> np.ndarray:
         """``[2, 3]``: drag per squared velocity in N s²/m², and drag moment per squared rate in N m s²."""
         return self.air_density / 2 * np.array([self.force_coefficients, self.moment_coefficients])
-
-
-def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrices ``[N, 3, 3]``, body to world, of unit quaternions ``[N, 4]`` in the order x, y, z, w."""
-    products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
-    return (products @ _PRODUCTS).reshape(-1, 3, 3)
 
 
 def mixing_matrix(airframe: Airframe) -> np.ndarray:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from uavrl.envs.vehicle_params import VehicleParams
 from uavrl.errors import UavrlError
 
 Range = tuple[float, float]
@@ -111,47 +112,10 @@ class Randomization:
         return any(getattr(self, field.name) is not None for field in fields(self))
 
 
-@dataclass(frozen=True)
-class Plant:
-    """One vehicle as it is: the quantities of :class:`Randomization`, by default as the controller believes it to be.
-
-    ``wind`` is along world x and y; ``mount_axis`` and ``blind_azimuth`` are angles in rad about the z axis, from x to
-    the left. ``None`` leaves gusts, range noise and dropout to `Aerodynamics` and `LidarConfig`.
-    """
-
-    mass: float = 1.0
-    inertia: float = 1.0
-    thrust: float = 1.0
-    motor_time_constant: float = 1.0
-    drag: float = 1.0
-    wind: tuple[float, float] = (0.0, 0.0)
-    gust_intensity: float | None = None
-    action_delay: float = 0.0
-    scan_delay: float = 0.0
-    mount_yaw: float = 0.0
-    mount_tilt: float = 0.0
-    mount_axis: float = 0.0
-    range_noise: float | None = None
-    dropout: float | None = None
-    blind_sector: float = 0.0
-    blind_azimuth: float = 0.0
-    altitude_bias: float = 0.0
-    heading_bias: float = 0.0
-
-    @property
-    def mount(self) -> np.ndarray:
-        """The rotation ``[3, 3]`` from the LiDAR's axes to the body's: first the tilt, then the yaw."""
-        cos, sin = math.cos(self.mount_yaw), math.sin(self.mount_yaw)
-        axis = np.array([math.cos(self.mount_axis), math.sin(self.mount_axis), 0.0])
-        cross = np.cross(np.eye(3), axis)  # the matrix of v → axis x v
-        tilt = np.eye(3) + math.sin(self.mount_tilt) * cross + (1 - math.cos(self.mount_tilt)) * cross @ cross
-        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ tilt
-
-
 def require_flyable(randomization: Randomization, most_load: float) -> None:
     """Refuses ranges with vehicles that sink or rise whatever is commanded.
 
-    Where the mass is drawn, the heaviest are made lighter (:func:`draw_plant`): its lower end must do.
+    Where the mass is drawn, the heaviest are made lighter (:func:`draw_vehicle`): its lower end must do.
     """
     (lightest, _), (weakest, strongest) = randomization.mass or (1.0, 1.0), randomization.thrust or (1.0, 1.0)
     if lightest > most_load * weakest or lightest < LEAST_LOAD * strongest:
@@ -162,15 +126,15 @@ def require_flyable(randomization: Randomization, most_load: float) -> None:
         )
 
 
-def draw_plant(randomization: Randomization, rng: np.random.Generator, most_load: float = math.inf) -> Plant:
+def draw_vehicle(randomization: Randomization, rng: np.random.Generator, most_load: float = math.inf) -> VehicleParams:
     """Draws one vehicle. A quantity that is switched off leaves the draws of all others as they are.
 
     A mass of more than ``most_load`` times the thrust, both as factors, is lowered to that, so that every task can be
     flown (:func:`uavrl.envs.controller.most_load`). With 20 % of mass and 15 % of thrust it is one vehicle in twenty.
 
     Examples:
-        >>> plant = draw_plant(Randomization(mass=(0.8, 1.2)), np.random.default_rng(0))
-        >>> round(plant.mass, 3), plant.thrust
+        >>> drawn = draw_vehicle(Randomization(mass=(0.8, 1.2)), np.random.default_rng(0))
+        >>> round(drawn.mass, 3), drawn.thrust
         (1.055, 1.0)
     """
     shares = rng.random(len(_SHARES))
@@ -183,9 +147,11 @@ def draw_plant(randomization: Randomization, rng: np.random.Generator, most_load
     wind, tilt, blind = (2 * math.pi * float(shares[_SHARES[f"{name}_direction"]]) for name in _DIRECTIONS)
     speed = found.pop("wind", 0.0)
     along = (speed * math.cos(wind), speed * math.sin(wind))
-    return Plant(**found, wind=along, mount_axis=tilt, blind_azimuth=blind)
+    return VehicleParams(**found, wind=along, mount_axis=tilt, blind_azimuth=blind)
 
 
-def draw_plants(randomization: Randomization, seed: int, tasks: Iterable[int], most_load: float) -> list[Plant]:
+def draw_vehicles(
+    randomization: Randomization, seed: int, tasks: Iterable[int], most_load: float
+) -> list[VehicleParams]:
     """The vehicles of tasks: each depends on the seed and its task alone, by a stream beside that of start and goal."""
-    return [draw_plant(randomization, np.random.default_rng((seed, task, 1)), most_load) for task in tasks]
+    return [draw_vehicle(randomization, np.random.default_rng((seed, task, 1)), most_load) for task in tasks]

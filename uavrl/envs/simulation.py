@@ -10,9 +10,7 @@ import numpy as np
 from uavrl.envs.bullet import STATIC, Clearance, add_fixed, add_vehicle, connect, place_body, pybullet
 from uavrl.envs.controller import VelocityController, feasible_command
 from uavrl.envs.limits import OrMapping, settings
-from uavrl.envs.past import Past
 from uavrl.envs.plane_bodies import PlaneBodies
-from uavrl.envs.plants import Plants
 from uavrl.envs.quadrotor import (
     GRAVITY,
     Aerodynamics,
@@ -20,18 +18,20 @@ from uavrl.envs.quadrotor import (
     drag,
     gust_path,
     mixing_matrix,
-    rotation_from_quaternion,
 )
+from uavrl.envs.state_history import StateHistory
+from uavrl.envs.vehicle_params import FleetParams, VehicleParams
 from uavrl.errors import UavrlError
+from uavrl_onboard.geometry import quaternion, rotations_of
 from uavrl_onboard.mesh import Mesh
+from uavrl_onboard.vehicle import VEHICLE
 
 if TYPE_CHECKING:
     from uavrl.envs.lidar import Lidar
-    from uavrl.envs.randomization import Plant
 
-CONTROL_RATE = 10  # Hz
+CONTROL_RATE = round(VEHICLE.control_rate)  # Hz
 PHYSICS_RATE = 240  # Hz
-COMMAND_LIMIT = 2.0  # m/s and rad/s: Chansuparp (2022), Table 4.1
+LIMITS = np.array([VEHICLE.velocity_limit] * 3 + [VEHICLE.yaw_rate_limit])  # of commands
 TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz; 1 where it does not divide
 CONTACT_DISTANCE = 1e-3  # m: Bullet stops a body where it touches, within rounding, before it penetrates
 _IN_BULLET = ("_client", "_disconnect", "_statics", "_planes", "_vehicles", "_clearance", "_row")  # made by _build
@@ -67,7 +67,7 @@ class Simulation:
         lidar_position: ``[N, 3]``, the LiDAR's centre in m.
         rotor_speed: ``[N, 4]`` in rad/s.
         motors_on: Set it to False to stop all rotors at once.
-        plants: The vehicles as they are; the controller believes in ``airframe`` and ``aerodynamics``.
+        params: The vehicles as they are; the controller believes in ``airframe`` and ``aerodynamics``.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Simulation:
         self._control_rate = control_rate
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
         self.motors_on, self._rng = True, rng
-        self._past = Past(count, plane_count, self.substeps)
+        self._history = StateHistory(count, plane_count, self.substeps)
         self._prepare_model()
         self._contents = list(meshes), plane_mesh, plane_count
         self._build()
@@ -106,7 +106,7 @@ class Simulation:
         """Keeps what every physics step needs as arrays."""
         airframe, aerodynamics = self.airframe, self.aerodynamics
         self._controller = VelocityController(self.count, airframe, aerodynamics)
-        self.plants = Plants(self.count, airframe, aerodynamics, self._dt, self._tracking_period)
+        self.params = FleetParams(self.count, airframe, aerodynamics, self._dt, self._tracking_period)
         self._mixing = np.ascontiguousarray(airframe.thrust_coefficient * mixing_matrix(airframe).T)
         self._centre_of_mass = np.array(airframe.centre_of_mass)
         self._lidar_offset = np.array(airframe.lidar_position)
@@ -131,42 +131,42 @@ class Simulation:
         self._row = {body: row for row, body in enumerate(self._vehicles)}
 
     def reset(
-        self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray, plants: "Sequence[Plant] | None" = None
+        self, index: np.ndarray, positions: np.ndarray, yaws: np.ndarray, params: Sequence[VehicleParams] | None = None
     ) -> None:
         """Places vehicles ``int [M]`` at ``[M, 3]`` m with yaws ``[M]`` rad: level, at rest, hovering, without gusts.
 
-        They are as the M ``plants`` say; None leaves them as they were.
+        They are as the M ``params`` say; None leaves them as they were.
         """
-        if plants is not None:
-            self._rebuild(index, plants)
-        if self.plants.gusty and self._rng is None:
+        if params is not None:
+            self._rebuild(index, params)
+        if self.params.gusty and self._rng is None:
             raise ValueError("Gusts need a source of randomness: pass rng.")
         for row, centre, yaw in zip(index, positions + self._centre_of_mass, yaws, strict=True):
-            attitude = (0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
-            place_body(self._client, self._vehicles[row], centre, attitude)
-        self.rotor_speed[index] = self.plants.hover_speed[index]
+            w, *axis = quaternion(0.0, 0.0, yaw)
+            place_body(self._client, self._vehicles[row], centre, (*axis, w))
+        self.rotor_speed[index] = self.params.hover_speed[index]
         self._gust[index] = self._targets[:, index] = 0.0
-        self._controller.reset(index, self.plants.hover_force[index])
-        self._past.reset(index, self._read())
+        self._controller.reset(index, self.params.hover_force[index])
+        self._history.reset(index, self._read())
         self._publish()
         self._planes.bring(self.position)
 
-    def _rebuild(self, index: np.ndarray, plants: "Sequence[Plant]") -> None:
-        """Gives vehicles the masses of their plants, and keeps the rest."""
-        self.plants.put(index, plants)
+    def _rebuild(self, index: np.ndarray, params: Sequence[VehicleParams]) -> None:
+        """Gives vehicles the masses of their params, and keeps the rest."""
+        self.params.put(index, params)
         self._weigh(index)
 
     def _weigh(self, index: np.ndarray) -> None:
-        """Gives bodies the masses of their plants."""
+        """Gives bodies the masses of their params."""
         for row in index:
-            mass, inertia = float(self.plants.mass[row]), self.plants.inertia[row].tolist()
+            mass, inertia = float(self.params.mass[row]), self.params.inertia[row].tolist()
             changed = {"mass": mass, "localInertiaDiagonal": inertia, "physicsClientId": self._client}
             pybullet.changeDynamics(self._vehicles[row], -1, **changed)
 
     def place_planes(self, poses: np.ndarray) -> None:
         """Puts the planes at ``poses [K, 4]``: x, y, z in m and yaw in rad."""
         self._planes.place(self._checked_poses(poses, (len(self._planes.bodies), 4)), self.position)
-        self._past.place_planes(poses)
+        self._history.place_planes(poses)
 
     def step(
         self, commands: np.ndarray, plane_path: np.ndarray | None = None, substeps: int | None = None
@@ -186,7 +186,7 @@ class Simulation:
             self._planes.bring(self.position)
         else:
             self._planes.begin(self._checked_poses(plane_path, shape), self.position)
-        self._past.begin(substeps, plane_path)
+        self._history.begin(substeps, plane_path)
         wind = self._draw_wind(substeps)
         touched, period = np.zeros(self.count, dtype=bool), self._tracking_period * self._dt
         for substep in range(substeps):
@@ -198,7 +198,7 @@ class Simulation:
                 self._controller.track(self._delayed(target), self.rotation, velocity, self._twist, lift, period)
             self._push(None if wind is None else wind[substep])
             pybullet.stepSimulation(physicsClientId=self._client)
-            self._past.add(self._read())
+            self._history.add(self._read())
             for contact in pybullet.getContactPoints(physicsClientId=self._client):
                 if contact[8] <= CONTACT_DISTANCE:
                     touched[[self._row[body] for body in contact[1:3] if body in self._row]] = True
@@ -214,7 +214,7 @@ class Simulation:
 
     def _delayed(self, target: np.ndarray) -> np.ndarray:
         """The commands ``[N, 4]`` that act when ``target [N, 4]`` has just been given, each as late as its vehicle."""
-        delay = self.plants.action_delay[:, 0] // self._tracking_period
+        delay = self.params.action_delay[:, 0] // self._tracking_period
         if not delay.any():
             return target
         self._targets = np.concatenate([self._targets[1:], target[None]])
@@ -226,7 +226,7 @@ class Simulation:
             raise ValueError(f"Commands must have the shape ({self.count}, 4), got {commands.shape}.")
         if np.isnan(commands).any():
             raise UavrlError("Actions must be numbers, got NaN: check the policy, whose training may have diverged.")
-        return np.clip(commands, -COMMAND_LIMIT, COMMAND_LIMIT)
+        return np.clip(commands, -LIMITS, LIMITS)
 
     @staticmethod
     def _checked_poses(poses: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -247,7 +247,7 @@ class Simulation:
         state = np.array(entries).reshape(-1, 13)
         self._centre = state[:, :3]
         self._twist_world = state[:, 7:].reshape(-1, 2, 3)
-        self.rotation = rotation_from_quaternion(state[:, 3:7])
+        self.rotation = rotations_of(state[:, 3:7])
         self._twist = np.matmul(self._twist_world, self.rotation)  # rows times R = Rᵀ times columns: body axes
         return state
 
@@ -255,17 +255,17 @@ class Simulation:
         """Runs the inner loop and the rotors, and applies thrust, drag and moments at the centres of mass."""
         if self.motors_on:
             wanted = np.sqrt(self._controller.thrusts(self.rotation, self._twist) / self.airframe.thrust_coefficient)
-            self.rotor_speed += self.plants.motor_gain * (wanted - self.rotor_speed)
+            self.rotor_speed += self.params.motor_gain * (wanted - self.rotor_speed)
         else:
             self.rotor_speed[:] = 0.0
         wrench = (self.rotor_speed * self.rotor_speed) @ self._mixing
-        if self.plants.thrust is not None:
-            wrench *= self.plants.thrust
+        if self.params.thrust is not None:
+            wrench *= self.params.thrust
         twist = self._twist  # relative to the air, and rates
         if wind is not None:
             twist = twist.copy()
             twist[:, 0] -= np.matmul(wind[:, None], self.rotation)[:, 0]
-        loads = drag(twist, self.plants.drag, self.plants.drag_limit)
+        loads = drag(twist, self.params.drag, self.params.drag_limit)
         loads[:, 0, 2] += wrench[:, 0]
         loads[:, 1] += wrench[:, 1:]
         # Both in world axes and at the centre of mass, where PyBullet's frames leave no doubt.
@@ -277,14 +277,14 @@ class Simulation:
 
     def _draw_wind(self, substeps: int) -> np.ndarray | None:
         """Draws the wind ``[T, N, 3]`` in m/s, world axes, of T physics steps; None in still air."""
-        plants, gusts = self.plants, self._gust[None]
-        if plants.still_air:
+        params, gusts = self.params, self._gust[None]
+        if params.still_air:
             return None
-        if plants.gusty and self._rng is not None:
-            intensity, time_constant = plants.gust_intensity, self.aerodynamics.gust_time_constant
+        if params.gusty and self._rng is not None:
+            intensity, time_constant = params.gust_intensity, self.aerodynamics.gust_time_constant
             gusts = gust_path(self._gust, intensity, time_constant, self._dt, substeps, self._rng)
             self._gust = gusts[-1]
-        return np.broadcast_to(plants.wind + gusts, (substeps, self.count, 3))
+        return np.broadcast_to(params.wind + gusts, (substeps, self.count, 3))
 
     def _publish(self) -> None:
         """Turns the last state into the public quantities."""
@@ -311,24 +311,24 @@ class Simulation:
         """
         position, rotation, velocity = self.lidar_position[index], self.rotation[index], self.velocity[index]
         spin = (rotation @ self.angular_velocity[index][:, :, None])[:, :, 0]
-        delay = self._past.since_reset(self.plants.scan_delay[index], index)
+        delay = self._history.since_reset(self.params.scan_delay[index], index)
         if delay.any():
-            position, rotation, velocity, spin = self._at_lidar(self._past.states(delay, index))
-            planes = None if planes is None else self._past.planes(delay)
+            position, rotation, velocity, spin = self._at_lidar(self._history.states(delay, index))
+            planes = None if planes is None else self._history.planes(delay)
         if lidar.config.motion_distortion and rays is None:  # the scan is the spin that ends now
             from scipy.spatial.transform import Rotation  # here, so that it is PyBullet that is missed first
 
             position = position - velocity / self._control_rate
             rotation = Rotation.from_rotvec(-spin / self._control_rate).as_matrix() @ rotation
-        if self.plants.mount is not None:
-            rotation = rotation @ self.plants.mount[index]
-        flaws = [self.plants.each[row] for row in index] if self.plants.flawed else None
+        if self.params.mount is not None:
+            rotation = rotation @ self.params.mount[index]
+        flaws = [self.params.each[row] for row in index] if self.params.flawed else None
         motion = {"velocities": velocity, "angular_velocities": spin}
         return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws, rays=rays)
 
     def _at_lidar(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where LiDARs are in states ``[M, 13]``, how they stand and move: as :meth:`_publish` says it of now."""
-        rotation, linear, angular = rotation_from_quaternion(state[:, 3:7]), state[:, 7:10], state[:, 10:]
+        rotation, linear, angular = rotations_of(state[:, 3:7]), state[:, 7:10], state[:, 10:]
         arm = rotation @ self._centre_of_mass
         position = state[:, :3] - arm + rotation @ self._lidar_offset
         return position, rotation, linear - np.cross(angular, arm), angular
@@ -356,7 +356,7 @@ class Simulation:
         self._build()
         everyone = np.arange(self.count)
         self._weigh(everyone)
-        for body, moving in zip(self._vehicles, self._past.states(np.zeros_like(everyone), everyone), strict=True):
+        for body, moving in zip(self._vehicles, self._history.states(np.zeros_like(everyone), everyone), strict=True):
             place_body(self._client, body, moving[:3], moving[3:7], moving[7:10], moving[10:])
         self._read()
         self._planes.place(plane_poses, self.position)

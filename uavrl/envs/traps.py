@@ -4,13 +4,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from uavrl.envs.obstacles import TALL, Obstacle
 from uavrl.envs.tasks import CELL, JITTER, FlightMap
 from uavrl.envs.terrain import FLOOR_AMPLITUDE, WALL_WIDTH
 from uavrl.errors import UavrlError
+from uavrl_onboard.geometry import yaw_rotation
+from uavrl_onboard.guards.map.grid import Slices, grid_graph
 from uavrl_onboard.mesh import Mesh
 
 THICKNESS = (0.3, 0.5)  # m, of a wall
@@ -49,7 +51,7 @@ class Trap:
 
     def moved(self, yaw: float, offset: np.ndarray) -> "Trap":
         """It, turned by ``yaw`` rad about the origin and then moved by ``offset [2]`` m."""
-        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        turn = yaw_rotation(-yaw)[:2, :2]  # of rows
         lines = (self.walls @ turn + offset, self.closed @ turn + offset)
         return Trap(self.kind, *lines, self.inwards @ turn, self.inside @ turn + offset, self.room, self.thickness)
 
@@ -238,21 +240,17 @@ def trapped(
     return found
 
 
-def ways_at(flight: FlightMap, level: float, radius: float) -> tuple[coo_array, np.ndarray]:
+def ways_at(flight: FlightMap, level: float, radius: float) -> tuple[csr_array, np.ndarray]:
     """The ways at flight level between points of the map, and the nodes of its candidates."""
     space = flight.space
     at = int(np.abs(space.z - level).argmin())
     allowed, clearance = flight.corridor[:, :, at], space.clearance[:, :, at]
-    index = np.arange(allowed.size).reshape(allowed.shape)
-    ends, lengths = [], []
-    for i, j in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        here = (slice(None, -i or None), slice(max(-j, 0), -j if j > 0 else None))
-        there = (slice(i, None), slice(max(j, 0), j if j < 0 else None))
-        length = CELL * np.hypot(i, j)
+
+    def weighed(here: Slices, there: Slices, apart: float) -> tuple[np.ndarray, np.ndarray]:
+        length = CELL * apart
         fits = allowed[here] & allowed[there] & (clearance[here] + clearance[there] >= 2 * radius + length)
-        ends.append(np.stack([index[here][fits], index[there][fits]]))
-        lengths.append(np.full(fits.sum(), length))
-    first, second = np.concatenate(ends, axis=1)
-    graph = coo_array((np.concatenate(lengths), (first, second)), (allowed.size, allowed.size))
+        return fits, np.full(fits.shape, length)
+
+    graph, index = grid_graph(allowed.shape, weighed)
     cell = np.rint((flight.candidates - (space.x[0], space.y[0])) / CELL).astype(int)
     return (graph + graph.T).tocsr(), index[cell[:, 0], cell[:, 1]]

@@ -17,6 +17,7 @@ from uavrl.errors import UavrlError
 from uavrl.runs.machine import processors
 from uavrl_onboard.mesh import MOST_FACES, Mesh
 from uavrl_onboard.pluralize import counted
+from uavrl_onboard.vehicle import VEHICLE
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 LANES = 12  # ways of planes through a valley
@@ -72,12 +73,12 @@ class WorldConfig:
     obstacles: tuple[int, ...] | int = 45
     obstacle_scale: float = 1.0
     traps: int = 0
-    flight_level: float = 3.5
+    flight_level: float = VEHICLE.flight_level
     ceiling: float = 5.0
     goal_radius: float = 1.0
     min_goal_distance: float = 10.0
     min_clearance: float = 1.5
-    uav_radius: float = 0.35
+    uav_radius: float = VEHICLE.radius
     planes: int = 0
     plane_speed: tuple[float, float] = (3.0, 4.0)
     plane_wingspan: float = 1.2

@@ -15,9 +15,10 @@ from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import Airframe
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl.transforms.waypoint import heading_to_waypoint
+from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.shield import Shield
-from uavrl_onboard.perception.motion.threats import to_yaw
+from uavrl_onboard.vehicle import VEHICLE
 
 SCAN = ("point_cloud", "attitude", "velocity")  # what evasion and shield read
 EPISODE = ("altitude", "is_init")  # what evasion reads besides
@@ -63,13 +64,13 @@ class GuardedPolicy(TensorDictModuleBase):
         led: bool = False,
         evade: Annotated[float, Field(gt=0, le=100)] | None = None,
         shield: Shield | None = None,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__()
         self.policy: Any = policy
         self.led, self.evade, self.shield = led, evade, shield
-        self.flight_level, self.airframe = flight_level, settings("airframe", Airframe, airframe)
+        self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level)
         filters = evade is not None or shield is not None
         self.reads = (*SCAN * filters, *EPISODE * (evade is not None))
         led_by = ["waypoint_deg"] * led
@@ -106,17 +107,16 @@ class GuardedPolicy(TensorDictModuleBase):
     def _evaded(self, asked: np.ndarray, max_range: float, seen: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return the velocities ``[N, 3]`` that avoid moving objects."""
         if self._evasion is None or self._evasion.vehicles != len(asked):
-            hull, sensor = self.airframe.hull, self.airframe.lidar_position[2]
-            self._evasion = Evasion(len(asked), max_range, hull=hull, sensor=sensor)
+            self._evasion = Evasion(len(asked), max_range, vehicle=self.vehicle)
         self._evasion.reset(seen["is_init"][:, 0])
-        heights = seen["altitude"][:, 0] - self.flight_level
+        heights = seen["altitude"][:, 0] - self.vehicle.flight_level
         evaded = self._evasion(asked, seen["point_cloud"], seen["velocity"], seen["attitude"], heights)
         return evaded.astype(np.float32)
 
 
 def _shielded(asked: np.ndarray, shield: Shield, seen: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the velocities ``[N, 3]`` that the shield allows."""
-    own = to_yaw(seen["velocity"], seen["attitude"][:, 2])
+    own = world_to_yaw(seen["velocity"], seen["attitude"][:, 2])
     rows = zip(asked, seen["point_cloud"], seen["attitude"], own, strict=True)
     allowed = [shield(wanted, cloud, tuple(angles[:2]), velocity) for wanted, cloud, angles, velocity in rows]
     return np.array(allowed).reshape(-1, 3)

@@ -133,9 +133,8 @@ def _shield(chosen: PolicySetup) -> Any:
     from uavrl.envs.quadrotor import Airframe
     from uavrl_onboard.guards.shield import Shield
 
-    hull = chosen.env.get("airframe") or Airframe()
-    sizes = {"radius": hull.collision_radius, "height": hull.collision_height, "sensor": hull.lidar_position[2]}
-    return Shield(**sizes, nearest=getattr(chosen.perception.get("lidar"), "min_range", 0.0))
+    vehicle = (chosen.env.get("airframe") or Airframe()).vehicle(chosen.env["world"].flight_level)
+    return Shield(nearest=getattr(chosen.perception.get("lidar"), "min_range", 0.0), vehicle=vehicle)
 
 
 def _as_contracted(policy: Any, settings: FlyingConfig, config: DictConfig, overrides: list[str]) -> FlyingConfig:

@@ -20,6 +20,7 @@ from uavrl.evaluation.rollout import FlightMeter, Policy, rollout
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms import PointCloudReduction
 from uavrl.transforms.rewards import terms_of
+from uavrl_onboard.geometry import is_return, yaw_rotation
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.motion import OBJECT
 
@@ -132,7 +133,7 @@ def _moment(
         "cells": state[reduction.out_keys[0]][0].numpy().copy(),
         "attitude": Rotation.from_matrix(base.simulation.rotation[0]).as_quat(),
         "planes": base.plane_poses()[valley * planes : (valley + 1) * planes],
-        "points": thinned(cloud[np.isfinite(cloud).all(-1)], max_points),
+        "points": thinned(cloud[is_return(cloud)], max_points),
         "objects": to_world(seen, base.simulation.lidar_position[0], yaw),
         "bearing": yaw + np.deg2rad(state["waypoint_deg"].item()) if led else None,
     }
@@ -145,7 +146,7 @@ def to_world(objects: np.ndarray, sensor: np.ndarray, yaw: float) -> np.ndarray:
         >>> to_world(np.array([[2.0, 0, 0, 0, 3, 0, 1]]), np.array([5.0, 5, 3]), np.pi / 2).round(6).tolist()
         [[5.0, 7.0, 3.0, -3.0, 0.0, 0.0, 1.0]]
     """
-    turn = Rotation.from_euler("z", yaw).as_matrix().T
+    turn = yaw_rotation(yaw).T
     return np.concatenate([objects[:, :3] @ turn + sensor, objects[:, 3:6] @ turn, objects[:, 6:]], 1)
 
 

@@ -10,9 +10,11 @@ from torch import Tensor
 from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import GAIN, LEAN, PERIOD, Planner, Surroundings
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import hull_distances, off_altitudes
 from uavrl_onboard.perception.motion.threats import GREATEST, threat
 from uavrl_onboard.ranges import Positive, Seed
+from uavrl_onboard.vehicle import VEHICLE
 
 STEPS, EVERY = 20, 2  # of 0.1 s that are looked ahead, and which of them obstacles are looked for in
 KNOTS = 5  # times between which the noise of a sample is interpolated: commands change gradually
@@ -127,7 +129,7 @@ class MPPI(Planner):
 
     def __init__(
         self,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 2.0,
@@ -175,9 +177,10 @@ class MPPI(Planner):
     def _cost(self, places: Tensor, seen: Surroundings) -> Tensor:
         """What paths ``[N, K, T, 3]`` cost, ``[N, K]``."""
         costs, goal = self.costs, seen.goal[:, None]
-        off = seen.altitude[..., None] + places[..., 2] - self.flight_level
+        off = seen.altitude[..., None] + places[..., 2] - self.vehicle.flight_level
         looked = zip(seen.points, places[:, :, EVERY - 1 :: EVERY], strict=True)
-        distances = [hull_distances(points, path, costs.near, self.hull) for points, path in looked]
+        hull = self.vehicle.hull
+        distances = [call_numpy(hull_distances, points, path, costs.near, hull) for points, path in looked]
         beside = torch.stack(distances)  # [N, K, T / 2]
         nearness = ((costs.far - beside) / (costs.far - costs.near)).clamp(0, 1).amax(-1)
         gained = (places[:, :, -1] * goal).sum(-1)  # m
@@ -188,12 +191,12 @@ class MPPI(Planner):
             - costs.goal * gained
             + costs.across * (places[:, :, -1] - gained[..., None] * goal)[..., :2].norm(dim=-1)
             + costs.level * off.abs().mean(-1)
-            + costs.outside * off_altitudes(off).amax(-1)
+            + costs.outside * call_numpy(off_altitudes, off, self.vehicle).amax(-1)
         )
 
     def _met(self, places: Tensor, seen: Surroundings) -> Tensor | float:
         """How near and how soon paths ``[N, K, T, 3]`` come to what moves, ``[N, K]`` from 0 to 1."""
         if not seen.known.any():
             return 0.0
-        threats = threat(places[:, :, None] - seen.ways[:, None]) * seen.known[:, None]  # [N, K, bodies]
+        threats = call_numpy(threat, places[:, :, None] - seen.ways[:, None]) * seen.known[:, None]  # [N, K, bodies]
         return threats.amax(-1) / GREATEST

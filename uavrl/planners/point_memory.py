@@ -10,16 +10,17 @@ from torch import Tensor
 
 from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import GRAVITY, Airframe
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.state import ACTION_LIMIT
-from uavrl_onboard.geometry import body_to_level, body_to_world
+from uavrl_onboard.geometry import NEAREST_RETURN, body_to_level, body_to_world, world_to_yaw
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.histogram import polar_histogram
-from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE
-from uavrl_onboard.perception.cells import LASERS, NEAREST_RETURN
+from uavrl_onboard.perception.cells import LASERS
 from uavrl_onboard.perception.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
-from uavrl_onboard.perception.motion.threats import STEPS, straight_on, to_yaw
+from uavrl_onboard.perception.motion.threats import STEPS, straight_on
+from uavrl_onboard.vehicle import VEHICLE
 
-PERIOD = 0.1  # s between two scans
+PERIOD = VEHICLE.period  # s between two scans
 THINNED = 4  # of the scan's firing cycles, 0.2 degrees apart, one of so many is read
 MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to forget it
 TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt
@@ -59,7 +60,7 @@ class ScanMemory:
     """
 
     def __init__(
-        self, sight: float = 4.0, seconds: float = 10.0, cube: float = 0.15, above: float = LIDAR_ABOVE
+        self, sight: float = 4.0, seconds: float = 10.0, cube: float = 0.15, above: float = VEHICLE.lidar_above
     ) -> None:
         self.sight, self.seconds, self.cube, self.above = sight, seconds, cube, above
         wide = int(np.ceil(2.2 * sight / cube))
@@ -178,10 +179,8 @@ class Planner(TensorDictModuleBase):
         self.in_keys += ["moving_objects"] if motion is not None else []
         self.motion = motion
         self.out_keys = ["action"]
-        vehicle = settings("airframe", Airframe, airframe)
-        self.hull = vehicle.hull
-        self.flight_level = flight_level
-        self.memory = ScanMemory(sight, seconds, above=vehicle.lidar_position[2])
+        self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level)
+        self.memory = ScanMemory(sight, seconds, above=self.vehicle.lidar_above)
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
         """The velocities to fly at, ``[N, 3]`` m/s, and the yaw rates ``[N, 1]`` in rad/s."""
@@ -189,8 +188,9 @@ class Planner(TensorDictModuleBase):
 
     def evade(self, velocity: Tensor, seen: Surroundings) -> Tensor:
         """The velocities ``[N, 3]`` in place of planned ones that lead into the way of what moves."""
-        height = seen.altitude - self.flight_level
-        return evaded(velocity, seen.velocity, seen.ways, seen.known, seen.points, height, self.hull)
+        height = seen.altitude - self.vehicle.flight_level
+        told = (seen.velocity, seen.ways, seen.known, seen.points, height, self.vehicle)
+        return torch.as_tensor(call_numpy(evaded, velocity, *told))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action``, each component within its limits, and remembers the scan."""
@@ -207,9 +207,9 @@ class Planner(TensorDictModuleBase):
         turns = tensordict["point_cloud"].unflatten(1, (-1, LASERS))
         self.memory.look(turns[:, ::THINNED].flatten(1, 2).numpy(), *told)
         points, owners = self.memory.recall()
-        level = to_yaw(torch.from_numpy(points).float(), yaw[torch.from_numpy(owners)]).numpy()
+        level = world_to_yaw(points.astype(np.float32), yaw.numpy()[owners])
         heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
-        flown, tilted = to_yaw(velocity, yaw), tilt_acceleration(attitude)
+        flown, tilted = call_numpy(world_to_yaw, velocity, yaw), tilt_acceleration(attitude)
         return Surroundings(
             [torch.from_numpy(each) for each in polar_histogram(level, owners, len(yaw))],
             flown,
@@ -230,7 +230,7 @@ class Planner(TensorDictModuleBase):
         if self.motion is None:
             count = len(tensordict["is_init"])
             return torch.zeros(count, 0, STEPS, 3, dtype=torch.float32), torch.zeros(count, 0, dtype=torch.bool)
-        ways, known = straight_on(tensordict["moving_objects"])  # from the LiDAR
+        ways, known = call_numpy(straight_on, tensordict["moving_objects"])  # from the LiDAR
         tilts = body_to_level(tensordict["attitude"].double().numpy())
         sensor = self.memory.above * torch.from_numpy(tilts[:, :, 2]).to(ways)
         return ways + sensor[:, None, None], known

@@ -11,8 +11,8 @@ from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
-from uavrl_onboard.geometry import HULL
 from uavrl_onboard.ranges import Positive
+from uavrl_onboard.vehicle import VEHICLE
 
 SECTORS = 12  # around the vehicle; in each the nearest point pushes
 
@@ -31,7 +31,7 @@ class FieldWeights:
     level: float = 0.4  #: 1/s, vertical speed for each metre off the flight level
 
 
-def repulsion(points: Tensor, reach: float, radius: float = HULL[0]) -> Tensor:
+def repulsion(points: Tensor, reach: float, radius: float = VEHICLE.radius) -> Tensor:
     """The push ``[3]`` of the obstacles around one vehicle for eta = 1.
 
     Source: Khatib (1986), Real-time obstacle avoidance for manipulators and mobile robots, FIRAS: each pushes by
@@ -82,7 +82,7 @@ class PotentialField(Planner):
 
     def __init__(
         self,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 0.5,
@@ -97,8 +97,8 @@ class PotentialField(Planner):
         """The sums of pull and push, and yaw rates to the goal."""
         costs = self.costs
         around = zip(seen.points, seen.carried, strict=True)
-        push = torch.stack([repulsion(points - place, costs.reach, self.hull[0]) for points, place in around])
+        push = torch.stack([repulsion(points - place, costs.reach, self.vehicle.radius) for points, place in around])
         velocity = costs.attraction * seen.goal + costs.repulsion * push
-        velocity[:, 2:] += costs.level * (self.flight_level - seen.altitude)
+        velocity[:, 2:] += costs.level * (self.vehicle.flight_level - seen.altitude)
         fastest = velocity.norm(dim=-1, keepdim=True).clamp_min(ACTION_LIMIT) / ACTION_LIMIT
         return velocity / fastest, seen.turn

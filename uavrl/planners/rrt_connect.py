@@ -16,9 +16,10 @@ from uavrl.planners.mppi import limited
 from uavrl.planners.ompl_search import APART, filled, length, load_ompl, pushed_out, search
 from uavrl.planners.point_memory import PERIOD, Planner, Surroundings
 from uavrl.transforms.state import ACTION_LIMIT
-from uavrl_onboard.geometry import HIGHEST, LOWEST, stretch
+from uavrl_onboard.geometry import heading_vector, stretch, world_to_yaw, yaw_to_world
 from uavrl_onboard.guards.map.lines import Obstacles, clearances
 from uavrl_onboard.ranges import Positive, Seed
+from uavrl_onboard.vehicle import VEHICLE
 
 EVERY = round(0.5 / PERIOD)  # steps between two plans: 2 Hz
 TURNS = np.deg2rad([0] + [side * turn for turn in range(15, 181, 15) for side in (1, -1)])  # from the goal's direction
@@ -101,7 +102,7 @@ class RRTConnect(Planner):
 
     def __init__(
         self,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 10.0,
@@ -115,7 +116,7 @@ class RRTConnect(Planner):
         load_ompl()
         self.tries, self.seed = tries, seed
         self.costs = RRTConnectWeights() if costs is None else costs
-        self._stretch = stretch(self.costs.near, self.hull).astype(float)
+        self._stretch = stretch(self.costs.near, self.vehicle.hull).astype(float)
         self._pilots: list[Pilot] = []
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
@@ -134,12 +135,12 @@ class RRTConnect(Planner):
         """The velocity of one vehicle, ``[3]`` m/s; all places are stretched, in level axes of its yaw."""
         costs = self.costs
         carried = seen.carried[one].double().numpy()
-        off = float(seen.altitude[one]) - self.flight_level
+        off = float(seen.altitude[one]) - self.vehicle.flight_level
         start = costs.lead * carried * self._stretch
         points = seen.cloud[one].double().numpy()
-        points = points[np.abs(points[:, 2]) < max(SPAN, abs(off)) + self.hull[0]] * self._stretch
-        begin = pushed_out(points, start, self.hull[0] + costs.near)
-        obstacles = Obstacles(points, begin, self.hull[0] + costs.near)
+        points = points[np.abs(points[:, 2]) < max(SPAN, abs(off)) + self.vehicle.radius] * self._stretch
+        begin = pushed_out(points, start, self.vehicle.radius + costs.near)
+        obstacles = Obstacles(points, begin, self.vehicle.radius + costs.near)
         left = None if pilot.path is None else self._left(pilot.path, one, seen)
         goal, far = self.aim(one, seen, pilot.age % EVERY == 0)
         if pilot.age % EVERY == 0:
@@ -159,18 +160,14 @@ class RRTConnect(Planner):
     def _left(self, path: np.ndarray, one: int, seen: Surroundings) -> np.ndarray:
         """What is left of a path: ``[K, 3]`` m, stretched, in axes of the yaw."""
         yaw, place = float(seen.yaw[one]), seen.place[one].double().numpy()
-        apart = path - place
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        ahead = np.stack([cos * apart[:, 0] + sin * apart[:, 1], cos * apart[:, 1] - sin * apart[:, 0], apart[:, 2]], 1)
-        ahead = ahead * self._stretch
+        ahead = world_to_yaw(path - place, yaw) * self._stretch
         start = self.costs.lead * seen.carried[one].double().numpy() * self._stretch
         return ahead[int(((ahead - start) ** 2).sum(1).argmin()) :]
 
     def _kept(self, path: np.ndarray, one: int, seen: Surroundings) -> np.ndarray:
         """A path as it is remembered: the reverse of the above."""
         yaw, place = float(seen.yaw[one]), seen.place[one].double().numpy()
-        x, y, z = (path / self._stretch).T
-        return place + np.stack([np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y, z], 1)
+        return place + yaw_to_world(path / self._stretch, yaw)
 
     def _open(self, obstacles: Obstacles, path: np.ndarray) -> bool:
         """Whether nothing has come onto a path."""
@@ -183,8 +180,7 @@ class RRTConnect(Planner):
         heading = np.arctan2(goal[1], goal[0])
         turns = TURNS if left is None or goal[0] * left[-1, 1] - goal[1] * left[-1, 0] >= 0 else -TURNS
         height = -off * self._stretch[2] * np.ones(len(turns))
-        level = far * np.stack([np.cos(heading + turns), np.sin(heading + turns)])
-        ends = np.stack([*level, height], 1)
+        ends = np.column_stack([far * heading_vector(heading + turns), height])
         free = obstacles.free(ends, ends)
         return ends[free.argmax()] if free.any() else None
 
@@ -207,7 +203,7 @@ class RRTConnect(Planner):
         if obstacles.free(straight[:1], straight[1:])[0]:
             return filled(straight)
         wide, level = self.costs.ahead + 0.5, self._stretch[2]
-        low, high = max(LOWEST - off, -SPAN) * level, min(HIGHEST - off, SPAN) * level
+        low, high = max(self.vehicle.lowest - off, -SPAN) * level, min(self.vehicle.highest - off, SPAN) * level
         box = np.array([[-wide, -wide, min(low, start[2], target[2])], [wide, wide, max(high, start[2], target[2])]])
         found = search(obstacles, start, target, box, self.costs.stride, self.tries, self.seed + age // EVERY + 1)
         if left is not None:
@@ -225,7 +221,7 @@ class RRTConnect(Planner):
         near = left[: round(costs.carrot / APART) + 1]
         free = obstacles.free(np.broadcast_to(start, near.shape), near)
         carrot = near[int(free.nonzero()[0].max(initial=min(2, len(near) - 1)))]
-        beside = clearances(obstacles.points, start[None], carrot[None]).min(initial=np.inf) - self.hull[0]
+        beside = clearances(obstacles.points, start[None], carrot[None]).min(initial=np.inf) - self.vehicle.radius
         wide = float(np.clip((beside - costs.near / 2) / (costs.far - costs.near / 2), 0, 1))
         way = (carrot - start) / self._stretch
         return (costs.slow + (ACTION_LIMIT - costs.slow) * wide) * way / max(float(np.linalg.norm(way)), 0.1)
@@ -246,6 +242,6 @@ class RRTConnect(Planner):
         away = away / max(float(np.linalg.norm(away)), 1e-6)
         along = np.array([-away[1], away[0], 0.0])
         side = side or (1.0 if along @ goal >= 0 else -1.0)
-        off = distances[nearest] - self.hull[0] - costs.distance
+        off = distances[nearest] - self.vehicle.radius - costs.distance
         back = -float(np.clip(costs.gain * off, -costs.reflex, costs.reflex))
         return back * away + side * np.sqrt(costs.reflex**2 - back**2) * along, side

@@ -11,10 +11,12 @@ from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Surroundings
 from uavrl.planners.rrt_connect import RRTConnect, RRTConnectWeights
+from uavrl_onboard.geometry import yaw_rotation
 from uavrl_onboard.guards.map import EpisodeMap, GoalFinder
 from uavrl_onboard.guards.map.navigator import LEVEL
 from uavrl_onboard.guards.map.route import waypoint
 from uavrl_onboard.ranges import Positive, Seed
+from uavrl_onboard.vehicle import VEHICLE
 
 
 class RRTMap(RRTConnect):
@@ -59,7 +61,7 @@ class RRTMap(RRTConnect):
 
     def __init__(
         self,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 10.0,
@@ -89,18 +91,18 @@ class RRTMap(RRTConnect):
     def aim(self, one: int, seen: Surroundings, plans: bool) -> tuple[np.ndarray, float]:
         """The direction of a point of the route, and how far it is: at most as far as is planned."""
         if len(self._maps) != len(seen.fresh):
-            self._maps = [EpisodeMap(self.cell, self.reach, self.hull[0]) for _ in seen.fresh]
+            self._maps = [EpisodeMap(self.cell, self.reach, self.vehicle.radius) for _ in seen.fresh]
             self._goals = [GoalFinder(self.reach) for _ in seen.fresh]
             self._routes = [None for _ in seen.fresh]
         if seen.fresh[one, 0]:
-            self._maps[one], self._routes[one] = EpisodeMap(self.cell, self.reach, self.hull[0]), None
+            self._maps[one], self._routes[one] = EpisodeMap(self.cell, self.reach, self.vehicle.radius), None
             self._goals[one] = GoalFinder(self.reach)
         yaw, place = float(seen.yaw[one]), seen.place[one].double().numpy()[:2]
-        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        turn = yaw_rotation(yaw)[:2, :2]
         goal, points = seen.goal[one].double().numpy(), np.zeros((0, 2))
         if plans:
             cloud = seen.cloud[one].double().numpy()
-            points = cloud[np.abs(cloud[:, 2] + float(seen.altitude[one]) - self.flight_level) < LEVEL, :2]
+            points = cloud[np.abs(cloud[:, 2] + float(seen.altitude[one]) - self.vehicle.flight_level) < LEVEL, :2]
             points = points @ turn.T + place
         known, there = self._maps[one], self._goals[one].look(place, turn @ goal[:2])
         known.look(points, place)
@@ -109,7 +111,7 @@ class RRTMap(RRTConnect):
         way = self._routes[one]
         if way is None:
             return goal, self.costs.ahead
-        point, straight = waypoint(way, place, known.middles(), self.costs.ahead, self.hull[0])
+        point, straight = waypoint(way, place, known.middles(), self.costs.ahead, self.vehicle.radius)
         apart = np.append((way[point] - place) @ turn, 0.0)
         far = float(np.linalg.norm(apart))
         return apart / max(far, 1e-6), self.costs.ahead if straight else far

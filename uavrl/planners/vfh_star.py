@@ -11,11 +11,13 @@ from torch import Tensor
 from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Planner, Surroundings
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.state import ACTION_LIMIT
-from uavrl_onboard.geometry import HULL, Hull, off_altitudes, stretch
+from uavrl_onboard.geometry import off_altitudes, stretch
 from uavrl_onboard.perception.cells import grid_directions
 from uavrl_onboard.perception.motion.threats import LAG
 from uavrl_onboard.ranges import Positive
+from uavrl_onboard.vehicle import VEHICLE, Hull
 
 ELEVATIONS = (-0.5, 0.0, 0.5)  # rad, of the directions
 AZIMUTHS, AZIMUTHS_BEYOND = 24, 12  # of the first directions, and of those from a node
@@ -55,7 +57,9 @@ class Lines(NamedTuple):
     free: Tensor  #: m until the hull comes within half the distance to keep of something, at most the reach
 
 
-def look_along(points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights, hull: Hull = HULL) -> Lines:
+def look_along(
+    points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights, hull: Hull = VEHICLE.hull
+) -> Lines:
     """What the hull of one vehicle would meet on straight lines, each obstacle enlarged by the hull and a distance.
 
     Source: Ulrich and Borenstein (1998), VFH+: an obstacle at distance d fills all directions within
@@ -122,7 +126,7 @@ class VFHStar(Planner):
 
     def __init__(
         self,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         *,
         seconds: Positive = 10.0,
@@ -155,7 +159,9 @@ class VFHStar(Planner):
 
     def _look(self, points: list[Tensor], starts: Tensor, directions: Tensor) -> Lines:
         """What lies on lines from ``starts [N, S, D, 3]``: ``[N * S, D]``, vehicle by vehicle, which a cache holds."""
-        each = [look_along(*pair, directions, self.costs, self.hull) for pair in zip(points, starts, strict=True)]
+        each = [
+            look_along(*pair, directions, self.costs, self.vehicle.hull) for pair in zip(points, starts, strict=True)
+        ]
         return Lines(*(torch.cat(told) for told in zip(*each, strict=True)))
 
     def _cost(self, lines: Lines, directions: Tensor, goal: Tensor, height: Tensor, before: Tensor) -> Tensor:
@@ -170,13 +176,13 @@ class VFHStar(Planner):
             height: that they lead to, ``[B, D]`` m.
             before: the directions before, ``[B, 1, 3]``, 0 for none.
         """
-        costs, off = self.costs, height - self.flight_level
+        costs, off = self.costs, height - self.vehicle.flight_level
         return (
             costs.blocked * (1 - lines.free / costs.reach)
             + costs.obstacle * lines.threat
             + costs.goal * (1 - goal @ directions.T)
             + costs.level * off.abs()
-            + OUTSIDE * off_altitudes(off)
+            + OUTSIDE * call_numpy(off_altitudes, off, self.vehicle)
             + costs.change * (before.norm(dim=-1) - (before * directions).sum(-1))
         )
 

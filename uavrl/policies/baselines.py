@@ -9,12 +9,15 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
+from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
-from uavrl_onboard.perception.motion.threats import straight_on, to_yaw
+from uavrl_onboard.perception.motion.threats import straight_on
+from uavrl_onboard.vehicle import VEHICLE
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
 TURN_LIMIT = 1.0  # rad/s; at 2 rad/s a command that is 0.2 s late points 23 degrees elsewhere
@@ -38,7 +41,7 @@ class StraightPolicy(TensorDictModuleBase):
         [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]]
     """
 
-    def __init__(self, flight_level: float = 3.5, cone: float = 0.15) -> None:
+    def __init__(self, flight_level: float = VEHICLE.flight_level, cone: float = 0.15) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["heading_deg", "altitude"], ["action"]
         self.flight_level, self.cone = flight_level, cone
@@ -118,7 +121,7 @@ class VectorFieldHistogram(TensorDictModuleBase):
 
     def __init__(
         self,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         radius: float = 4.0,
         reduction: Reduction = "truncated_icosahedron",
         statistic: Statistic | None = None,
@@ -156,13 +159,14 @@ class VectorFieldHistogram(TensorDictModuleBase):
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
         cost, speed = self.score_directions(tensordict)
         if self.motion is not None:
-            velocity = to_yaw(tensordict["velocity"], tensordict["attitude"][..., 2])
-            cost, speed = evade(cost, speed, self.directions, velocity, *self.ways(tensordict))
+            velocity = call_numpy(world_to_yaw, tensordict["velocity"], tensordict["attitude"][..., 2])
+            cost, speed = call_numpy(evade, cost, speed, self.directions, velocity, *self.ways(tensordict))
         return tensordict.set("action", self.to_action(cost, speed, tensordict["heading_deg"]))
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Where moving objects are thought to be, and which there are, as ``uavrl_onboard.guards.evade.evade`` asks."""
-        return straight_on(tensordict["moving_objects"])
+        ways, known = call_numpy(straight_on, tensordict["moving_objects"])
+        return ways, known
 
     def score_directions(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """What each direction costs, and how fast it would be flown in m/s: ``[N, D]`` each."""

@@ -11,6 +11,7 @@ import numpy as np
 from uavrl.envs.controller import VELOCITY_GAIN
 from uavrl.envs.navigation import CONTROL_RATE, PHYSICS_RATE, NavigationEnv
 from uavrl.envs.simulation import TRACKING_PERIOD
+from uavrl_onboard.geometry import yaw_rotation
 from uavrl_onboard.lidar.vlp16 import FIRING_TIMES, LASER_ELEVATIONS, NUM_RAYS
 
 PIECE = TRACKING_PERIOD / PHYSICS_RATE  # s: 12.5 ms
@@ -68,9 +69,8 @@ class LiveEpisode:
         """Where the vehicle is now, as its estimator believes it: altitude and yaw with their biases."""
         simulation = self._env.simulation
         position = simulation.position[0] - self._origin
-        position[2] += simulation.plants.altitude_bias[0]
-        cos, sin = (float(of(simulation.plants.heading_bias[0])) for of in (np.cos, np.sin))
-        turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ simulation.rotation[0]
+        position[2] += simulation.params.altitude_bias[0]
+        turned = yaw_rotation(simulation.params.heading_bias[0]) @ simulation.rotation[0]
         return Motion(position, simulation.velocity[0].copy(), turned, simulation.angular_velocity[0].copy())
 
     @property

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from uavrl.errors import UavrlError
-from uavrl_onboard.autopilot.frames import quaternion, swap_world, swap_yaw, to_command, turned
+from uavrl_onboard.autopilot.frames import swap_world, swap_yaw, to_command
+from uavrl_onboard.geometry import world_to_yaw, yaw_to_world
+from uavrl_onboard.vehicle import VEHICLE
 
 LOCAL_NED, BODY_NED = 1, 8  # MAV_FRAME
 POSITION_GAIN = np.array([0.95, 0.95, 1.0])  # 1/s, PX4's defaults (MPC_XY_P, MPC_Z_P)
 YAW_GAIN = 2.8  # 1/s, PX4's default (MC_YAW_P)
-FASTEST = 2.0  # m/s and rad/s, which the simulated vehicle flies
 _YAW, _YAW_RATE = 1 << 10, 1 << 11  # of the type mask: what is ignored
 _FRAMES = {LOCAL_NED: "MAV_FRAME_LOCAL_NED", BODY_NED: "MAV_FRAME_BODY_NED"}
 
@@ -45,14 +46,15 @@ class Setpoint:
             turn = self.yaw_rate
         elif not math.isnan(self.yaw):
             turn = YAW_GAIN * math.remainder(self.yaw - yaw, math.tau)
-        return np.clip(velocity, -FASTEST, FASTEST), min(max(turn, -FASTEST), FASTEST)
+        fastest, fastest_turn = VEHICLE.velocity_limit, VEHICLE.yaw_rate_limit
+        return np.clip(velocity, -fastest, fastest), min(max(turn, -fastest_turn), fastest_turn)
 
     def command(self, position: np.ndarray, yaw: float) -> np.ndarray:
         """The same as an action of the simulator ``[4]``, which turns with the vehicle."""
         if self.body is not None:
             return self.body
         velocity, turn = self.demand(position, yaw)
-        return np.append(turned(velocity.tolist(), quaternion(0.0, 0.0, -yaw)), turn)
+        return np.append(world_to_yaw(velocity, yaw), turn)
 
 
 def read_setpoint(message: Any, yaw: float) -> Setpoint:
@@ -81,6 +83,6 @@ def read_setpoint(message: Any, yaw: float) -> Setpoint:
     turn, body = (math.nan if math.isnan(yaw_rate) else 0.0 - yaw_rate), None
     if in_body:
         body = np.array(to_command((*numbers[3:], 0.0 if math.isnan(yaw_rate) else yaw_rate)), dtype=np.float64)
-        velocity = np.array(turned(body[:3].tolist(), quaternion(0.0, 0.0, yaw)))
+        velocity = yaw_to_world(body[:3], yaw)
         body = None if math.isnan(yaw_rate) and not math.isnan(yaw_to) else body
     return Setpoint(position, velocity, swap_yaw(yaw_to), turn, body)

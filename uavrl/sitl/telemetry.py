@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from uavrl.sitl.simulated_autopilot import AUTOPILOT_VERSION, SimulatedAutopilot
-from uavrl_onboard.autopilot.frames import quaternion, swap_world
+from uavrl_onboard.autopilot.frames import swap_world
+from uavrl_onboard.geometry import attitude_of, quaternion
 
 if TYPE_CHECKING:
     from uavrl.sitl.live import Motion
@@ -154,6 +155,5 @@ def euler(rotation: np.ndarray) -> tuple[float, float, float]:
         >>> [round(each, 6) for each in euler(np.eye(3))]  # it faces east
         [0.0, 0.0, 1.570796]
     """
-    turn = _TO_NED @ rotation @ _TO_FRD
-    pitch = math.asin(min(max(0.0 - float(turn[2, 0]), -1.0), 1.0))
-    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
+    roll, pitch, yaw = attitude_of(_TO_NED @ rotation @ _TO_FRD).tolist()
+    return roll, pitch, yaw

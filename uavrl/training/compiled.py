@@ -181,7 +181,7 @@ SPLIT = dict.fromkeys((torch.ops.aten.addmm.default, torch.ops.aten.baddbmm.defa
 class FusedAdam(torch.optim.Adam):
     """PyTorch's fused Adam for parameters that all have a gradient at every step: same numbers, same ``state_dict``.
 
-    ``torch.optim.Adam.step`` regroups its tensors at every call; :meth:`descend` gathers them once. The kernel walks
+    ``torch.optim.Adam.step`` regroups its tensors at every call; :meth:`apply` gathers them once. The kernel walks
     through the memory of each tensor and asks for no strides, so what it is given is first laid out as the parameter.
     A parameter that shares or skips memory, such as an expanded one, is refused.
 

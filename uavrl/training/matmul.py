@@ -145,5 +145,5 @@ def _faster(threads: int) -> MatmulBackend:
                 best[name] = min(best[name], time.perf_counter() - begin)
     finally:
         torch.set_num_threads(before)
-    log.debug("MatmulBackend by MKL take %.3f ms, by oneDNN %.3f ms.", 1e3 * best["mkl"], 1e3 * best["onednn"])
+    log.debug("Products by MKL take %.3f ms, by oneDNN %.3f ms.", 1e3 * best["mkl"], 1e3 * best["onednn"])
     return "onednn" if best["onednn"] < GAIN * best["mkl"] else "mkl"

@@ -13,6 +13,7 @@ from uavrl.entries import entry, entry_spec
 from uavrl.transforms.through_time import ThroughTime
 from uavrl_onboard.perception.cells import LASERS
 from uavrl_onboard.perception.motion import OBJECT, MotionSight
+from uavrl_onboard.vehicle import VEHICLE
 
 __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
 
@@ -54,7 +55,7 @@ class MovingObjects(ThroughTime):
         objects: Annotated[int, Field(ge=1, le=100)] = 3,
         every: Annotated[int, Field(ge=1)] = 1,
         *,
-        period: float = 0.1,
+        period: float = VEHICLE.period,
         in_keys: Sequence[NestedKey] = ("point_cloud", "velocity", "attitude"),
         out_keys: Sequence[NestedKey] = ("moving_objects",),
     ) -> None:

@@ -10,6 +10,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import ObservationTransform, Transform
 
 from uavrl.entries import Shown, entry, entry_spec
+from uavrl_onboard.vehicle import VEHICLE
 
 Angles = Literal["folded", "turns", "raw"]
 # Beside the cells stand, in this order: altitude, heading, elevation
@@ -24,7 +25,7 @@ def navigation_observation(
     elevation_deg: Tensor,
     *,
     radius: float = 4.0,
-    flight_level: float = 3.5,
+    flight_level: float = VEHICLE.flight_level,
     angles: Angles = "folded",
 ) -> Tensor:
     """Chansuparp (2022), §3.2: o = (f_1 … f_32, z, h, g), scaled for a network.
@@ -80,7 +81,7 @@ class NavigationObservation(Shown, ObservationTransform):
     def __init__(
         self,
         radius: float = 4.0,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         angles: Angles = "folded",
         *,
         in_keys: Sequence[NestedKey] = ("faces", "altitude", "heading_deg", "elevation_deg"),

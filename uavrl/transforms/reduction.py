@@ -15,7 +15,8 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.entries import entry, entry_spec
 from uavrl.errors import UavrlError
-from uavrl_onboard.perception.cells import LARGEST_RADIUS, NEAREST_RETURN, Statistic, return_bounds
+from uavrl_onboard.geometry import NEAREST_RETURN
+from uavrl_onboard.perception.cells import LARGEST_RADIUS, Statistic, return_bounds
 
 __all__ = ["PointCloudReduction", "Statistic", "is_return"]
 

@@ -13,6 +13,7 @@ from torchrl.envs.transforms import Transform, TransformedEnv
 
 from uavrl.entries import Shown, entry
 from uavrl_onboard.ranges import Positive
+from uavrl_onboard.vehicle import VEHICLE
 
 RewardTerms = Callable[[TensorDictBase, TensorDictBase], dict[str, Tensor]]  # as :meth:`SumOfTerms.terms`
 AltitudeTerm = Literal["absolute", "literal"]
@@ -97,7 +98,7 @@ def navigation_terms(
     collided_t: Tensor,
     *,
     weights: Sequence[float] = (8.0, 1.0, 0.5, 0.5),
-    flight_level: float = 3.5,
+    flight_level: float = VEHICLE.flight_level,
     collided_reward: float = -50.0,
     arrived_reward: float = 0.0,
     altitude_term: AltitudeTerm = "absolute",
@@ -262,7 +263,7 @@ class NavigationReward(SumOfTerms):
     def __init__(
         self,
         weights: tuple[float, float, float, float] = (8.0, 1.0, 0.5, 0.5),
-        flight_level: Positive = 3.5,
+        flight_level: Positive = VEHICLE.flight_level,
         collided_reward: float = -50.0,
         arrived_reward: float = 0.0,
         altitude_term: AltitudeTerm = "absolute",

@@ -19,10 +19,10 @@ from uavrl.transforms.range_image import RangeImage, range_image_directions
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
 from uavrl.transforms.threats import Threats
 from uavrl.transforms.waypoint import Waypoint
-from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE
 from uavrl_onboard.perception.cells import FAR_EVERY, VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.ranges import Positive
+from uavrl_onboard.vehicle import VEHICLE
 
 Reduction = Literal["truncated_icosahedron", "range_image"]
 REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
@@ -30,7 +30,7 @@ REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
     "range_image": RangeImage,
 }
 MOVING_OBJECTS = 3  # in an observation
-ACTION_LIMIT = 2.0  # m/s for the three velocities, rad/s for the yaw rate (Table 4.1); a network reads it as 1
+ACTION_LIMIT = VEHICLE.velocity_limit  # m/s, and rad/s for the yaw rate (Table 4.1); a network reads it as 1
 
 
 def make_reduction(reduction: Reduction, grid: RangeGrid | None = None, **options: Any) -> PointCloudReduction:
@@ -123,7 +123,7 @@ class NavigationState(Shown, Compose):
         self,
         radius: Annotated[float, Field(gt=0, le=100)] = 4.0,
         statistic: Statistic | None = None,
-        flight_level: Positive = 3.5,
+        flight_level: Positive = VEHICLE.flight_level,
         angles: Angles = "folded",
         frames: Annotated[int, Field(ge=1, le=1000)] = 3,
         *,
@@ -132,7 +132,7 @@ class NavigationState(Shown, Compose):
         last_action: bool = False,
         motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
         memory: Annotated[float, Field(gt=0, le=40)] | None = None,
-        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
+        sensor_position: Sequence[float] = VEHICLE.lidar_position,
     ) -> None:
         reduced = make_reduction(reduction, grid, radius=radius, statistic=statistic)
         heading = "heading_deg" if memory is None else "waypoint_deg"

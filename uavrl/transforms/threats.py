@@ -8,9 +8,12 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from uavrl.entries import Shown, entry, entry_spec
+from uavrl.transforms.numpy_boundary import call_numpy
+from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.perception.motion import threats
-from uavrl_onboard.perception.motion.threats import GREATEST, greatest_threats, straight_on, to_yaw
+from uavrl_onboard.perception.motion.threats import GREATEST, greatest_threats, straight_on
 from uavrl_onboard.ranges import Positive
+from uavrl_onboard.vehicle import VEHICLE
 
 __all__ = ["DIRECTIONS", "Threats"]
 
@@ -51,7 +54,7 @@ class Threats(Shown, Transform):
 
     def __init__(
         self,
-        speed: Positive = 2.0,
+        speed: Positive = VEHICLE.velocity_limit,
         *,
         in_keys: Sequence[NestedKey] = ("moving_objects", "velocity", "attitude"),
         out_keys: Sequence[NestedKey] = ("threats",),
@@ -77,8 +80,9 @@ class Threats(Shown, Transform):
         some = (objects != 0).any(-1).nonzero()[:, 0]
         if len(some):
             commanded = self.commanded.to(objects).expand(len(some), -1, -1)
-            own = to_yaw(velocity[some], attitude[some, 2]).to(objects)
-            found[some] = greatest_threats(commanded, own, *straight_on(objects[some])) / GREATEST
+            own = call_numpy(world_to_yaw, velocity[some], attitude[some, 2]).to(objects)
+            ways, known = call_numpy(straight_on, objects[some])
+            found[some] = call_numpy(greatest_threats, commanded, own, ways, known) / GREATEST
         return next_tensordict.set(self.out_keys[0], found.reshape(*batch, len(self.commanded)))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:

@@ -12,8 +12,8 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from uavrl.entries import entry, entry_spec
 from uavrl.transforms.through_time import ThroughTime
 from uavrl_onboard.guards.map import Wayfinder
-from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE, sensor_place
 from uavrl_onboard.ranges import Positive
+from uavrl_onboard.vehicle import VEHICLE, lidar_place
 
 
 class Waypoint(ThroughTime):
@@ -56,10 +56,10 @@ class Waypoint(ThroughTime):
         self,
         sight: Annotated[float, Field(gt=0, le=100)] = 12.0,
         reach: Annotated[float, Field(ge=5, le=100)] = 40.0,
-        flight_level: Positive = 3.5,
+        flight_level: Positive = VEHICLE.flight_level,
         *,
-        period: Positive = 0.1,
-        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
+        period: Positive = VEHICLE.period,
+        sensor_position: Sequence[float] = VEHICLE.lidar_position,
         in_keys: Sequence[NestedKey] = ("point_cloud", "velocity", "attitude", "altitude", "heading_deg"),
         out_keys: Sequence[NestedKey] = ("waypoint_deg",),
     ) -> None:
@@ -70,7 +70,7 @@ class Waypoint(ThroughTime):
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.sight, self.reach, self.flight_level, self.period = sight, reach, flight_level, period
-        self.sensor_position = sensor_place(sensor_position)
+        self.sensor_position = lidar_place(sensor_position)
         self._finder: Wayfinder | None = None
         self._last = np.zeros(0)  # rad, of each vehicle, off its goal's direction
 

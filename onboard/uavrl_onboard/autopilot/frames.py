@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import Quaternion, quaternion
 from uavrl_onboard.perception.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 
 Vector = tuple[float, float, float]
-Rotation = tuple[float, float, float, float]
-_UNIT = 0.01  # by which the squared length of a rotation may differ from 1
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Pose:
         return self.roll, self.pitch, self.yaw
 
     @property
-    def rotation(self) -> Rotation:
+    def rotation(self) -> Quaternion:
         """From its axes to the world's; level where roll or pitch is not finite, NaN where the yaw is not."""
         tilted = math.isfinite(self.roll) and math.isfinite(self.pitch)
         roll, pitch = (self.roll, self.pitch) if tilted else (0.0, 0.0)
@@ -108,55 +107,6 @@ def check_setpoint(setpoint: Sequence[float] | np.ndarray) -> tuple[float, float
         raise UavrlError(f"A set-point is four finite numbers (l_x, l_y, l_z, a_z), got {setpoint!r}: it was not sent.")
     forward, left, up, to_the_left = numbers.tolist()
     return forward, left, up, to_the_left
-
-
-def roll_pitch_yaw(rotation: Sequence[float]) -> Vector:
-    """The angles of a rotation (w, x, y, z); NaN for what is none.
-
-    Examples:
-        >>> [round(each, 9) for each in roll_pitch_yaw(quaternion(0.1, -0.2, 3.0))]
-        [0.1, -0.2, 3.0]
-        >>> roll_pitch_yaw((0.0, 0.0, 0.0, 0.0))
-        (nan, nan, nan)
-    """
-    w, x, y, z = rotation
-    if not abs(w * w + x * x + y * y + z * z - 1.0) < _UNIT:
-        return math.nan, math.nan, math.nan
-    ahead, aside = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)  # where the nose points, seen from above
-    yaw = math.atan2(aside, ahead)
-    cos, sin = math.cos(yaw / 2), math.sin(yaw / 2)
-    roll = 2.0 * math.atan2(cos * x + sin * y, cos * w + sin * z)  # without the yaw, so also straight down
-    return math.remainder(roll, math.tau), math.atan2(2.0 * (w * y - x * z), math.hypot(ahead, aside)), yaw
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> Rotation:
-    """The rotation (w, x, y, z) of these angles.
-
-    Examples:
-        >>> [round(each, 4) for each in quaternion(0.0, 0.0, math.pi / 2)]
-        [0.7071, 0.0, 0.0, 0.7071]
-    """
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(each / 2), math.sin(each / 2)) for each in (roll, pitch, yaw))
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
-def turned(vector: Sequence[float], quaternion: Sequence[float]) -> Vector:
-    """A vector in body axes in those of the world, by the body's rotation (w, x, y, z).
-
-    Examples:
-        >>> forward = turned((1.0, 0.0, 0.0), (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))  # by 90 degrees to the left
-        >>> [round(abs(number), 9) for number in forward]
-        [0.0, 1.0, 0.0]
-    """
-    w, axis, v = quaternion[0], np.array(quaternion[1:]), np.array(vector)
-    across = 2.0 * np.cross(axis, v)
-    x, y, z = (v + w * across + np.cross(axis, across)).tolist()
-    return x, y, z
 
 
 def to_goal(pose: Pose, goal: Sequence[float]) -> dict[str, float]:

@@ -7,7 +7,7 @@ import numpy as np
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.safety import Reason, State
 from uavrl_onboard.flight.summary import FlightSummary
-from uavrl_onboard.perception.reductions import is_return
+from uavrl_onboard.geometry import is_return
 
 AGAIN = 5.0  # s after which a reason is told again that comes and goes within one state
 EACH_SECOND = 10.0  # s of silence in which there is a line each second; then there is one in as many

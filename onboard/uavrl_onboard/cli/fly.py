@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -31,7 +31,6 @@ from uavrl_onboard.flight.log import FlightLog
 from uavrl_onboard.flight.loop import Flight, fly, map_for, rehearse
 from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.flight.summary import FlightSummary
-from uavrl_onboard.geometry import HULL
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Navigator
 from uavrl_onboard.guards.shield import Shield
@@ -41,6 +40,7 @@ from uavrl_onboard.pluralize import counted
 from uavrl_onboard.policy.policy import Policy
 from uavrl_onboard.ranges import Folder, NonNegative, Positive
 from uavrl_onboard.sentences import require
+from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 if TYPE_CHECKING:
     from uavrl_onboard.ros2.vehicle import Ros2Scans
@@ -61,8 +61,8 @@ class ShieldConfig:
     """
 
     radius: Positive | None = None
-    height: Positive = 0.28
-    sensor: float = 0.1
+    height: Positive = VEHICLE.height
+    sensor: float = VEHICLE.lidar_above
     nearest: NonNegative = 0.0
     time: Positive = 0.7
     lag: NonNegative = 0.3
@@ -106,7 +106,7 @@ class FlyConfig(LidarKeys):
     set_mode: bool = False
     arm: bool = False
     system: Annotated[int, Field(ge=1, le=255)] | None = None
-    standing: tuple[float, float, float, float] = (0.0, 0.0, 3.5, 0.0)
+    standing: tuple[float, float, float, float] = (0.0, 0.0, VEHICLE.flight_level, 0.0)
     radius: Positive = 1.0
     hold: NonNegative | None = None
     seconds: Positive | None = None
@@ -173,10 +173,12 @@ def main(settings: FlyConfig) -> None:
         link = opened.enter_context(closing(_link(settings)))
         assert settings.goal is not None
         led = map_for(policy.contract, settings.memory)
-        stages: dict[str, Any] = {"evasion": _evasion(settings), "shield": _shield(settings), "memory": led}
+        vehicle = _vehicle(settings, policy)
+        stages: dict[str, Any] = {"evasion": _evasion(settings, vehicle), "shield": _shield(settings, vehicle)}
+        stages["memory"] = led
         layer, box = SafetyLayer(settings.safety), settings.box
         flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, **stages)
-        log = _log(settings, policy, led)
+        log = _log(settings, policy, led, stages["shield"])
         if log is not None:
             opened.callback(_told, log.close)
         cycles, report = _cycles(settings, flight, link, opened), _reports(settings, policy, link, opened)
@@ -208,11 +210,11 @@ def _link(settings: FlyConfig) -> VehicleLink:
     return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
 
 
-def _log(settings: FlyConfig, policy: Policy, led: Navigator | None) -> FlightLog | None:
+def _log(settings: FlyConfig, policy: Policy, led: Navigator | None, shield: Shield | None) -> FlightLog | None:
     if settings.log is None:
         return None
     assert settings.goal is not None
-    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(_shield(settings))}
+    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(shield)}
     about |= {"memory": "None" if led is None else str(led.sight), "evade": str(settings.evade)}
     return FlightLog(
         settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
@@ -227,19 +229,30 @@ def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
         print(f"uavrl: {error}", file=sys.stderr)
 
 
-def _shield(settings: FlyConfig) -> Shield | None:
-    """A shield for the hull that the command line tells of."""
-    told = {key: value for key, value in asdict(settings.shield).items() if value is not None}
-    return Shield(**told, limit=settings.safety.velocity) if settings.shield.radius is not None else None
+def _vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
+    """Return the policy's vehicle with the hull and the LiDAR of the command line, within its safety limits."""
+    told, limits = settings.shield, settings.safety
+    return replace(
+        policy.contract.vehicle,
+        radius=told.radius or VEHICLE.radius,
+        height=told.height,
+        lidar_position=(0.0, 0.0, told.sensor),
+        velocity_limit=limits.velocity,
+        yaw_rate_limit=limits.yaw_rate,
+    )
 
 
-def _evasion(settings: FlyConfig) -> Evasion | None:
-    """What keeps out of the ways of what moves, of a vehicle of the size that the shield is told."""
-    if settings.evade is None:
+def _shield(settings: FlyConfig, vehicle: Vehicle) -> Shield | None:
+    """Return the shield, if the command line gives a radius of the hull."""
+    told = settings.shield
+    if told.radius is None:
         return None
-    hull = settings.shield
-    size = (hull.radius or HULL[0], hull.height / 2)
-    return Evasion(max_range=settings.evade, hull=size, sensor=hull.sensor, limit=settings.safety.velocity)
+    return Shield(told.time, told.lag, told.margin, nearest=told.nearest, vehicle=vehicle)
+
+
+def _evasion(settings: FlyConfig, vehicle: Vehicle) -> Evasion | None:
+    """Return the evasion of moving objects, if the command line asks for it."""
+    return None if settings.evade is None else Evasion(max_range=settings.evade, vehicle=vehicle)
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:

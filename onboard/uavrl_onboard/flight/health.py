@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.flight.interfaces import FlightCycle
-from uavrl_onboard.perception.reductions import is_return
+from uavrl_onboard.geometry import is_return
 
 UNHEARD = 3.0  # s without a scan, or with poses that are too old, after which it is told why
 AGAIN = 30.0  # s after which that is told again

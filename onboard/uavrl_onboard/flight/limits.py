@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import world_to_yaw, yaw_to_world
+from uavrl_onboard.vehicle import VEHICLE
 
 SIDES = ("floor", "ceiling", "wall")
 _ROUNDING = 1e-6  # m/s or rad/s: a change that is not mentioned
@@ -35,8 +37,8 @@ class SafetyLimits:
         fence_time: The velocity towards a side of the fence is at most the distance to it in this time, s.
     """
 
-    velocity: float = 2.0
-    yaw_rate: float = 2.0
+    velocity: float = VEHICLE.velocity_limit
+    yaw_rate: float = VEHICLE.yaw_rate_limit
     acceleration: float = 20.0
     yaw_acceleration: float = 20.0
     scan_age: float = 0.2
@@ -127,9 +129,7 @@ def _fenced(
 ) -> tuple[np.ndarray, str | None]:
     """Takes from a set-point what leads out of the fence too fast."""
     low, high = limits.corners
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    forward, left, up, yaw_rate = setpoint
-    world = np.array([cos * forward - sin * left, sin * forward + cos * left, up])
+    world = yaw_to_world(setpoint[:3], yaw)
     inside = np.clip(
         world,
         -np.maximum(position - low, 0.0) / limits.fence_time,
@@ -138,9 +138,8 @@ def _fenced(
     cut = inside != world
     if not cut.any():
         return setpoint, None
-    x, y, up = inside
-    turned = np.array([cos * x + sin * y, cos * y - sin * x])
+    turned = world_to_yaw(inside[:2], yaw)
     # Without one of the world's components the vector can point more along one of the body's: shorten it, not turn it.
     turned *= min(1.0, limits.velocity / max(np.abs(turned).max(), limits.velocity))
-    kept = np.array([*np.clip(turned, -limits.velocity, limits.velocity), up, yaw_rate])
+    kept = np.array([*np.clip(turned, -limits.velocity, limits.velocity), inside[2], setpoint[3]])
     return kept, ("floor" if setpoint[2] < 0.0 else "ceiling") if cut[2] else "wall"

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from uavrl_onboard.autopilot.frames import Pose, Rotation, roll_pitch_yaw
+from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.safety import Reason, SafetyStatus, State
+from uavrl_onboard.geometry import Quaternion, roll_pitch_yaw
 from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.bags import CLOUD, cloud_points
 from uavrl_onboard.lidar.scans import Scan
@@ -38,7 +39,7 @@ TOPICS = {
 
 WORLD, VEHICLE, LIDAR = "world", "vehicle", "lidar"
 _LATEST = (2**31 - 1) * 10**9  # ns that a stamp of ROS can tell
-_ALONG: Rotation = (1.0, 0.0, 0.0, 0.0)  # the sensor is not turned on the vehicle
+_ALONG: Quaternion = (1.0, 0.0, 0.0, 0.0)  # the sensor is not turned on the vehicle
 _INFO, _WARNING = 20, 30  # of rcl_interfaces/msg/Log
 
 
@@ -140,7 +141,7 @@ class FlightMessages:
     def _xyz(self, name: str, numbers: Sequence[float] | np.ndarray) -> Any:
         return self._made(name, **{axis: float(number) for axis, number in zip("xyz", numbers, strict=True)})
 
-    def _turned(self, rotation: Rotation) -> Any:
+    def _turned(self, rotation: Quaternion) -> Any:
         return self._made("Quaternion", **dict(zip("wxyz", rotation, strict=True)))
 
     def _twist(self, time: float, frame: str, action: Sequence[float] | np.ndarray) -> Any:

@@ -17,12 +17,12 @@ from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.safety import ZEROS, Cycle, SafetyLayer, State
+from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Navigator
 from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import without_vehicle
-from uavrl_onboard.perception.motion.threats import to_yaw
 
 if TYPE_CHECKING:
     from uavrl_onboard.policy.contract import Contract
@@ -185,7 +185,7 @@ class Flight:
     @staticmethod
     def _shielded(shield: Shield, asked: np.ndarray, scan: Scan, pose: Pose) -> np.ndarray:
         """What is left of the velocity ``asked [3]``."""
-        level = to_yaw(np.array([pose.velocity]), np.array([pose.yaw]))[0]
+        level = world_to_yaw(np.array(pose.velocity), pose.yaw)
         return shield(asked, scan.points, (pose.roll, pose.pitch), level)
 
     def _distance(self, pose: Pose | None) -> float | None:

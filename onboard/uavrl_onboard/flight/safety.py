@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from uavrl_onboard.flight.limits import SafetyLimits, distance_outside, limit
+from uavrl_onboard.vehicle import VEHICLE
 
 SetPoint = tuple[float, float, float, float]
 """Forward, left and up in m/s and the yaw rate to the left in rad/s, as a policy's action."""
@@ -22,7 +23,7 @@ SetPoint = tuple[float, float, float, float]
 ZEROS: SetPoint = (0.0, 0.0, 0.0, 0.0)
 _ROUNDING = 1e-6  # s: an age that is at its limit in decimals is within it
 _AHEAD = 0.05  # s that a stamp may lie ahead of the cycle's time
-_CYCLE = 0.1  # s that a cycle takes, at the policies' rate, where the clock does not say
+_CYCLE = VEHICLE.period  # s that a cycle takes, at the policies' rate, where the clock does not say
 
 
 class State(StrEnum):

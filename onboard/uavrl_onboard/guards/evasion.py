@@ -3,13 +3,14 @@
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import HULL, Hull, body_to_level, inside
-from uavrl_onboard.guards.evade import SPEED, evaded
+from uavrl_onboard.geometry import body_to_level, is_inside, world_to_yaw
+from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.histogram import polar_histogram
 from uavrl_onboard.perception.motion.occlusion import find_returns
 from uavrl_onboard.perception.motion.rays import far_rays
 from uavrl_onboard.perception.motion.sight import MotionSight
-from uavrl_onboard.perception.motion.threats import greatest_threats, straight_on, to_yaw
+from uavrl_onboard.perception.motion.threats import greatest_threats, straight_on
+from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 STANDING = 4.0  # m, how far what stands counts
 
@@ -25,10 +26,7 @@ class Evasion:
         vehicles: N.
         max_range: how far moving objects are looked for, m; the scans must reach as far.
         objects: of each vehicle, the nearest, that count.
-        hull: its radius, and half its height, m.
-        sensor: m, of the LiDAR over the hull's middle.
-        limit: greatest component of what may be flown, m/s, and the speed of what is flown instead.
-        period: time between two scans, s.
+        vehicle: its hull, LiDAR, velocity limit, control rate and altitudes.
 
     Examples:
         A ball of 0.3 m comes at 3 m/s, straight ahead, to a vehicle that stands; asked to fly on, it gives way:
@@ -48,14 +46,11 @@ class Evasion:
         max_range: float = 12.0,
         objects: int = 3,
         *,
-        hull: Hull = HULL,
-        sensor: float = 0.1,
-        limit: float = SPEED,
-        period: float = 0.1,
+        vehicle: Vehicle = VEHICLE,
     ) -> None:
         self.vehicles, self.max_range = vehicles, max_range
-        self.hull, self.sensor, self.limit = hull, sensor, limit
-        self._sight = MotionSight(vehicles, max_range, objects, period)
+        self.vehicle = vehicle
+        self._sight = MotionSight(vehicles, max_range, objects, vehicle.period)
 
     def reset(self, which: np.ndarray | None = None) -> None:
         """Forgets what some vehicles have seen, ``bool [N]``, or all."""
@@ -78,12 +73,13 @@ class Evasion:
             velocities: ``[N, 3]``, of the vehicles in world axes in m/s.
             attitudes: ``[N, 3]``, their roll, pitch and yaw in rad.
             heights: ``[N]``, over the flight level, m.
-            elapsed: since the scans before, s. None: ``period``.
+            elapsed: since the scans before, s. None: the vehicle's period.
 
         Raises:
             UavrlError: for velocities, angles, heights and times that are not finite.
         """
-        asked = np.asarray(asked, float).clip(-self.limit, self.limit)  # what is flown of it
+        limit = self.vehicle.velocity_limit
+        asked = np.asarray(asked, float).clip(-limit, limit)  # what is flown of it
         velocities, attitudes, heights = (np.asarray(each, float) for each in (velocities, attitudes, heights))
         if elapsed is not None and not 0.0 < elapsed < np.inf:
             raise UavrlError(f"elapsed must be a finite time above 0 s, got {elapsed}: give that between two scans.")
@@ -96,19 +92,19 @@ class Evasion:
             return asked
         objects = self._sight.look(_thinned(clouds), velocities, attitudes, elapsed=elapsed)
         ways, known = straight_on(objects.reshape(len(objects), -1).astype(float))
-        tilts, own = body_to_level(attitudes), to_yaw(velocities, attitudes[:, 2])
-        ways = ways + (self.sensor * tilts[:, :, 2])[:, None, None]  # from the hull's middle
+        tilts, own = body_to_level(attitudes), world_to_yaw(velocities, attitudes[:, 2])
+        ways = ways + (self.vehicle.lidar_above * tilts[:, :, 2])[:, None, None]  # from the hull's middle
         flown = asked.copy()
         for one in np.flatnonzero(greatest_threats(asked, own, ways, known) > 0):
             mine, around = slice(one, one + 1), self._around(clouds[one], tilts[one])
             told = asked[mine], own[mine], ways[mine], known[mine], around, heights[mine, None]
-            flown[mine] = evaded(*told, self.hull, self.limit)
+            flown[mine] = evaded(*told, self.vehicle)
         return flown
 
     def _around(self, cloud: np.ndarray, tilt: np.ndarray) -> list[np.ndarray]:
         """The nearest return of each direction that is not of the vehicle itself, from its middle in level axes."""
-        points = find_returns(cloud[None], STANDING).points.T + np.array([0.0, 0.0, self.sensor])
-        points = points[~inside(points, self.hull)] @ tilt.T
+        points = find_returns(cloud[None], STANDING).points.T + np.array([0.0, 0.0, self.vehicle.lidar_above])
+        points = points[~is_inside(points, self.vehicle.hull)] @ tilt.T
         return polar_histogram(points, np.zeros(len(points), int), 1)
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import body_to_level, inside
-from uavrl_onboard.perception.cells import NEAREST_RETURN
+from uavrl_onboard.geometry import body_to_level, is_inside, is_return, within
+from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
 SWEEPS = 20  # most corrections of a velocity
@@ -34,12 +34,9 @@ class Shield:
         lag: s, until a commanded velocity is flown.
         margin: m, that is kept around the hull.
         sight: m, how far points count.
-        radius: m, of the hull.
-        height: m, of the hull.
-        sensor: m, of the LiDAR over the hull's middle.
         nearest: m, the least range that the sensor reports. What comes nearer vanishes, so the margin is then at least
             what lies between it and the hull.
-        limit: m/s, the greatest component: a velocity beyond it is slowed as a whole.
+        vehicle: its hull, LiDAR and velocity limit; a velocity beyond that is slowed as a whole.
 
     Raises:
         UavrlError: for numbers out of range, and a hull that the ellipsoid does not hold; when called, for a cloud of
@@ -57,34 +54,31 @@ class Shield:
     lag: float = 0.3
     margin: float = 0.12
     sight: float = 2.5
-    radius: float = 0.35
-    height: float = 0.28
-    sensor: float = 0.1
     nearest: float = 0.0
-    limit: float = 2.0
+    vehicle: Vehicle = VEHICLE
 
     def __post_init__(self) -> None:
         """Refuses what bounds nothing."""
-        above_0, at_least_0 = ("time", "sight", "radius", "height", "limit"), ("lag", "margin", "nearest")
-        for name in (*above_0, *at_least_0, "sensor"):
+        above_0, at_least_0 = ("time", "sight"), ("lag", "margin", "nearest")
+        for name in (*above_0, *at_least_0):
             value = getattr(self, name)
-            wrong = (name in above_0 and value <= 0) or (name in at_least_0 and value < 0)
-            if wrong or not math.isfinite(value):
-                least = " above 0" if name in above_0 else " of 0 or more" if name in at_least_0 else ""
+            if value < 0 or (name in above_0 and value == 0) or not math.isfinite(value):
+                least = " above 0" if name in above_0 else " of 0 or more"
                 raise UavrlError(f"A shield's {name} must be a finite number{least}, got {value}.")
-        if (self.radius / self._kept) ** 2 + (self.height / 2 / (self.height / 2 + self._margin)) ** 2 > 1:
+        radius, half = self.vehicle.hull
+        if (radius / self._kept) ** 2 + (half / (half + self._margin)) ** 2 > 1:
             raise UavrlError(
-                f"The rim of a hull of radius {self.radius:g} m and height {self.height:g} m sticks out of a shield "
+                f"The rim of a hull of radius {radius:g} m and height {self.vehicle.height:g} m sticks out of a shield "
                 f"with a margin of {self._margin:g} m: raise margin."
             )
 
     @property
     def _margin(self) -> float:
-        return max(self.margin, self.nearest - self.radius if self.nearest else 0.0)
+        return max(self.margin, self.nearest - self.vehicle.radius if self.nearest else 0.0)
 
     @property
     def _kept(self) -> float:
-        return self.radius + self._margin
+        return self.vehicle.radius + self._margin
 
     def __call__(
         self, asked: np.ndarray, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
@@ -106,7 +100,7 @@ class Shield:
                 f"velocity of {velocity} m/s."
             )
         found = fitted(asked, *self.bounds(cloud, tilt, velocity))
-        return found * min(1.0, self.limit / max(np.abs(found).max(), 1e-9))
+        return found * min(1.0, self.vehicle.velocity_limit / max(np.abs(found).max(), 1e-9))
 
     def bounds(
         self, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
@@ -114,7 +108,7 @@ class Shield:
         """Unit vectors ``[M, 3]`` in the yaw-aligned frame, and how fast one may fly there: ``[M]`` in m/s."""
         points = self._points(cloud, tilt)
         kept = self._kept
-        stretch = np.array([1.0, 1.0, kept / (self.height / 2 + self._margin)])  # makes hull and margin a ball
+        stretch = np.array([1.0, 1.0, kept / (self.vehicle.hull[1] + self._margin)])  # makes hull and margin a ball
         distances = np.linalg.norm(points * stretch, axis=1)
         steepest = points * stretch**2 / np.maximum(distances, 1e-9)[:, None]  # of the stretched distance
         slopes = np.maximum(np.linalg.norm(steepest, axis=1), 1e-9)
@@ -125,13 +119,10 @@ class Shield:
 
     def _points(self, cloud: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
         """The returns within sight and outside the hull, from its middle, in level axes: ``[M, 3]`` in m."""
-        x, y, z = cloud.T
-        with np.errstate(over="ignore", invalid="ignore"):
-            squared = x * x + y * y + z * z
-            near = np.flatnonzero((squared > NEAREST_RETURN**2) & (squared < self.sight**2))
         level = body_to_level(np.array([[*tilt, 0.0]]))[0]
-        points = np.asarray(cloud[near], float) + np.array([0.0, 0.0, self.sensor])
-        return np.asarray(points[~inside(points, (self.radius, self.height / 2))] @ level.T)
+        points = np.asarray(cloud[is_return(cloud, within(self.sight))], float)
+        points = points + np.array([0.0, 0.0, self.vehicle.lidar_above])
+        return np.asarray(points[~is_inside(points, self.vehicle.hull)] @ level.T)
 
 
 def _nearest_of_each_direction(towards: np.ndarray, gaps: np.ndarray) -> np.ndarray:

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import is_return
 from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.frame_ids import CloudFrame
 from uavrl_onboard.lidar.mcap_file import MAGIC, McapFile
 from uavrl_onboard.lidar.ros_messages import CLOUD, DEFINITIONS, ROS1, SCAN
 from uavrl_onboard.lidar.scans import Scan, Skipped
-from uavrl_onboard.perception.reductions import is_return
 
 ROSBAG1 = b"#ROSBAG V2.0"
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField's numbers for float32 and float64

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import NEAREST_RETURN
 from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, CYCLE, LASER_ELEVATIONS, LASER_INTERVAL
-from uavrl_onboard.perception.cells import NEAREST_RETURN
 
 PORT = 2368  # UDP, of data packets
 PACKET_SIZE = 1206  # bytes of a data packet

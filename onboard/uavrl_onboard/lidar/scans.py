@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import NEAREST_RETURN
 from uavrl_onboard.lidar.packets import (
     DUAL,
     FLAG,
@@ -24,7 +25,6 @@ from uavrl_onboard.lidar.packets import (
     STRONGEST,
     decode_vlp16,
 )
-from uavrl_onboard.perception.cells import NEAREST_RETURN
 from uavrl_onboard.pluralize import counted
 
 LONGEST_TURN = 300_000  # microseconds: the slowest sensor takes 200,000

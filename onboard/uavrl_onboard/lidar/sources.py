@@ -26,7 +26,7 @@ class ScanSource:
     """The scans of a source, one after the other, as ``(stamp, points)``.
 
     Points are ``float32 [P, 3]`` in metres in the sensor frame: x forward, y left, z up. Of packets only returns come;
-    a driver's cloud may hold misses, as NaN, infinity or zeros (`uavrl_onboard.perception.reductions.is_return`).
+    a driver's cloud may hold misses, as NaN, infinity or zeros (`uavrl_onboard.geometry.is_return`).
 
     Args:
         source: ``udp://:2368``, or a file or folder.

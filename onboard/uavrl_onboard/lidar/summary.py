@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from uavrl_onboard.geometry import is_return
 from uavrl_onboard.lidar.scans import Scan
-from uavrl_onboard.perception.reductions import is_return
 
 SECTORS = ("ahead", "ahead left", "left", "behind left", "behind", "behind right", "right", "ahead right")
 """Eight directions, each of 45 degrees around its middle."""

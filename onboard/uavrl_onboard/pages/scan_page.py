@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 
 from uavrl_onboard.files import replacing
+from uavrl_onboard.geometry import is_return, within
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.summary import SECTORS, ScanSummary
 from uavrl_onboard.pages.assembly import filled, pack
-from uavrl_onboard.pages.shapes import BODY, LIDAR_POSITION, shell, vehicle
+from uavrl_onboard.pages.shapes import BODY, shell, vehicle
 from uavrl_onboard.perception.cells import Statistic
-from uavrl_onboard.perception.reductions import REDUCTIONS, Reduction, directions, is_return
+from uavrl_onboard.perception.reductions import REDUCTIONS, Reduction, directions
+from uavrl_onboard.vehicle import VEHICLE
 
 MOST_POINTS = 6000  # of each scan that are drawn
 FARTHEST = 12.0  # m: what is farther is not drawn
@@ -31,7 +33,7 @@ def scan_page_data(
         "radius": radius,
         "reach": FARTHEST,
         "body": BODY,
-        "sensor": list(LIDAR_POSITION),
+        "sensor": list(VEHICLE.lidar_position),
         "vehicle": [
             {"vertices": pack(mesh.vertices), "triangles": pack(mesh.faces), "colour": colour}
             for mesh, colour in vehicle()
@@ -42,7 +44,7 @@ def scan_page_data(
 
 
 def _scan(scan: Scan, reduction: Reduction, statistic: Statistic, radius: float, first: float) -> dict[str, Any]:
-    points = scan.points[is_return(scan.points, FARTHEST)]
+    points = scan.points[is_return(scan.points, within(FARTHEST))]
     some = np.linspace(0, len(points) - 1, min(len(points), MOST_POINTS)).round().astype(int)
     return {
         "time": scan.stamp - first,

@@ -12,11 +12,11 @@ from uavrl_onboard.perception.cells import (
     icosahedron,
     range_image_middles,
 )
+from uavrl_onboard.vehicle import VEHICLE
 
 # The vehicle that is drawn: hector_quadrotor with a Velodyne VLP-16 on top.
 ARM, ROTOR_RADIUS = 0.275, 0.14  # m
 ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-LIDAR_POSITION = (0.0, 0.0, 0.1)  # m, in body axes
 LIDAR_DIAMETER, LIDAR_HEIGHT = 0.103, 0.072  # m
 SPHERE = 3000  # points of a sphere whose cells have no shape of their own
 OUTCOMES = {"arrived": "#009E73", "collided": "#D55E00", "timed_out": "#56B4E9"}  # colours of Okabe and Ito
@@ -42,7 +42,7 @@ def vehicle() -> list[tuple[Mesh, str]]:
     arms = [_bar(-direction * ARM, direction * ARM, 0.025) for direction in np.eye(3)[:2]]
     rotors = [_disc(np.append(d * ARM, 0.04), ROTOR_RADIUS, 0.012, 14) for d in ROTOR_DIRECTIONS]
     hub = _disc(np.array([0, 0, 0.0]), 0.1, 0.06, 12)
-    lidar = _disc(np.array(LIDAR_POSITION), LIDAR_DIAMETER / 2, LIDAR_HEIGHT, 14)
+    lidar = _disc(np.array(VEHICLE.lidar_position), LIDAR_DIAMETER / 2, LIDAR_HEIGHT, 14)
     start = ARM + ROTOR_RADIUS
     rings = [(start, 0.06), (start + 0.01, 0.06), (start + 0.22, 0.002)]
     nose = loft(np.stack([_ring(r, 12)[:, [2, 0, 1]] + [x, 0, 0.03] for x, r in rings]))

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import NEAREST_RETURN
 
 Statistic = Literal["face", "range", "proximity"]
 
@@ -22,7 +23,6 @@ LASERS = 16
 """Of a VLP-16, fired in turn: a scan is 1808 such firing cycles."""
 AZIMUTH_STEP = 2.0 * math.pi * 10.0 * 55.296e-6  # rad from one firing cycle to the next at 10 Hz: 0.1991°
 FAR_EVERY = 5  # of the firing cycles, which look farther than the cells: one to a degree
-NEAREST_RETURN = 0.05  # m: inside the sensor's housing, where no return comes from; drivers write misses as zeros
 # The ball stops this much (relative, squared) short of its radius, so that float32 rounding cannot let in a point that
 # a sensor whose range ends at the radius does not report; and it begins this much after the housing.
 _ROUNDING = 2e-6

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.vehicle import VEHICLE
 
 Angles = Literal["folded", "turns", "raw"]
 
@@ -19,7 +20,7 @@ def navigation_observation(
     elevation_deg: float,
     *,
     radius: float = 4.0,
-    flight_level: float = 3.5,
+    flight_level: float = VEHICLE.flight_level,
     angles: Angles = "folded",
 ) -> np.ndarray:
     """One observation, as `uavrl.transforms.observation.navigation_observation` scales it.
@@ -66,7 +67,9 @@ class NavigationState:
         ([0.0, 0.0, 0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 1.0, 5.0, 5.0])
     """
 
-    def __init__(self, frames: int = 3, last_action: bool = False, action_limit: float = 2.0) -> None:
+    def __init__(
+        self, frames: int = 3, last_action: bool = False, action_limit: float = VEHICLE.velocity_limit
+    ) -> None:
         self.frames, self.last_action, self.action_limit = frames, last_action, action_limit
         self._past: deque[np.ndarray] = deque(maxlen=frames)
 

@@ -14,9 +14,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import NEAREST_RETURN, is_return
 from uavrl_onboard.perception.cells import (
     LARGEST_RADIUS,
-    NEAREST_RETURN,
     NUM_FACES,
     TOUCHING,
     VLP16_GRID,
@@ -29,20 +29,6 @@ from uavrl_onboard.perception.cells import (
 )
 
 Reduction = Literal["truncated_icosahedron", "range_image"]
-
-
-def is_return(points: np.ndarray, radius: float = np.inf) -> np.ndarray:
-    """Which of the points ``[P, 3]`` are returns from within ``radius`` metres: no NaN, no infinity, no zeros.
-
-    Examples:
-        >>> is_return(np.array([[3.0, 0, 0], [0, 0, 0], [5.0, 0, 0], [np.nan, 0, 0]]), 4.0).tolist()
-        [True, False, False, False]
-    """
-    x, y, z = points.T
-    nearest, farthest = return_bounds(radius)
-    with np.errstate(over="ignore", invalid="ignore"):
-        squared = x * x + y * y + z * z
-        return (squared > nearest) & (squared < farthest)
 
 
 def truncated_icosahedron(points: np.ndarray, radius: float = 4.0, statistic: Statistic = "face") -> np.ndarray:
@@ -135,7 +121,7 @@ def _returns(points: np.ndarray, radius: float, statistic: str) -> tuple[np.ndar
         raise UavrlError(f"radius must be in ({NEAREST_RETURN:g}, {LARGEST_RADIUS:g}] metres, got {radius!r}.")
     if statistic not in get_args(Statistic):
         raise UavrlError(f"statistic must be one of {', '.join(get_args(Statistic))}, got {statistic!r}.")
-    x, y, z = points[is_return(points, radius)].T
+    x, y, z = points[is_return(points, return_bounds(radius))].T
     return x, y, z
 
 

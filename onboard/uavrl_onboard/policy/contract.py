@@ -12,10 +12,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import NEAREST_RETURN
 from uavrl_onboard.guards.map import navigator
 from uavrl_onboard.perception.cells import (
     LARGEST_RADIUS,
-    NEAREST_RETURN,
     TOUCHING,
     VLP16_GRID,
     RangeGrid,
@@ -26,6 +26,7 @@ from uavrl_onboard.perception.motion import OBJECT, rays, threats
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.observation import Angles
 from uavrl_onboard.perception.reductions import Reduction, directions
+from uavrl_onboard.vehicle import Vehicle
 
 CONTRACT, NETWORK = "contract.json", "policy.onnx"  # the files of an exported policy
 FORMAT, VERSION = "uavrl.contract", 1
@@ -222,6 +223,18 @@ class Contract(_Part):
     def flight_level(self) -> float:
         """The altitude that is 0 in an observation, m."""
         return self.observation[1].number
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle that the policy was trained to fly; a contract does not say how large its hull is."""
+        velocity_limit, _, _, yaw_rate_limit = self.action.high
+        return Vehicle(
+            lidar_position=self.cloud.sensor_position,
+            velocity_limit=velocity_limit,
+            yaw_rate_limit=yaw_rate_limit,
+            control_rate=self.rate_hz,
+            flight_level=self.flight_level,
+        )
 
     @property
     def angles(self) -> Angles:

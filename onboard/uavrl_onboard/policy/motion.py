@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.perception.motion import MotionSight
 from uavrl_onboard.perception.motion.rays import far_rays
 from uavrl_onboard.perception.motion.sight import scales
-from uavrl_onboard.perception.motion.threats import DIRECTIONS, GREATEST, greatest_threats, straight_on, to_yaw
+from uavrl_onboard.perception.motion.threats import DIRECTIONS, GREATEST, greatest_threats, straight_on
 
 if TYPE_CHECKING:
     from uavrl_onboard.policy.contract import MotionTerms
@@ -56,6 +57,6 @@ class MotionReader:
     def __call__(self, cloud: np.ndarray, velocity: np.ndarray, attitude: np.ndarray, elapsed: float) -> np.ndarray:
         """Takes in another scan ``[P, 3]``; returns objects and threats, scaled, ``float32``."""
         objects = self._sight.look(far_rays(cloud)[None], velocity[None], attitude[None], elapsed=elapsed)
-        own = to_yaw(velocity[None].astype(np.float32), attitude[None, 2].astype(np.float32))
+        own = world_to_yaw(velocity[None].astype(np.float32), attitude[None, 2].astype(np.float32))
         threats = greatest_threats(self._commanded[None], own, *straight_on(objects.reshape(1, -1)))
         return np.concatenate([(objects / self._scales).ravel(), threats[0] / GREATEST]).astype(np.float32)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from uavrl_onboard.autopilot.frames import Pose, check_setpoint, roll_pitch_yaw, swap_attitude, swap_world, turned
+from uavrl_onboard.autopilot.frames import Pose, check_setpoint, swap_attitude, swap_world
 from uavrl_onboard.autopilot.vehicle_state import HEARTBEAT_TIMEOUT, Control, VehicleStatus
+from uavrl_onboard.geometry import roll_pitch_yaw, rotate, yaw_to_world
 from uavrl_onboard.lidar.ros_messages import PX4_CONTROL_MODE, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT
 from uavrl_onboard.ros2.dds import OnNode, idl_type, topic_of
 from uavrl_onboard.ros2.vehicle import Stamps
@@ -101,7 +102,7 @@ def px4_pose(odometry: Any, stamp: float) -> Pose:
     position = swap_world(odometry.position) if ned else (math.nan,) * 3
     velocity = odometry.velocity
     if odometry.velocity_frame == _BODY:
-        velocity = turned(velocity, odometry.q)
+        velocity = rotate(velocity, odometry.q)
     elif odometry.velocity_frame != _NED:
         velocity = _NOT
     roll, pitch, yaw = swap_attitude(*roll_pitch_yaw(odometry.q)) if ned else (math.nan,) * 3
@@ -116,8 +117,6 @@ def px4_setpoint(setpoint: Sequence[float] | np.ndarray, yaw: float, micros: int
         yaw: of the vehicle, from east to the left, rad.
         micros: the time in microseconds since 1970.
     """
-    forward, left, up, to_the_left = check_setpoint(setpoint)
-    east = forward * math.cos(yaw) - left * math.sin(yaw)
-    north = forward * math.sin(yaw) + left * math.cos(yaw)
-    velocity = list(swap_world((east, north, up)))
+    *body, to_the_left = check_setpoint(setpoint)
+    velocity = list(swap_world(yaw_to_world(np.array(body), yaw).tolist()))
     return idl_type(PX4_SETPOINT)(micros, _NOT, velocity, _NOT, _NOT, math.nan, 0.0 - to_the_left)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from uavrl_onboard.autopilot.frames import turned
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.limits import SafetyLimits
 from uavrl_onboard.flight.safety import State
+from uavrl_onboard.geometry import rotate
 from uavrl_onboard.lidar.ros_messages import DIAGNOSTICS, MARKERS
 from uavrl_onboard.policy.contract import Cells, Contract
 from uavrl_onboard.ros2.dds import OnNode, idl_type
@@ -91,11 +91,11 @@ class Ros2Reports(OnNode):
             position = np.array(pose.position)
             if cycle.cells is not None:
                 seen = cell_points(cycle.cells, self._contract.cells) + self._contract.cloud.sensor_position
-                points = [position + turned(point, pose.rotation) for point in seen.tolist()]
+                points = [position + rotate(point, pose.rotation) for point in seen.tolist()]
                 made.append(_marker(frame, "cells", _SPHERES, _ORANGE, scale=(0.2,) * 3, points=points))
             yaw = (math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2))
             asked = cycle.status.setpoint
-            arrow = [] if asked is None else [position, position + turned(asked[:3], yaw)]
+            arrow = [] if asked is None else [position, position + rotate(asked[:3], yaw)]
             made.append(_marker(frame, "set-point", _ARROW, _BLUE, scale=(0.06, 0.15, 0.2), points=arrow))
         return idl_type(MARKERS)(made)
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from uavrl_onboard.autopilot.clock_sync import SenderClock
-from uavrl_onboard.autopilot.frames import Pose, check_setpoint, roll_pitch_yaw, turned
+from uavrl_onboard.autopilot.frames import Pose, check_setpoint
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import roll_pitch_yaw, rotate
 from uavrl_onboard.lidar.bags import cloud_scan, seconds
 from uavrl_onboard.lidar.frame_ids import CloudFrame
 from uavrl_onboard.lidar.ros_messages import CLOUD, HEADER, ODOMETRY, TWIST, TWIST_STAMPED
@@ -201,7 +202,7 @@ def pose_of(odometry: Any, stamp: float) -> Pose:
     at, velocity = odometry.pose.pose.position, odometry.twist.twist.linear
     turn = odometry.pose.pose.orientation
     rotation = (turn.w, turn.x, turn.y, turn.z)
-    moved = turned((velocity.x, velocity.y, velocity.z), rotation)
+    moved = rotate((velocity.x, velocity.y, velocity.z), rotation)
     roll, pitch, yaw = roll_pitch_yaw(rotation)
     return Pose(stamp, (at.x, at.y, at.z), moved, yaw, roll, pitch)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavrl_onboard.geometry import HULL
 from uavrl_onboard.guards.map.route import route
+from uavrl_onboard.vehicle import VEHICLE
 
 
 class EpisodeMap:
@@ -25,7 +25,7 @@ class EpisodeMap:
         2
     """
 
-    def __init__(self, cell: float = 0.25, reach: float = 40.0, radius: float = HULL[0]) -> None:
+    def __init__(self, cell: float = 0.25, reach: float = 40.0, radius: float = VEHICLE.radius) -> None:
         self.cell, self.reach, self.radius = cell, reach, radius
         self.occupied = np.zeros((0, 2), np.int64)
 

@@ -6,26 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavrl_onboard.geometry import body_to_world
+from uavrl_onboard.geometry import body_to_world, is_return, within
 from uavrl_onboard.guards.map.episode_map import EpisodeMap
 from uavrl_onboard.guards.map.route import waypoint
-from uavrl_onboard.perception.cells import NEAREST_RETURN
+from uavrl_onboard.vehicle import VEHICLE, lidar_place
 
-LIDAR_ABOVE = 0.1  # m, of the sensor over the hull's middle
 CELL, REACH = 0.25, 40.0  # m: edge of the map's cells, and from the vehicle to where they are forgotten
 LEVEL = 0.4  # m over and under the flight level, within which what is seen is in the way
 ELSEWHERE = 2.0  # m between two scans, after which the map is no longer of where the vehicle is
 EVERY = 5  # of so many scans one is entered, and then the way is found anew: 2 Hz of 10
 AHEAD = 4.0  # m, how far along the way a vehicle looks
 FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are counted in 32 bits
-
-
-def sensor_place(position: Sequence[float]) -> tuple[float, float, float]:
-    """A place of a LiDAR on its vehicle, m, refused unless it is three finite numbers."""
-    place = tuple(map(float, position))
-    if len(place) != 3 or not np.isfinite(place).all():
-        raise ValueError(f"sensor_position must be three finite numbers in m: forward, left, up; got {position!r}.")
-    return place[0], place[1], place[2]
 
 
 class Navigator:
@@ -63,11 +54,11 @@ class Navigator:
         self,
         sight: float = 12.0,
         reach: float = REACH,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         cell: float = CELL,
-        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
+        sensor_position: Sequence[float] = VEHICLE.lidar_position,
     ) -> None:
-        self.sight, self.flight_level, self.sensor_position = sight, flight_level, sensor_place(sensor_position)
+        self.sight, self.flight_level, self.sensor_position = sight, flight_level, lidar_place(sensor_position)
         self._size = (cell, reach)
         self.reset()
         self.known.route(np.zeros(2), np.zeros(2))  # which loads SciPy: that takes longer than a vehicle can wait
@@ -114,8 +105,5 @@ class Navigator:
     def _seen(self, cloud: np.ndarray, attitude: np.ndarray, altitude: float) -> np.ndarray:
         """What a scan shows at the flight level, ``[K, 2]`` m from the vehicle, world axes."""
         rotation = body_to_world(attitude[None])[0]
-        with np.errstate(invalid="ignore", over="ignore"):
-            squared = np.einsum("pi,pi->p", cloud, cloud)
-            near = cloud[(squared > NEAREST_RETURN**2) & (squared < self.sight**2)]
-        points = near @ rotation.T + rotation @ np.array(self.sensor_position)
+        points = cloud[is_return(cloud, within(self.sight))] @ rotation.T + rotation @ np.array(self.sensor_position)
         return points[np.abs(points[:, 2] + altitude - self.flight_level) < LEVEL, :2]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavrl_onboard.geometry import HULL
+from uavrl_onboard.guards.map.grid import Slices, grid_graph
 from uavrl_onboard.guards.map.lines import Obstacles
+from uavrl_onboard.vehicle import VEHICLE
 
 EDGE = 2.0  # m, free around all that is known: there a way leads around it
 WIDE = 1.2  # m from the hull's middle to an obstacle, from which on a way counts once
@@ -15,7 +16,7 @@ SEEN_AROUND = 0.6  # m that a straight line of the way keeps between hull and ce
 
 
 def route(
-    occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float, radius: float = HULL[0]
+    occupied: np.ndarray, start: np.ndarray, goal: np.ndarray, cell: float, radius: float = VEHICLE.radius
 ) -> np.ndarray | None:
     """The quickest way from cell to cell, in eight directions; what is not known to be occupied is free.
 
@@ -42,7 +43,6 @@ def route(
     """
     # here, since what learns imports the transforms and needs no SciPy
     from scipy.ndimage import distance_transform_edt
-    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
     ends = np.floor(np.stack([start, goal]) / cell).astype(np.int64)
@@ -57,18 +57,12 @@ def route(
     free = clearance > radius
     here, there = (tuple(end) for end in ends - low)
     free[here] = free[there] = True
-    index = np.arange(free.size).reshape(shape)
-    first, second, lengths = [], [], []
-    for i, j in ((1, 0), (0, 1), (1, 1), (1, -1)):
-        a = (slice(None, -i or None), slice(max(-j, 0), -j if j > 0 else None))
-        b = (slice(i, None), slice(max(j, 0), j if j < 0 else None))
-        both = free[a] & free[b]
-        first.append(index[a][both])
-        second.append(index[b][both])
-        lengths.append((cell * np.hypot(i, j) / 2 * (cost[a] + cost[b]))[both])
-    edges = (np.concatenate(first), np.concatenate(second))
-    graph = coo_array((np.concatenate(lengths), edges), (free.size, free.size)).tocsr()
-    apart, before = dijkstra(graph, directed=False, indices=index[here], return_predecessors=True)
+
+    def weighed(one: Slices, other: Slices, apart: float) -> tuple[np.ndarray, np.ndarray]:
+        return free[one] & free[other], cell * apart / 2 * (cost[one] + cost[other])
+
+    graph, index = grid_graph(free.shape, weighed)
+    apart, before = dijkstra(graph.tocsr(), directed=False, indices=index[here], return_predecessors=True)
     at = int(index[there])
     if not np.isfinite(apart[at]):
         return None
@@ -81,7 +75,7 @@ def route(
 
 
 def waypoint(
-    way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: float, radius: float = HULL[0]
+    way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: float, radius: float = VEHICLE.radius
 ) -> tuple[int, bool]:
     """The last point of a way that is straight ahead, or else where the way bends within sight.
 

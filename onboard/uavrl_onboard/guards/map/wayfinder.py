@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from uavrl_onboard.geometry import heading_vector
 from uavrl_onboard.guards.map.goal_finder import GoalFinder
-from uavrl_onboard.guards.map.navigator import LIDAR_ABOVE, Navigator
+from uavrl_onboard.guards.map.navigator import Navigator
+from uavrl_onboard.vehicle import VEHICLE
 
 
 class Wayfinder:
@@ -43,10 +45,10 @@ class Wayfinder:
         vehicles: int,
         sight: float = 12.0,
         reach: float = 40.0,
-        flight_level: float = 3.5,
+        flight_level: float = VEHICLE.flight_level,
         cell: float = 0.25,
-        period: float = 0.1,
-        sensor_position: Sequence[float] = (0.0, 0.0, LIDAR_ABOVE),
+        period: float = VEHICLE.period,
+        sensor_position: Sequence[float] = VEHICLE.lidar_position,
     ) -> None:
         self.reach, self.period = reach, period
         self._navigators = [Navigator(sight, reach, flight_level, cell, sensor_position) for _ in range(vehicles)]
@@ -91,7 +93,7 @@ class Wayfinder:
         turns, bearings = np.zeros(len(which)), attitudes[:, 2] + headings
         for one in np.flatnonzero(which).tolist():
             place = self._places[one, :2]
-            goal = self._goals[one].look(place, np.array([np.cos(bearings[one]), np.sin(bearings[one])]))
+            goal = self._goals[one].look(place, heading_vector(bearings[one]))
             at = np.append(place, altitudes[one])
             turns[one] = self._navigators[one].look(clouds[one], attitudes[one], at, goal)
         return turns

@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavrl_onboard.perception.cells import NEAREST_RETURN
+from uavrl_onboard.geometry import NEAREST_RETURN, is_return, within
 
 MOST_COLUMNS = 0.5  # share that must have had returns, before one that never had any is taken for blind
-HOUSING = NEAREST_RETURN**2  # m², squared distance below which a return lies within the sensor
 
 
 class Grid(NamedTuple):
@@ -59,11 +58,11 @@ def find_returns(clouds: np.ndarray, max_range: float) -> Returns:
         >>> find_returns(np.array([[[3.0, 0, 0], [np.nan, 0, 0], [0, 0, 0], [0, 13, 0]]], np.float32), 12.0).ranges
         array([3.], dtype=float32)
     """
-    x, y, z = (np.ascontiguousarray(clouds[..., axis], dtype=np.float32).reshape(-1) for axis in range(3))
-    squared = x * x + y * y + z * z
-    kept = np.flatnonzero((squared > HOUSING) & (squared < max_range**2))
-    points = np.stack([axis.take(kept) for axis in (x, y, z)])
-    return Returns(points, np.sqrt(squared.take(kept)), kept // max(x.size // max(len(clouds), 1), 1))
+    clouds = np.asarray(clouds, np.float32)
+    kept = np.flatnonzero(is_return(clouds, within(max_range)))
+    x, y, z = points = np.stack([clouds[..., axis].reshape(-1).take(kept) for axis in range(3)])
+    each = clouds[..., 0].size // max(len(clouds), 1)  # points in a cloud
+    return Returns(points, np.sqrt(x * x + y * y + z * z), kept // max(each, 1))
 
 
 def range_images(seen: Returns, count: int, grid: Grid, cells: Cells | None = None) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from uavrl_onboard.geometry import is_return
 from uavrl_onboard.perception.cells import AZIMUTH_STEP, FAR_EVERY
 
 FIRST = -0.1875  # of a step: where a cycle begins, whose 16 lasers fire within 0.625 of a step, in the middle of it
@@ -21,7 +22,7 @@ def far_rays(points: np.ndarray) -> np.ndarray:
         points: ``[P, 3]`` in m in the sensor frame.
 
     Returns:
-        ``[Q, 3]``; what is not finite is left out.
+        ``[Q, 3]``; misses are left out.
 
     Examples:
         >>> to_the_right = -np.radians([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2])[::-1]
@@ -29,10 +30,8 @@ def far_rays(points: np.ndarray) -> np.ndarray:
         >>> np.degrees(np.arctan2(far_rays(points)[:, 1], far_rays(points)[:, 0])).round(1).tolist()
         [-0.0, -1.0]
     """
-    x, y, z = points.T
-    with np.errstate(over="ignore", invalid="ignore"):
-        known = np.flatnonzero(x * x + y * y + z * z < np.inf)
-    azimuth = np.arctan2(-y[known], x[known]) % (2.0 * np.pi)
+    known = np.flatnonzero(is_return(points))
+    azimuth = np.arctan2(-points[known, 1], points[known, 0]) % (2.0 * np.pi)
     cycle = np.floor(azimuth / AZIMUTH_STEP - FIRST).astype(np.int64)
     sector = (cycle + FAR_EVERY // 2) // FAR_EVERY
     off = np.abs(cycle - FAR_EVERY * sector)

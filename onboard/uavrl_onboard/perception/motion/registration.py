@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uavrl_onboard.geometry import rotation_about
 from uavrl_onboard.perception.motion.occlusion import Cells, Grid, Returns
 
 THINNED = 5  # of the columns, one is looked at
@@ -97,7 +98,7 @@ def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.nda
         kept[off] = new
     for start in STARTS:  # for scans that lie farther from what was expected than one descent reaches
         if len(bad := np.flatnonzero(~found.fits & (found.compared >= LEAST_COMPARED))):
-            turned = rotation_about(np.array([[0.0, 0.0, start]])) @ rotations[bad]
+            turned = rotation_by(np.array([[0.0, 0.0, start]])) @ rotations[bad]
             again = _refine(_of(samples, bad), images[:, bad], grid, turned, places[bad])
             better = bad[again.fits]
             for kept, new in zip(found, again, strict=True):
@@ -126,7 +127,7 @@ def _refine(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndar
         pull = np.concatenate([np.zeros_like(place), expected - place], 1) * EXPECTED
         matrix = weighted @ slopes.transpose(0, 2, 1) + np.diag(EXPECTED)
         step = np.linalg.solve(matrix, weighted @ distances[..., None] + pull[..., None])[..., 0]
-        turned = rotation_about(step[:, :3]).astype(np.float32)
+        turned = rotation_by(step[:, :3]).astype(np.float32)
         turn, place = turned @ turn, ((turned @ place[..., None])[..., 0] + step[:, 3:]).astype(np.float32)
     return _judge(samples, images, grid, turn, place)
 
@@ -159,11 +160,10 @@ def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], 1)
 
 
-def rotation_about(vectors: np.ndarray) -> np.ndarray:
-    """The rotations ``[N, 3, 3]`` by vectors ``[N, 3]``, whose lengths are the angles in rad (Rodrigues' formula)."""
-    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
-    cross = np.cross(np.eye(3), vectors[:, None] / np.maximum(angle, 1e-12))  # the matrices of v -> axis x v
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+def rotation_by(vectors: np.ndarray) -> np.ndarray:
+    """Return the rotations ``[N, 3, 3]`` by vectors ``[N, 3]``, whose lengths are the angles in rad."""
+    angles = np.linalg.norm(vectors, axis=-1)
+    return rotation_about(vectors / np.maximum(angles, 1e-12)[:, None], angles)
 
 
 def orthonormal(rotations: np.ndarray) -> np.ndarray:

@@ -5,10 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from uavrl_onboard.geometry import body_to_world
+from uavrl_onboard.geometry import body_to_world, yaw_rotation
 from uavrl_onboard.perception.motion.occlusion import Cells, EarlierScans, Grid, Returns, find_returns
 from uavrl_onboard.perception.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
 from uavrl_onboard.perception.motion.tracks import AROUND, Scan, Track, follow, squared_distances
+from uavrl_onboard.vehicle import VEHICLE
 
 OBJECT = ("forward", "left", "up", "forward velocity", "left velocity", "up velocity", "size")
 """What is reported of one moving object, in m and m/s."""
@@ -54,7 +55,12 @@ class MotionSight:
     """
 
     def __init__(
-        self, sensors: int, max_range: float = 12.0, objects: int = 3, period: float = 0.1, grid: Grid | None = None
+        self,
+        sensors: int,
+        max_range: float = 12.0,
+        objects: int = 3,
+        period: float = VEHICLE.period,
+        grid: Grid | None = None,
     ) -> None:
         self.max_range, self.objects, self.period = max_range, objects, period
         self._scans = EarlierScans(sensors, DEPTH, Grid() if grid is None else grid, max_range)
@@ -192,9 +198,7 @@ class MotionSight:
         for one, (tracks, yaw) in enumerate(zip(self._tracks, yaws, strict=True)):
             if not tracks:
                 continue
-            cos, sin = np.cos(yaw), np.sin(yaw)
-            level = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-            level = level @ self._attitudes[one] @ self._rotations[one].T
+            level = yaw_rotation(-yaw) @ self._attitudes[one] @ self._rotations[one].T
             objects = [
                 [*(level @ (track.position - self._positions[one])), *(level @ track.velocity), track.size]
                 for track in tracks

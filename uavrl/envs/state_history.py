@@ -3,7 +3,7 @@
 import numpy as np
 
 
-class Past:
+class StateHistory:
     """The newest state and those of the physics steps of a control period before it; planes likewise.
 
     Args:
