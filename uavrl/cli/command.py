@@ -26,7 +26,6 @@ from uavrl.config.parts import PARTS, names_taken
 from uavrl.config.sentences import did_you_mean
 from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
-from uavrl.runs.config import today
 
 SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
 LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings
@@ -169,8 +168,6 @@ def _no_such_key(key: str, name: str) -> str:
     folders, overrides = _command_line()
     group, _, below = key.partition(".")
     known = known_keys(name, folders)
-    if key not in known and (now := today(key)) in known:
-        return f"There is no key {key!r}: it is called {now} now."
     if key not in known and (near := did_you_mean(key, known, ": ", cutoff=SLIP)) != ".":
         return f"There is no key {key!r}{near}"
     values = [override for override in overrides if override.partition("=")[0] == key]

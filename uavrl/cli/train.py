@@ -17,7 +17,7 @@ from uavrl.cli.command import command
 from uavrl.cli.errors import configure_logging, one_sentence, sentence
 from uavrl.cli.memory import require_memory
 from uavrl.command_line import command_line
-from uavrl.config import TrainConfig, resolve, validate, validate_run
+from uavrl.config import TrainConfig, resolve, validate
 from uavrl.config.values import to_plain
 from uavrl.counted import counted
 from uavrl.errors import FolderTaken, Stopped, UavrlError
@@ -91,7 +91,7 @@ def _train(config: DictConfig) -> None:
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-    _check(validate_run(config))
+    _check(validate(config))
     _check_machine(config)
     with explain_full_disk(run_dir):
         _fly(config, run_dir, resume=True)
