@@ -73,7 +73,6 @@ def test_an_unknown_run_and_a_taken_folder_are_refused(
             ["policy=bst", new],
             f"policy must be one of {', '.join(packaged_policies())}, got 'bst': did you mean best?",
         ),
-        (["policy=dynamic", new], "policy=dynamic came with uavrl 0.1.0 and is not in this version: take policy=best"),
         (["policy=straight", new], "got 'straight': to export your own give run=RUN_FOLDER"),
         ([f"run={run_dir}"], "output must be a folder to write the policy to, and none is given: add output=my_policy"),
         (["policy=best"], "output must be a folder to write the policy to, and none is given: add output=best."),
