@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
-from uavrl.config import TrainConfig, compose, validate_run
+from uavrl.config import TrainConfig, compose, validate
 from uavrl.envs import NavigationEnv
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
@@ -45,7 +45,7 @@ def among_planes(folder: Path, *overrides: str) -> tuple[TrainConfig, Callable[[
     """The configuration of a run or a packaged policy, among planes and with what is changed, and the policy."""
     policy = read_policy(folder)
     told = ["env=dynamic", *overrides]
-    return validate_run(with_overrides(policy.config, compose(*told, name="evaluate"), told)), policy
+    return validate(with_overrides(policy.config, compose(*told, name="evaluate"), told)), policy
 
 
 def scan(base: NavigationEnv, planes: np.ndarray | None) -> np.ndarray:

@@ -13,7 +13,7 @@ from tests.helpers.commands import SMALL_EVALUATION, content, in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import replay as replay_command
-from uavrl.config import validate_run
+from uavrl.config import validate
 from uavrl.evaluation.policies import PACKAGED, packaged_policies
 from uavrl.runs.config import load_config
 
@@ -54,7 +54,7 @@ def test_a_packaged_policy_and_one_on_its_own_can_be_exported(policy: Path, tmp_
         assert in_process(export_command.main, chosen, f"output={output}") == 0
         assert json.loads((output / "policy.json").read_text()) == json.loads((source / "policy.json").read_text())
         assert (output / "policy.safetensors").read_bytes() == (source / "policy.safetensors").read_bytes()
-        settings = [validate_run(load_config(folder / "config.yaml")) for folder in (output, source)]
+        settings = [validate(load_config(folder / "config.yaml")) for folder in (output, source)]
         assert settings[0].algo == settings[1].algo and settings[0].perception == settings[1].perception
 
 
@@ -73,7 +73,6 @@ def test_an_unknown_run_and_a_taken_folder_are_refused(
             ["policy=bst", new],
             f"policy must be one of {', '.join(packaged_policies())}, got 'bst': did you mean best?",
         ),
-        (["policy=dynamic", new], "policy=dynamic came with uavrl 0.1.0 and is not in this version: take policy=best"),
         (["policy=straight", new], "got 'straight': to export your own give run=RUN_FOLDER"),
         ([f"run={run_dir}"], "output must be a folder to write the policy to, and none is given: add output=my_policy"),
         (["policy=best"], "output must be a folder to write the policy to, and none is given: add output=best."),

@@ -66,10 +66,6 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
         (["preset=bst"], "got 'bst': did you mean best?"),
         (["preset=fast"], "preset must be one of best, thesis, got 'fast'."),
-        (["algo.random_steps=5"], "There is no key 'algo.random_steps': it is called algo.learning_starts now."),
-        (["scheme=tr"], "There is no key 'scheme': it is called reward_preset now."),
-        (["enhancer.weight=1"], "There is no key 'enhancer.weight': it is called actor_penalty.weight now."),
-        (["trainer.products=mkl"], "There is no key 'trainer.products': it is called trainer.matmul now."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
         (["--seed", "1"], "uavrl-train has no option --seed: write seed=VALUE."),
         (["--seeds=1"], "uavrl-train has no option --seeds=1: did you mean seed?"),
@@ -96,7 +92,6 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
             "policy must be one of straight, vfh, vfh_star, mppi, potential_field, rrt_connect, rrt_map, "
             "best, best_dynamic, got 'bst': did you mean best?",
         ),
-        (["policy=static"], "policy=static came with uavrl 0.1.0 and is not in this version: take policy=best, which"),
         (["policy=???"], "policy must be given, and is not: add policy=VALUE."),
         (["policy='${oc.env:NOWHERE}'"], "The configuration does not hold together at policy"),
         (["policy=best", "suite=denze"], "got 'denze': did you mean dense?"),

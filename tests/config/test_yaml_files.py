@@ -54,12 +54,6 @@ def test_what_a_run_writes_is_read_as_it_was(algo: str, penalties: list[str], tm
     assert validate(again) == validate(config)
 
 
-def test_a_configuration_that_names_no_classes_is_of_an_older_uavrl() -> None:
-    old = OmegaConf.create({"algo": {"name": "td3", "gamma": 0.99}, "env": {"name": "static"}, "seed": 0})
-    with pytest.raises(UavrlError, match=r"older uavrl, which named no classes: start a new run"):
-        validate(old)
-
-
 @pytest.mark.parametrize("path", YAML_FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_every_key_has_a_comment(path: Path) -> None:
     lines = path.read_text().splitlines()

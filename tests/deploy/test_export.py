@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tests.helpers.commands import VALLEY
 from tests.helpers.recorded import READ, SCANNED, SCANS, states, unmistakable
-from uavrl.config import compose, validate, validate_run
+from uavrl.config import compose, validate
 from uavrl.config.settings import TrainConfig
 from uavrl.envs import NavigationEnv
 from uavrl.export.export import as_text, contract
@@ -201,4 +201,4 @@ def test_it_says_what_else_a_program_needs() -> None:
 
 
 def test_what_is_not_of_the_valley_has_none() -> None:
-    assert contract(validate_run(compose("perception=none")), "") is None
+    assert contract(validate(compose("perception=none")), "") is None

@@ -19,7 +19,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from tests.helpers.commands import VALLEY
 from tests.helpers.exported import edit_contract, exported, refusal
-from uavrl.config import validate_run
+from uavrl.config import validate
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
@@ -58,7 +58,7 @@ def terms(made: Path) -> dict[str, Any]:
 def flown(made: Path) -> list[TensorDictBase]:
     """What the simulator emits to three vehicles that the policy flies among planes, and its actions."""
     policy = read_policy(made)
-    settings = validate_run(policy.config)
+    settings = validate(policy.config)
     options: dict[str, Any] = {"num_uavs": 3, "keep_cloud": True, "mark_resets": True}
     env = make_env({**settings.env, "max_steps": 2 * STEPS}, settings.perception, seed=3, **options)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):

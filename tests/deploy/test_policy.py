@@ -21,7 +21,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from tests.helpers.exported import edit_contract, exported, put_network
 from tests.helpers.recorded import READ, SCANNED, SCANS, RecordedScans
-from uavrl.config import validate_run
+from uavrl.config import validate
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import build
@@ -79,7 +79,7 @@ def test_scans_and_poses_lead_to_the_same_actions(kind: str, folders: Callable[[
     """Reduction, scaling, frames, padding and last action, of every vehicle its own."""
     folder, scans = folders(kind), load_file(SCANS)
     scans = {key: scans[key] for key in ("cloud", "action", *READ)}
-    settings = validate_run(read_policy(folder).config)
+    settings = validate(read_policy(folder).config)
     state = build(settings.perception, NavigationState)
     for part in state.modules():
         if isinstance(part, PointCloudReduction):

@@ -17,11 +17,11 @@ COMPONENTS = [
     "backward_reward",
     "collector",
     "episode_log",
-    "experience",
     "log",
     "loss_module",
     "policy",
     "random_state",
+    "replay",
     "stepper",
     "trainer",
 ]

@@ -25,7 +25,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform, TransformedEnv
 
-from uavrl.config import TrainConfig, compose, validate, validate_run
+from uavrl.config import TrainConfig, compose, validate
 from uavrl.config.build import build
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
@@ -61,7 +61,7 @@ def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
     """A packaged policy, and the configuration in which its evaluation was flown."""
     policy = read_policy(PACKAGED / name)
     overrides = evaluation(name)["overrides"]
-    return validate_run(with_overrides(policy.config, compose(*overrides, name="evaluate"), overrides)), policy
+    return validate(with_overrides(policy.config, compose(*overrides, name="evaluate"), overrides)), policy
 
 
 def recorded(name: str) -> dict[str, Tensor]:

@@ -81,6 +81,7 @@ def checkpoint_run(
     checkpoint = Checkpoint(replay_data=BufferState(buffer), format="archive", archive_compression="stored")
     about = {
         "fingerprint": fingerprint(read_config(run_dir)),
+        "seconds": 0.0,
         "collected_frames": len(buffer),
         "episodes": len(episodes),
     }

@@ -75,16 +75,6 @@ def test_a_decay_from_nothing_is_refused() -> None:
         Imitation(td3(), weight=0, final_weight=0.2)
 
 
-def test_a_state_from_before_the_weight_could_decay_is_taken_at_its_first_weight() -> None:
-    loss = Imitation(td3(), limit=2.0, weight=0.7)
-    older = {key: value for key, value in loss.state_dict().items() if key not in ("weight", "steps")}
-    restored = Imitation(td3(), limit=2.0, weight=0.7)
-    restored.load_state_dict(older)
-    assert (restored.weight.item(), restored.steps.item()) == (pytest.approx(0.7), 0)
-    with pytest.raises(RuntimeError, match="Missing"):
-        restored.load_state_dict({"weight": loss.weight})
-
-
 @pytest.mark.parametrize("execution", ["eager", "captured", "compiled"])
 def test_an_update_takes_the_weight_of_now(execution: Any) -> None:
     loss = Imitation(td3(), limit=2.0, weight=1.0, final_weight=100.0, decay_steps=10)

@@ -15,7 +15,7 @@ from torch.testing import assert_close
 from tests.helpers.commands import in_process
 from uavrl import load_policy
 from uavrl.cli import evaluate
-from uavrl.config import compose, validate, validate_run
+from uavrl.config import compose, validate
 from uavrl.config.settings import EvaluateConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import with_sight
@@ -235,7 +235,7 @@ def test_an_evaluation_looks_as_far_and_knows_the_vehicles_size(
 
 
 def test_a_sensor_that_does_not_reach_as_far_is_refused() -> None:
-    seen = validate_run(compose("perception.lidar.far_range=8")).perception
+    seen = validate(compose("perception.lidar.far_range=8")).perception
     assert with_sight(seen, evade=8.0) == seen
     with pytest.raises(
         UavrlError, match=r"evade=12 looks farther than the LiDAR, which reaches 8 m: .* or lower evade"

@@ -55,7 +55,6 @@ def test_a_run_of_ones_own(run_dir: Path) -> None:
     ("name", "said"),
     [
         ("bst", "policy must be one of best.* got 'bst': did you mean best?"),
-        ("static", "policy=static came with uavrl 0.1.0"),
         ("straight", "got 'straight': for your own give the folder of a run, or one that uavrl-export wrote"),
         ("no/where", "Expected a run folder at no/where"),
     ],

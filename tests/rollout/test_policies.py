@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 
 from tests.helpers.recorded import LARGEST, SCANS, as_evaluated, evaluation, recorded, states, suite
-from uavrl.config import compose, validate, validate_run
+from uavrl.config import compose, validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import PACKAGED, packaged_policies, with_overrides
@@ -58,7 +58,7 @@ def test_its_contract_is_of_these_weights_and_this_configuration(name: str) -> N
     weights = (PACKAGED / name / "policy.safetensors").read_bytes()
     checksum = hashlib.sha256(weights).hexdigest()
     assert terms["weights_sha256"] == about(name)["weights_sha256"] == checksum
-    again = contract(validate_run(load_config(PACKAGED / name / "config.yaml")), checksum)
+    again = contract(validate(load_config(PACKAGED / name / "config.yaml")), checksum)
     assert {**again, "versions": None} == {**terms, "versions": None}
     assert about(name)["shapes"]["module.net.0.weight"][1] == terms["state"]["size"]
 
@@ -89,7 +89,7 @@ def test_a_packaged_policy_is_evaluated_in_randomized_vehicles_and_without_again
     def randomized(*overrides: str) -> dict[str, Any]:
         config = read_policy(PACKAGED / "best").config
         config.env.randomize = {"mass": [0.5, 0.6]}
-        run = validate_run(with_overrides(config, compose(*overrides, name="evaluate"), list(overrides)))
+        run = validate(with_overrides(config, compose(*overrides, name="evaluate"), list(overrides)))
         return {key: value for key, value in to_plain(run.env.randomize).items() if value is not None}
 
     assert randomized("policy=best") == {"mass": [0.5, 0.6]}  # the run's own

@@ -11,7 +11,7 @@ from torchrl.envs import TransformedEnv, check_env_specs
 from tests.helpers.contracts import ThroughTimeContract
 from tests.helpers.flights import small_env
 from tests.helpers.moving import BODY, ScanEnv, Vehicle, straight, valley
-from uavrl.config import compose, validate_run
+from uavrl.config import compose, validate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.errors import UavrlError
@@ -150,8 +150,8 @@ def test_a_state_holds_the_objects_before_the_last_action_and_a_mirror_turns_the
 
 def test_the_buffers_mirror_is_told_of_them() -> None:
     chosen = ["perception=range_image", "perception.motion=12", "buffer.mirror=true"]
-    assert _make_mirror(validate_run(compose(*chosen))).motion
-    assert not _make_mirror(validate_run(compose("buffer.mirror=true"))).motion
+    assert _make_mirror(validate(compose(*chosen))).motion
+    assert not _make_mirror(validate(compose("buffer.mirror=true"))).motion
 
 
 @pytest.mark.parametrize(
@@ -165,13 +165,13 @@ def test_the_buffers_mirror_is_told_of_them() -> None:
     ],
 )
 def test_the_sensor_looks_as_far_as_perception_does(chosen: list[str], reaches: float | None) -> None:
-    assert with_sight(validate_run(compose(*chosen)).perception)["lidar"].far_range == reaches
+    assert with_sight(validate(compose(*chosen)).perception)["lidar"].far_range == reaches
 
 
 @pytest.mark.parametrize("motion", [3, 12])
 def test_a_sensor_that_reaches_as_far_without_it_will_do(motion: int) -> None:
     """With a LiDAR of 20 m no firing cycle need look farther, nor with sight that ends before the cells."""
-    seen = validate_run(compose(f"perception.motion={motion}", "perception.lidar.max_range=20")).perception
+    seen = validate(compose(f"perception.motion={motion}", "perception.lidar.max_range=20")).perception
     env = make_env(small_env(), seen, num_uavs=1)
     assert env.rollout(2)["observation"].shape == (1, 2, 3 * (35 + 21 + 73))
     env.close()
@@ -180,6 +180,6 @@ def test_a_sensor_that_reaches_as_far_without_it_will_do(motion: int) -> None:
 @pytest.mark.parametrize("looks", ["motion", "memory"])
 def test_looking_farther_than_the_sensor_reaches_is_refused(looks: str) -> None:
     """What is not scanned would seem to be free, and all that comes into range to move."""
-    seen = validate_run(compose(f"perception.{looks}=12", "perception.lidar.far_range=8")).perception
+    seen = validate(compose(f"perception.{looks}=12", "perception.lidar.far_range=8")).perception
     with pytest.raises(UavrlError, match=rf"perception\.{looks}=12 looks farther than the LiDAR, which reaches 8 m"):
         make_env(small_env(), seen)

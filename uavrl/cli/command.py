@@ -25,7 +25,6 @@ from uavrl.config.command_line import readable
 from uavrl.config.parts import PARTS, names_taken
 from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
-from uavrl.runs.config import today
 from uavrl_onboard.cli.process import command_process, one_sentence
 from uavrl_onboard.sentences import did_you_mean
 
@@ -170,8 +169,6 @@ def _no_such_key(key: str, name: str) -> str:
     folders, overrides = _command_line()
     group, _, below = key.partition(".")
     known = known_keys(name, folders)
-    if key not in known and (now := today(key)) in known:
-        return f"There is no key {key!r}: it is called {now} now."
     if key not in known and (near := did_you_mean(key, known, ": ", cutoff=SLIP)) != ".":
         return f"There is no key {key!r}{near}"
     values = [override for override in overrides if override.partition("=")[0] == key]

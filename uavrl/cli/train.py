@@ -16,7 +16,7 @@ from uavrl.cli import sweep_runs
 from uavrl.cli.command import command
 from uavrl.cli.logs import configure_logging
 from uavrl.cli.memory import require_memory
-from uavrl.config import TrainConfig, resolve, validate, validate_run
+from uavrl.config import TrainConfig, resolve, validate
 from uavrl.config.command_line import command_line
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.episodes import RATES
@@ -92,7 +92,7 @@ def _train(config: DictConfig) -> None:
     run_dir = Path(str(config.resume))
     changed = [o.split("=", 1)[0].lstrip("+~") for o in HydraConfig.get().overrides.task]
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
-    _check(validate_run(config))
+    _check(validate(config))
     _check_machine(config)
     with explain_full_disk(run_dir):
         _fly(config, run_dir, resume=True)

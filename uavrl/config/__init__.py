@@ -1,7 +1,7 @@
 """From yaml to objects: what a command line composes, validated, and the classes that it names."""
 
 from uavrl.config.settings import EvaluateConfig, TrainConfig
-from uavrl.config.validation import resolve, validate, validate_run
+from uavrl.config.validation import resolve, validate
 from uavrl.config.yaml_files import compose, conf_dir, learner_name
 
 __all__ = [
@@ -12,5 +12,4 @@ __all__ = [
     "learner_name",
     "resolve",
     "validate",
-    "validate_run",
 ]

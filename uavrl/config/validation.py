@@ -1,15 +1,12 @@
 """From what Hydra composed, or a run has written, to validated settings."""
 
-from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any, TypeVar, cast, get_type_hints, overload
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from uavrl.config.build import TARGET
 from uavrl.config.parts import PARTS, validated_parts
-from uavrl.config.recorded import renewed
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
 from uavrl_onboard.sentences import require_known
@@ -33,8 +30,6 @@ def validate(config: DictConfig, kind: type[Any] = TrainConfig) -> Any:
         UavrlError: naming the key that is unknown, missing, of another type or out of range.
     """
     values = _plain_values(config)
-    if isinstance(values.get("algo"), Mapping) and TARGET not in values["algo"]:
-        raise UavrlError("The configuration is of an older uavrl, which named no classes: start a new run.")
     hints = get_type_hints(kind, include_extras=True)
     require_known(values, hints, "")
     for each in fields(kind):
@@ -48,11 +43,6 @@ def validate(config: DictConfig, kind: type[Any] = TrainConfig) -> Any:
 def resolve(config: DictConfig) -> DictConfig:
     """The same configuration with every value worked out, and as its class has it: what ``config.yaml`` holds."""
     return OmegaConf.create(to_plain(validate(config)))
-
-
-def validate_run(config: DictConfig) -> TrainConfig:
-    """The settings that a run has recorded, perhaps by an older uavrl."""
-    return validate(renewed(config))
 
 
 def _plain_values(config: DictConfig) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.checkpoint import Checkpoint
 
-from uavrl.config import validate_run
+from uavrl.config import validate
 from uavrl.config.build import build, find_class
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
@@ -71,7 +71,7 @@ def load_actor(
     """Configuration, policy and origin: of the checkpoint named, else of a policy on its own, else the newest."""
     config = read_config(folder)
     config.packages = list(packages)
-    settings = validate_run(config)
+    settings = validate(config)
     sizes = saved_sizes(settings)
     actor = make_actor(settings, sizes, device).to(torch.float32)  # as it was saved, whatever the host's default is
     if checkpoint is None and POLICY.is_in(folder):

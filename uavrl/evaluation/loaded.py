@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from uavrl.config import compose, validate_run
+from uavrl.config import compose, validate
 from uavrl.entries import entry
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
@@ -101,7 +101,7 @@ class LoadedPolicy(TensorDictModuleBase):
         except Exception as error:  # of Hydra, whose further lines are about its own syntax
             raise UavrlError(f"make_env cannot take {', '.join(changes)}. {str(error).splitlines()[0]}") from error
         OmegaConf.update(composed, "packages", self.config.packages)
-        run = validate_run(with_overrides(self.config, composed, list(changes)))
+        run = validate(with_overrides(self.config, composed, list(changes)))
         if valleys is not None:
             require_valley(run.env, run.choices, "valleys")
         if "world" in run.env and (valleys is not None or "env.world.seeds" not in keys):

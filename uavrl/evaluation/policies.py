@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from uavrl.config import TrainConfig, validate, validate_run
+from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET, build, find_class
 from uavrl.config.context import CONTEXT
 from uavrl.config.parts import Part
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # what `policy=NAME` names, beside the baselines
 EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
-GONE = ("static", "dynamic")  # what came with uavrl 0.1.0
 BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
     "vfh": "uavrl.policies.baselines.VectorFieldHistogram",
@@ -87,7 +86,7 @@ def choose(
         chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
     else:
         policy = read_policy(folder, settings.checkpoint, device, settings.packages)
-        run = validate_run(with_overrides(policy.config, config, overrides))
+        run = validate(with_overrides(policy.config, config, overrides))
         chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, policy.source, run)
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
@@ -276,12 +275,7 @@ def named_policy(
 
 
 def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
-    """Says which names a policy may have, and how to name one of one's own, or what has become of this one."""
-    if name in GONE:
-        return UavrlError(
-            f"policy={name} came with uavrl 0.1.0 and is not in this version: take policy=best, which succeeds more "
-            f"often, or give run=FOLDER with a copy of its folder."
-        )
+    """Says which names a policy may have, and how to name one of one's own."""
     near = did_you_mean(name, names, ": ", own)
     return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
 

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import CatFrames, EnvBase, Transform
 
-from uavrl.config import TrainConfig, validate_run
+from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET, build, find_class
 from uavrl.envs import Airframe, NavigationEnv
 from uavrl.envs.simulation import CONTROL_RATE
@@ -88,7 +88,7 @@ def export_policy(
     with replacing(output / CONFIG) as partial:
         partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
     saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
-    terms = contract(validate_run(config), saved["weights_sha256"])
+    terms = contract(validate(config), saved["weights_sha256"])
     if terms is not None:
         terms |= _write_network(output, actor, terms) if network else {}
         with replacing(output / CONTRACT) as partial:

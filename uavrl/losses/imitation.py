@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -106,12 +106,6 @@ class Imitation(ActorPenalty):
         self.steps: Tensor
         self.register_buffer("weight", torch.tensor(float(weight)))
         self.register_buffer("steps", torch.tensor(0))
-
-    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
-        """Takes states from before the weight could decay, too: it stands at its first value there."""
-        for name in ("weight", "steps"):
-            state_dict.setdefault(prefix + name, getattr(self, name))
-        super()._load_from_state_dict(state_dict, prefix, *args)
 
     @torch.no_grad()
     def observe(self, episodes: TensorDictBase) -> None:

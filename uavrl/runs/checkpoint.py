@@ -19,7 +19,7 @@ from torchrl.data import ReplayBuffer
 
 from uavrl.config.command_line import command_line
 from uavrl.errors import UavrlError
-from uavrl.runs.config import fingerprint, fingerprints, read_config, require_folder
+from uavrl.runs.config import fingerprint, read_config, require_folder
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
 from uavrl.runs.trust import check_archive
@@ -100,12 +100,12 @@ def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
     try:
         metadata: dict[str, Any] = check_archive(path)["metadata"]
         written_under = metadata["fingerprint"]
-        _ = metadata["collected_frames"], metadata["episodes"]
+        _ = metadata["collected_frames"], metadata["episodes"], metadata["seconds"]
     except UavrlError:
         raise
     except Exception as error:
         raise DamagedCheckpoint(path, error) from error
-    if written_under not in fingerprints(config):
+    if written_under != fingerprint(config):
         raise UavrlError(
             f"The checkpoint {path} was written under another configuration than the one given: "
             f"resume it with the {CONFIG} of its own run folder."

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import json
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import yaml
@@ -20,50 +19,20 @@ FREE_KEYS = (
 # What a run may change when it goes on, on another machine perhaps: it bears on the last digits alone.
 MACHINE_KEYS = ("device", "trainer.execution", "trainer.threads", "trainer.matmul")
 # What may differ between two seeds of one experiment.
-OF_OLDER_RUNS = ("trainer.record_states", "trainer.products")
-# What keys are called today, by the name that runs before 0.2.0 recorded.
-RENAMED = {
-    "trainer.products": "trainer.matmul",
-    "algo.random_steps": "algo.learning_starts",
-    "enhancer": "actor_penalty",
-    "choices.enhancer": "choices.actor_penalty",
-    "choices.scheme": "choices.reward_preset",
-}
-HOW_IT_RUNS = (*FREE_KEYS, *MACHINE_KEYS, "trainer.window", *OF_OLDER_RUNS)
+HOW_IT_RUNS = (*FREE_KEYS, *MACHINE_KEYS, "trainer.window")
 _MOST_BYTES = 1_000_000  # a configuration is of some 4,000
 
 
-def today(key: str) -> str:
-    """What a key is called today.
-
-    Examples:
-        >>> today("algo.random_steps"), today("scheme"), today("enhancer.weight"), today("algo.gamma")
-        ('algo.learning_starts', 'reward_preset', 'actor_penalty.weight', 'algo.gamma')
-    """
-    for recorded in RENAMED:
-        before, now = (name.removeprefix("choices.") for name in (recorded, RENAMED[recorded]))
-        if f"{key}.".startswith(f"{before}."):
-            return now + key[len(before) :]
-    return key
-
-
-def fingerprint(config: DictConfig, without: Iterable[str] = (*FREE_KEYS, *MACHINE_KEYS)) -> str:
+def fingerprint(config: DictConfig) -> str:
     """A hash of everything in a resolved configuration that changes what is learned."""
     plain = OmegaConf.create(OmegaConf.to_container(config, resolve=True))
-    for key in without:
+    for key in (*FREE_KEYS, *MACHINE_KEYS):
         parent, _, leaf = key.rpartition(".")
         node = OmegaConf.select(plain, parent) if parent else plain
         if isinstance(node, DictConfig) and leaf in node:
             del node[leaf]
     text = json.dumps(OmegaConf.to_container(plain), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def fingerprints(config: DictConfig) -> tuple[str, ...]:
-    """Under which a recorded configuration's checkpoint may be written: with the machine's keys, or under old names."""
-    old = _renamed(config, {now: before for before, now in RENAMED.items()})
-    machine = (*FREE_KEYS, *MACHINE_KEYS, "trainer.products")
-    return tuple(fingerprint(each, without) for each in (config, old) for without in (machine, FREE_KEYS))
 
 
 def free_keys(config: DictConfig) -> list[str]:
@@ -112,14 +81,4 @@ def load_config(path: Path) -> DictConfig:
     loaded = OmegaConf.load(io.StringIO(text))
     if not isinstance(loaded, DictConfig):
         raise ValueError("it holds no configuration")
-    return _renamed(loaded, RENAMED)
-
-
-def _renamed(config: DictConfig, names: Mapping[str, str]) -> DictConfig:
-    result = config.copy()
-    for before, now in names.items():
-        (above, _, old), (_, _, new) = before.rpartition("."), now.rpartition(".")
-        node = OmegaConf.select(result, above) if above else result
-        if isinstance(node, DictConfig) and old in node and new not in node:
-            node[new] = node.pop(old)
-    return result
+    return loaded

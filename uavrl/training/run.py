@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.checkpoint import Checkpoint
 
 from uavrl.collectors.stall_notice import StallNotice
-from uavrl.config import learner_name, validate, validate_run
+from uavrl.config import learner_name, validate
 from uavrl.config.command_line import command_line
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
@@ -87,8 +87,7 @@ def train(
     """
     if resume:
         check_links(run_dir, TRAINING)
-    backend = OmegaConf.select(config, "trainer.matmul", default="mkl")  # that of runs older than the choice
-    threads = config.trainer.threads
+    backend, threads = config.trainer.matmul, config.trainer.threads
     with run_lock(run_dir), denormals_flushed(), matmul_backend(backend, threads), stoppable() as stop:
         try:
             return _train(config, run_dir, stop, begun, resume=resume)
@@ -101,7 +100,7 @@ def train(
 
 
 def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], None], *, resume: bool) -> dict[str, Any]:
-    settings: TrainConfig = validate_run(config) if resume else validate(config)
+    settings = validate(config)
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     if resume and has_no_checkpoint(run_dir):
@@ -184,15 +183,11 @@ def _restore_run(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, 
     """Makes trainer and run folder what they were after the barrier of a checkpoint."""
     flown = read_episodes(run_dir / EPISODES)
     _restore(trainer, checkpoint)
-    about = Checkpoint.manifest(checkpoint)["metadata"]
-    trainer.seconds_before = about.get("seconds", 0.0)
+    trainer.seconds_before = Checkpoint.manifest(checkpoint)["metadata"]["seconds"]
     truncate_logs(trainer.log.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
     done = f"{counted(trainer.episode_log.count, 'episode')}, {counted(trainer.collected_frames, 'step')}"
     log.info("Resumed %s after %s.", run_dir, done)
-    if about["fingerprint"] == trainer.metadata["fingerprint"]:
-        trainer.barrier()
-    else:  # an older one, which goes only with the machine's keys that are recorded until now
-        trainer.save()
+    trainer.barrier()
     _write(config, run_dir)
 
 
@@ -250,10 +245,9 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
             f"resume={run_dir} goes on with the run's own configuration, and {', '.join(changed)} would change it: "
             f"leave that out, or start a new run."
         )
-    if "trainer.matmul" in machine:  # older runs have no choice
-        found_here = chosen_matmul if "trainer.matmul" in changed else matmul_here
-        config.trainer.matmul = found_here(config.trainer.matmul, config.trainer.threads)
-        config.trainer.execution = chosen_execution(config.trainer.execution)
+    found_here = chosen_matmul if "trainer.matmul" in changed else matmul_here
+    config.trainer.matmul = found_here(config.trainer.matmul, config.trainer.threads)
+    config.trainer.execution = chosen_execution(config.trainer.execution)
     now = _of_the_machine(config)
     if others := [f"{key}={now[key]} (before: {machine.get(key)})" for key in now if now[key] != machine.get(key)]:
         log.info("%s goes on with %s: from here on last digits may differ.", run_dir, ", ".join(others))

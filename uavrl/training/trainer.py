@@ -97,7 +97,7 @@ class EpisodeTrainer:
             loss_module=self.loss,
             stepper=self.stepper,
             collector=self.collector,
-            experience=self.replay,  # as checkpoints of older runs call it
+            replay=self.replay,
             replay_data=BufferState(self.replay.buffer),
             **relabelling,
             episode_log=self.episode_log,
