@@ -1,4 +1,4 @@
-"""How often runs arrive in training in their dense valleys, while the guide flies and after it.
+"""How often runs arrive in training in their dense valleys, while the demonstrator flies and after it.
 
     python studies/dense_flights.py docs/data/guided/near.csv.gz --plot docs/img/near.png
     python studies/dense_flights.py FILE.csv --add "my way s0=RUN_FOLDER"

@@ -35,8 +35,8 @@ LEARNERS = {
     "td3": ["learner=td3"],
     "mep_ddpg": ["learner=mep_ddpg", f"buffer.until={STEPS // 2}"],
     "td3_alternative": ["learner=td3_alternative"],
-    "imitation": ["learner=td3", "guide=vfh", "actor_penalty=imitation"],  # the library's own way
-    "ddpg_guided": ["learner=ddpg", "guide=vfh"],  # mep_ddpg with one pool
+    "imitation": ["learner=td3", "demonstrator=vfh", "actor_penalty=imitation"],  # the library's own way
+    "ddpg_guided": ["learner=ddpg", "demonstrator=vfh"],  # mep_ddpg with one pool
 }
 
 

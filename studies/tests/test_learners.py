@@ -140,7 +140,7 @@ def test_a_learner_trains_goes_on_and_is_evaluated(learner: str, tmp_path: Path)
 
 def test_two_pools_need_a_pilot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert in_process(train, *short(tmp_path / "run", "ddpg"), "buffer=two_pools", "buffer.until=80") == 1
-    assert "The buffer reads 'guide_action'" in capsys.readouterr().err
+    assert "The buffer reads 'demonstrator_action'" in capsys.readouterr().err
 
 
 def test_the_policy_that_is_used_has_the_critic_that_was_learned(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_all_learners_are_trained_in_the_same_way(said: Callable[..., str], tmp_
     assert {run.trainer.steps for run in found.values()} == {20_000}
     assert {run.algo.learning_starts for run in found.values()} == {4_000}
     buffer = found["mep_ddpg"].buffer
-    assert (buffer.pilot_steps, buffer.until) == (4_000, 10_000) and found["mep_ddpg"].guided
+    assert (buffer.pilot_steps, buffer.until) == (4_000, 10_000) and found["mep_ddpg"].demonstrated
     assert found["td3_alternative"].algo.actor["_target_"] == "learners.alternative.TwoActions"
 
 

@@ -50,7 +50,7 @@ LOSSES: dict[str, Callable[[], ActorCriticLoss]] = {
 
 def told(data: TensorDict, far: float = 1.0) -> TensorDict:
     """With all that the penalties read; no model predicts next states that lie a thousand times too far."""
-    data["guide_action"] = 0.5 * data["action"]
+    data["demonstrator_action"] = 0.5 * data["action"]
     data["next"].update(
         {
             "observation": far * data["observation"].roll(1, 0),

@@ -30,7 +30,7 @@ DYNAMIC = [*DEFAULT_VALLEY, "env=dynamic", "perception.lidar.dropout=0.1"]
 RANDOMIZED = [*DEFAULT_VALLEY, "randomize=real", "env.max_steps=30"]  # longer than any delay
 SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
 DECAY = ["actor_penalty.final_weight=0.2", "actor_penalty.decay_steps=400", "smoothness=action_rate"]
-GUIDED = ["guide=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
+GUIDED = ["demonstrator=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 

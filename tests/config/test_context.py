@@ -144,7 +144,7 @@ def handed_over(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
 def test_the_list_is_what_a_run_hands_over(
     handed_over: dict[str, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "guide=vfh", "actor_penalty=imitation"]
+    chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "demonstrator=vfh", "actor_penalty=imitation"]
     settings = validate(small_config(tmp_path / "run", *chosen))
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
     for module in (environment, build_module):
@@ -158,7 +158,7 @@ def test_the_list_is_what_a_run_hands_over(
 
     told = {"seed": 1, "measure_clearance": True, "tasks": [0]}
     environment.make_env(settings.env, settings.perception, settings.reward, **told).close()
-    build_module.build(settings.guide, object)
+    build_module.build(settings.demonstrator, object)
     actor = actor_module.make_actor(settings, sizes)
     build_module.make_loss(settings, actor, sizes, cpu)
     build_module.make_backward_reward(settings, sizes, tmp_path / "artifact")

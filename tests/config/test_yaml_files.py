@@ -129,7 +129,7 @@ def test_the_lidars_range_and_the_observations_altitude_follow() -> None:
 def test_the_best_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn() -> None:
     plain_run, best = settings(), settings("preset=best", "algo.n_steps=5", "reward_preset=abr_prize")
     assert (plain_run.algo.n_steps, plain_run.algo.layer_norm, plain_run.algo.exploration_spread) == (1, False, 1.0)
-    assert (plain_run.buffer.mirror, plain_run.choices["guide"], plain_run.choices["actor_penalty"]) == (
+    assert (plain_run.buffer.mirror, plain_run.choices["demonstrator"], plain_run.choices["actor_penalty"]) == (
         False,
         "none",
         "none",
@@ -168,7 +168,10 @@ def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, 
 def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
     config = compose("preset=best")
     assert len(config.env.world.seeds) == 48 and not set(config.env.world.seeds) & set(range(100, 110))
-    assert (config.guide.reduction, compose("guide=vfh").guide.reduction) == ("range_image", "truncated_icosahedron")
+    assert (config.demonstrator.reduction, compose("demonstrator=vfh").demonstrator.reduction) == (
+        "range_image",
+        "truncated_icosahedron",
+    )
     assert (config.choices.reward, config.choices.backward_reward) == ("traditional", "none")
     assert config.actor_penalty._target_.endswith(".Imitation")
     assert (config.perception.statistic, config.perception.last_action) == ("proximity", True)

@@ -32,7 +32,7 @@ def test_the_term_by_hand() -> None:
 
 def test_it_has_the_size_of_the_objective_and_joins_imitation() -> None:
     data = TestContract().make_data()
-    data.set("guide_action", data["action"].flip(-1))
+    data.set("demonstrator_action", data["action"].flip(-1))
     loss = ActionRate(Imitation(TestContract().seeded_loss(reduction="none").base, limit=2.0), actions=2, limit=2.0)
     plain, _ = loss.base.actor_loss(data)
     rate = loss.actor_term(loss.act(data))[0]

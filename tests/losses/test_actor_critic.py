@@ -191,7 +191,7 @@ def test_double_precision_as_the_default(make: Any) -> None:
     torch.set_default_dtype(torch.float64)
     try:
         loss, data = make(), TestTD3().make_data(torch.float64)
-        data["guide_action"] = data["action"].flip(-1)
+        data["demonstrator_action"] = data["action"].flip(-1)
         if isinstance(loss, Fork):
             loss.update_gate(0.0)
         losses = loss(data)

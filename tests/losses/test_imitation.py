@@ -35,7 +35,7 @@ class TestContract(ActorCriticLossContract):
 
     def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
         data = super().make_data(dtype, size)
-        return data.set("guide_action", data["action"].flip(-1))
+        return data.set("demonstrator_action", data["action"].flip(-1))
 
 
 def test_the_distance_by_hand() -> None:
@@ -49,7 +49,7 @@ def test_the_term_has_the_size_of_the_objective() -> None:
     loss = TestContract().seeded_loss(reduction="none")
     loss.weight.fill_(0.7)
     plain, metadata = loss.base.actor_loss(data)
-    distance = action_distance(loss.act(data)["action"], data["guide_action"], 2.0)
+    distance = action_distance(loss.act(data)["action"], data["demonstrator_action"], 2.0)
     torch.testing.assert_close(loss.actor_loss(data)[0], plain + 0.7 * plain.abs().mean() * distance)
     torch.testing.assert_close(loss.actor_loss(data)[1]["guide_distance"], distance)
     assert set(metadata) < set(loss.actor_loss(data)[1])
@@ -89,22 +89,22 @@ def test_an_update_takes_the_weight_of_now(execution: Any) -> None:
 def test_alone_it_leads_to_the_guide() -> None:
     torch.manual_seed(0)
     loss = Imitation(td3(), limit=2.0, weight=1e4)
-    data = TestContract().make_data(size=64).set("guide_action", torch.tensor([1.0, -0.5]).expand(64, 2))
+    data = TestContract().make_data(size=64).set("demonstrator_action", torch.tensor([1.0, -0.5]).expand(64, 2))
     adam = torch.optim.Adam(list(loss.actor_network_params.values(True, True)), lr=1e-2)
     for _ in range(200):
         adam.zero_grad()
         loss.actor_loss(data)[0].backward()
         adam.step()
-    torch.testing.assert_close(loss.act(data)["action"], data["guide_action"], atol=0.2, rtol=0.0)
+    torch.testing.assert_close(loss.act(data)["action"], data["demonstrator_action"], atol=0.2, rtol=0.0)
 
 
 def test_a_batch_without_actions_to_clone_is_refused() -> None:
     loss = TestContract().make_loss()
-    with pytest.raises(KeyError, match="Imitation reads 'guide_action'"):
-        loss.actor_loss(TestContract().make_data().exclude("guide_action"))
-    loss.set_keys(guide_action="advice")
+    with pytest.raises(KeyError, match="Imitation reads 'demonstrator_action'"):
+        loss.actor_loss(TestContract().make_data().exclude("demonstrator_action"))
+    loss.set_keys(demonstrator_action="advice")
     assert "advice" in loss.in_keys
-    loss.actor_loss(TestContract().make_data().rename_key_("guide_action", "advice"))
+    loss.actor_loss(TestContract().make_data().rename_key_("demonstrator_action", "advice"))
 
 
 @pytest.mark.parametrize("told", ["guide_distance", "action_rate"])

@@ -54,7 +54,7 @@ class _Contract(ActorCriticLossContract):
     def make_data(self, dtype: torch.dtype = torch.float32, size: int = 5) -> TensorDict:
         data = super().make_data(dtype, size)
         data["next", "collided"] = data["next", "terminated"].clone()
-        return data.set("guide_action", data["action"].flip(-1))
+        return data.set("demonstrator_action", data["action"].flip(-1))
 
     def test_parameters_are_drawn_anew_by_each_network(self) -> None:
         pytest.skip("TorchRL's losses draw the parameters of stacked critics in their own way")
@@ -236,7 +236,7 @@ def test_imitation_and_action_rate_by_hand() -> None:
     Imitation of 4 up to 2: 0.5 · 7 · ((2 - 4) / 2)² = 3.5, hence -3.5. The last action is 2 · 1, as the new one is: no
     more. With a limit of 1 in the action rate the last is 1: 0.1 · 3.5 · (2 - 1)² = 0.35, hence -3.15.
     """
-    data = states(1.0).set("guide_action", torch.tensor([[4.0]]))
+    data = states(1.0).set("demonstrator_action", torch.tensor([[4.0]]))
     cloned = Imitation(small_td3(), limit=2.0, weight=0.5)
     assert cloned.actor_loss(data)[0].item() == pytest.approx(-3.5)
     assert ActionRate(cloned, actions=1, limit=2.0, weight=0.1).actor_loss(data)[0].item() == pytest.approx(-3.5)

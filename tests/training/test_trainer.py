@@ -108,14 +108,14 @@ def test_fractions_of_an_update_add_up_after_the_random_steps(
     assert run.updates == [0 if learning_starts else math.floor(per_step * e.total_steps) for e in run.episodes]
 
 
-@pytest.mark.parametrize(("guide", "first"), [("none", "random"), ("vfh", "scripted")])
+@pytest.mark.parametrize(("demonstrator", "first"), [("none", "random"), ("vfh", "scripted")])
 def test_a_silence_is_explained_by_what_the_run_does_then(
-    guide: str, first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    demonstrator: str, first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Callable[[], str]] = []
     notice = lambda text: asked.append(text) or StallNotice(text)  # type: ignore[func-returns-value]  # noqa: E731
     monkeypatch.setattr("uavrl.training.trainer.StallNotice", notice)
-    trainer = built(tmp_path / "run", f"guide={guide}", "algo.learning_starts=1500")
+    trainer = built(tmp_path / "run", f"demonstrator={demonstrator}", "algo.learning_starts=1500")
     told = {}
     for trainer.collected_frames in (0, 1499, 1500):
         told[trainer.collected_frames] = asked[0]()

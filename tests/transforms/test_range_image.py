@@ -138,11 +138,11 @@ def test_a_mirror_shows_the_mirrored_scan_and_the_guides_action_as_the_policys()
     for state, side in ((seen, 1.0), (mirrored, -1.0)):
         state[:, :72] = range_image(clouds * torch.tensor([1.0, side, 1.0])) / 4
         state[:, 72:] = torch.tensor([0.1, 0.2 * side, 0.3])
-    actions = {"action": torch.ones(4, 4), "guide_action": torch.full((4, 4), 0.5)}
+    actions = {"action": torch.ones(4, 4), "demonstrator_action": torch.full((4, 4), 0.5)}
     data = TensorDict({"observation": seen, **actions, "next": {"observation": mirrored}}, [4])
-    image = Mirror(actions=["action", "guide_action"], probability=1.0, reduction="range_image")(data)
+    image = Mirror(actions=["action", "demonstrator_action"], probability=1.0, reduction="range_image")(data)
     assert image["action"][0].tolist() == [1.0, -1.0, 1.0, -1.0]
-    assert image["guide_action"][0].tolist() == [0.5, -0.5, 0.5, -0.5]
+    assert image["demonstrator_action"][0].tolist() == [0.5, -0.5, 0.5, -0.5]
     torch.testing.assert_close(image["observation"], mirrored)
     torch.testing.assert_close(image["next", "observation"], seen)
 

@@ -26,7 +26,7 @@ from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.evaluation.overrides import with_overrides
 from uavrl.evaluation.policies import choose
 from uavrl.transforms import NavigationState, Waypoint
-from uavrl.transforms.guidance import GUIDE_ACTION, Guidance
+from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator
 
 FAR = LidarConfig(max_range=4.0, far_range=12.0)
 
@@ -145,9 +145,9 @@ def test_a_run_that_looked_farther_keeps_its_sensor(stored: float | None, given:
 
 
 def test_a_scripted_controller_beside_the_policy_is_led_as_it_is() -> None:
-    env = TransformedEnv(BeforeAWall(), Compose(Waypoint(), Guidance(_heads, ["heading_deg"], 1)))
+    env = TransformedEnv(BeforeAWall(), Compose(Waypoint(), Demonstrator(_heads, ["heading_deg"], 1)))
     data = env.rollout(2)["next"]
-    assert torch.equal(data[GUIDE_ACTION], data["waypoint_deg"]) and not data["heading_deg"].any()
+    assert torch.equal(data[DEMONSTRATOR_ACTION], data["waypoint_deg"]) and not data["heading_deg"].any()
 
 
 def _heads(seen: TensorDictBase) -> TensorDictBase:

@@ -10,7 +10,7 @@ from uavrl.config import validate
 from uavrl.config.command_line import command_line
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import packaged_policies, policy_folder, unknown_policy
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.policy.contract import CONTRACT
 from uavrl_onboard.ranges import Folder, Text
 
@@ -43,7 +43,7 @@ def main(config: DictConfig) -> None:
     from uavrl.export.export import export_policy
 
     about = export_policy(folder, settings.checkpoint, output, settings.packages)
-    steps = counted(about["training_steps"], "step") if "training_steps" in about else "its steps"
+    steps = pluralize(about["training_steps"], "step") if "training_steps" in about else "its steps"
     then = command_line("uavrl-evaluate", run=output)
     terms = f"What another program needs to fly it: {output / CONTRACT}. " if (output / CONTRACT).is_file() else ""
     print(f"The policy after {steps} is in {output}. {terms}Its success rate: {then}")

@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.config import validate
 from uavrl.config.command_line import command_line
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 
 @command("pretrain")
@@ -22,16 +22,16 @@ def main(config: DictConfig) -> None:
     with matmul_backend(settings.matmul, settings.threads):
         about = pretrain(settings)
     source, learned, elbow = about["source"], about["classifier"], about["sse"]["elbow"]
-    states, episodes = counted(source["states"], "state"), counted(source["episodes"], "episode")
+    states, episodes = pluralize(source["states"], "state"), pluralize(source["episodes"], "episode")
     print(f"{source['states_drawn']:,} of {states} in {episodes}")
     print(
-        counted(about["k"], "class", "classes") + (f" (elbow of the SSE curve: {elbow})" if elbow is not None else "")
+        pluralize(about["k"], "class", "classes") + (f" (elbow of the SSE curve: {elbow})" if elbow is not None else "")
     )
     print(f"The classifier says the right one for {learned['held_out_accuracy']:.1%} of held-out states")
     print("Class sizes")
     for name, sizes in about["class_sizes"].items():
         spread = f"mean {sizes['mean']:.2f}, largest {sizes['largest']}, SD {sizes['sd']:.2f}"
-        print(f"  {name}: {counted(sizes['classes'], 'class', 'classes')}, {spread}")
+        print(f"  {name}: {pluralize(sizes['classes'], 'class', 'classes')}, {spread}")
     print(f"Artifact: {about['output']}")
     chosen = {"backward_reward": "abr_plus", "backward_reward.artifact": Path(about["output"])}
     print(f"Train with it, and with that run's perception: {command_line('uavrl-train', **chosen)}")

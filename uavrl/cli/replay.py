@@ -17,7 +17,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import choose, output_name, policy_folder, require_named, result_overrides
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import writable
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.ranges import Count, Folder
 from uavrl_onboard.sentences import require
 
@@ -92,7 +92,7 @@ def main(config: DictConfig) -> None:
         shown = loaded() if callable(loaded) else loaded
     for flight in shown.flights:
         summary = flight.summary
-        ended = f"{SAID[summary.outcome]} after {counted(summary.steps, 'step')}"
+        ended = f"{SAID[summary.outcome]} after {pluralize(summary.steps, 'step')}"
         efficiency = summary.path_efficiency
         lengths = "" if efficiency is None else f"path efficiency {efficiency:.2f}, "
         print(f"task {summary.task}: {ended}, {lengths}minimum clearance {summary.clearance:.2f} m")

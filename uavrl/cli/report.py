@@ -9,7 +9,7 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.config import validate
 from uavrl_onboard.files import replacing, writable
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.ranges import Count, Folder, Share
 from uavrl_onboard.sentences import require
 
@@ -66,7 +66,7 @@ def main(config: DictConfig) -> None:
         with replacing(path) as partial:
             partial.write_text(text, encoding="utf-8")
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
-    print(f"{counted(len(report.runs), 'run')} in {counted(len(report.groups), 'group')} (seeds): {groups}")
+    print(f"{pluralize(len(report.runs), 'run')} in {pluralize(len(report.groups), 'group')} (seeds): {groups}")
     best = report.groups[0]
     rate, low, high = (f"{100 * best['last']['success'][name]:.1f}" for name in ("rate", "low", "high"))
     print(

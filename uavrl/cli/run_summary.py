@@ -11,7 +11,7 @@ from uavrl.errors import UavrlError, reason
 from uavrl.runs.config import read_config
 from uavrl.runs.names import SUMMARY
 from uavrl_onboard.cli.process import command_process
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 
 def main() -> None:
@@ -31,11 +31,11 @@ def reached(folder: Path) -> str:
         files = (folder / SUMMARY, evaluations[-1])
         summary, evaluation = (json.loads(path.read_text(encoding="utf-8")) for path in files)
         success = {name: f"{100 * share:.0f}" for name, share in evaluation["success"].items()}
-        tasks = f"{counted(evaluation['episodes'], 'fixed task')} without noise{_unseen(folder, evaluation)}"
+        tasks = f"{pluralize(evaluation['episodes'], 'fixed task')} without noise{_unseen(folder, evaluation)}"
         more = f"{command_line('uavrl-evaluate', run=folder, suite='all')} evaluates it in every scenario"
         return (
             f"Reached: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %), after "
-            f"{counted(summary['episodes'], 'episode')}, {counted(summary['steps'], 'step')} and "
+            f"{pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')} and "
             f"{summary['minutes']:.1f} minutes.\n"
             f"Where:   {folder} ({more}, uavrl-export keeps the policy on its own)\n"
             f"Look:    open {folder / 'replay.html'} in a browser"

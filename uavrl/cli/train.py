@@ -23,7 +23,7 @@ from uavrl.runs.episodes import RATES
 from uavrl.runs.folders import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
 from uavrl_onboard.cli.process import one_sentence, sentence
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.values import to_plain
 
 log = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ def main() -> None:
         sweep_runs.refuse_twice()
     if others := sweep_runs.runs(ended=False):
         configure_logging()  # again: Hydra has silenced it after the last run
-        waiting = counted(len(others), "run")
+        waiting = pluralize(len(others), "run")
         log.info("Waiting for other processes to end %s of the sweep, or to die.", waiting)
     while others := sweep_runs.runs(ended=False):
         with one_sentence():
@@ -177,7 +177,7 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
 
     summary = train(config, run_dir, resume=resume, begun=tell)
     rates = ", ".join(f"{key.replace('_', '-')} {summary['rates'][name]:.0%}" for key, name in RATES.items())
-    done = f"{counted(summary['episodes'], 'episode')}, {counted(summary['steps'], 'step')}"
+    done = f"{pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')}"
     print(f"{done}; over the last ones {rates}.")
     watch = f"; watch it: {command_line('uavrl-replay', run=run_dir)}" if "world" in config.env else ""
     print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir)}{watch}")

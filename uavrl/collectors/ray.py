@@ -25,7 +25,7 @@ from torchrl.envs import EnvBase
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.upstream import ray_job
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 log = logging.getLogger(__name__)
 SAFE_PATH = "PYTHONSAFEPATH"  # set in a command: nothing is imported from the working folder
@@ -180,7 +180,7 @@ def _connect(address: str | None, processors: int) -> bool:
         if not joined_before:
             _leave()
         raise UavrlError(
-            f"collector.workers asks for {counted(processors, 'processor')}, and the Ray cluster has {there:.0f}: "
+            f"collector.workers asks for {pluralize(processors, 'processor')}, and the Ray cluster has {there:.0f}: "
             f"lower it, or add machines by ray start --address=ADDRESS."
         )
     return not joined_before

@@ -22,7 +22,7 @@ PARTS = (
     "smoothness",
     "buffer",
     "backward_reward",
-    "guide",
+    "demonstrator",
     "env",
     "collector",
     "logger",

@@ -55,7 +55,7 @@ class TrainConfig:
     collector: Part
     logger: Part
     trainer: TrainerConfig
-    guide: Part = field(default_factory=lambda: Part(_target_=None))
+    demonstrator: Part = field(default_factory=lambda: Part(_target_=None))
     smoothness: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()
@@ -65,9 +65,9 @@ class TrainConfig:
     resume: Folder | None = None
 
     @property
-    def guided(self) -> bool:
-        """Whether the first steps are a guide's."""
-        return self.guide.get("_target_") is not None
+    def demonstrated(self) -> bool:
+        """Whether a demonstrator flies the first steps."""
+        return self.demonstrator.get("_target_") is not None
 
     def __post_init__(self) -> None:
         """Checks what a range cannot say."""

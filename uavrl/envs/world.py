@@ -16,7 +16,7 @@ from uavrl.envs.traps import LONGEST_WAY, Trap, place_traps, trap_top, trapped
 from uavrl.errors import UavrlError
 from uavrl.runs.machine import processors
 from uavrl_onboard.mesh import MOST_FACES, Mesh
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.vehicle import VEHICLE
 
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
@@ -299,7 +299,7 @@ class World:
         far = np.linalg.norm(places - goal, axis=1) >= self.config.min_goal_distance
         if not (apart & far).any():
             raise UavrlError(
-                f"A start needs {keep_out} m to {counted(len(planes), 'plane')}, but no free place of the valley of "
+                f"A start needs {keep_out} m to {pluralize(len(planes), 'plane')}, but no free place of the valley of "
                 f"seed {place.seed} has that; lower plane_keep_out or planes."
             )
         return places[rng.choice(np.flatnonzero(apart & far))]

@@ -12,7 +12,7 @@ from uavrl.evaluation.position_stats import whereabouts_lines
 from uavrl.evaluation.rollout import Flight
 from uavrl.evaluation.smoothness import smoothness_lines, summarize_smoothness
 from uavrl.runs.episodes import LETTERS, RATES, wilson
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.sentences import did_you_mean
 
 LABELS = {
@@ -81,20 +81,20 @@ def _number(value: float | None, form: str) -> str:
 def reached(result: Mapping[str, Any]) -> str:
     """The share of solved tasks, in a sentence."""
     success = {name: f"{100 * share:.1f}" for name, share in result["success"].items()}
-    tasks = counted(result["episodes"], "fixed task")
+    tasks = pluralize(result["episodes"], "fixed task")
     return f"Solved: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %)."
 
 
 def table(result: Mapping[str, Any]) -> str:
     """A summary as text for a person."""
-    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {counted(result['episodes'], 'episode')}"]
+    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {pluralize(result['episodes'], 'episode')}"]
     for name in RATES:
         rate = result[name]
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
     lines += [f"{label:<46}{_number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
     lines += smoothness_lines(result.get("action_change"), result.get("yaw_reversals"))
     for valley, success in result.get("success_by_valley", {}).items():
-        interval = f"{success['low']:.1%} – {success['high']:.1%}, {counted(success['episodes'], 'episode')}"
+        interval = f"{success['low']:.1%} – {success['high']:.1%}, {pluralize(success['episodes'], 'episode')}"
         lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
     return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])
 

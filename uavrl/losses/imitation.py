@@ -69,7 +69,7 @@ class Imitation(ActorPenalty):
         >>> from uavrl.models import Actor, Critic
         >>> critic = Mod(Critic(6, 2), ["observation", "action"], ["state_action_value"])
         >>> loss = Imitation(DDPGLoss(Mod(Actor(6, 2), ["observation"], ["action"]), critic), limit=2.0)
-        >>> batch = TensorDict({"observation": torch.zeros(5, 6), "guide_action": torch.ones(5, 2)}, [5])
+        >>> batch = TensorDict({"observation": torch.zeros(5, 6), "demonstrator_action": torch.ones(5, 2)}, [5])
         >>> sorted(loss.actor_loss(batch)[1])
         ['guide_distance', 'state_action_value_actor']
     """
@@ -80,9 +80,9 @@ class Imitation(ActorPenalty):
 
     @dataclass
     class _AcceptedKeys(ActorPenalty._AcceptedKeys):
-        """``guide_action`` is the scripted controller's action in the state, ``action`` the actor's."""
+        """``demonstrator_action`` is the scripted controller's action in the state, ``action`` the actor's."""
 
-        guide_action: NestedKey = "guide_action"
+        demonstrator_action: NestedKey = "demonstrator_action"
         action: NestedKey = "action"
 
     default_keys = _AcceptedKeys
@@ -126,21 +126,21 @@ class Imitation(ActorPenalty):
     @property
     def in_keys(self) -> list[NestedKey]:
         """What :meth:`forward` reads."""
-        return [*super().in_keys, self.tensor_keys.guide_action]
+        return [*super().in_keys, self.tensor_keys.demonstrator_action]
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The base's action, and the scripted controller's if the batch has it."""
-        acted, scripted = super().act(tensordict), tensordict.get(self.tensor_keys.guide_action, None)
-        return acted if scripted is None else acted.set(self.tensor_keys.guide_action, scripted)
+        acted, scripted = super().act(tensordict), tensordict.get(self.tensor_keys.demonstrator_action, None)
+        return acted if scripted is None else acted.set(self.tensor_keys.demonstrator_action, scripted)
 
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """``weight`` times the distance to the scripted controller, for each sample ``[*B]``."""
-        key = self.tensor_keys.guide_action
+        key = self.tensor_keys.demonstrator_action
         scripted = acted.get(key, None)
         if scripted is None:
             raise KeyError(
                 f"Imitation reads {key!r}, and the batch has only {sorted(map(str, acted.keys(True, True)))}: "
-                "write it while episodes are collected, see uavrl.transforms.guidance.Guidance."
+                "write it while episodes are collected, see uavrl.transforms.demonstrator.Demonstrator."
             )
         distance = action_distance(acted.get(self.tensor_keys.action), scripted, self.limit)
         return self.weight * distance, {"guide_distance": distance.detach()}

@@ -135,7 +135,7 @@ class VectorFieldHistogram(TensorDictModuleBase):
             seen = " or ".join(" with ".join(pair) for pair in COSTS)
             raise UavrlError(
                 f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
-                "perception.statistic so, or give a guide its guide.costs."
+                "perception.statistic so, or give a demonstrator its demonstrator.costs."
             )
         super().__init__()
         self.in_keys = ["faces", "altitude", "heading_deg", *(["observation"] if last_action else [])]

@@ -25,7 +25,7 @@ from uavrl.runs.episodes import OUTCOMES
 from uavrl.runs.names import PRETRAINED
 from uavrl.runs.weights import ARTIFACT
 from uavrl_onboard.files import writable
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +83,7 @@ def draw_sample(source: States, recipe: PretrainRecipe, seed: int) -> Sample:
     held_out = np.isin(source.episode[index], apart)
     if held_out.all() or not held_out.any():
         raise UavrlError(
-            f"Expected states in and out of {counted(len(apart), 'held-out episode')}: raise pretrain.states."
+            f"Expected states in and out of {pluralize(len(apart), 'held-out episode')}: raise pretrain.states."
         )
     return Sample(index, centres, torch.from_numpy(held_out))
 

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from uavrl.errors import UavrlError
 from uavrl.evaluation.smoothness import change_text
 from uavrl.reporting.report import Report
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 # Okabe and Ito (2008): the colour-blind can tell them apart; its yellow and black fade on white and on dark pages.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#808080")
@@ -171,7 +171,7 @@ def _last_success(facts: dict[str, Any]) -> str:
             hovertemplate="%{text}: %{x:.1f} %",
         )
     labels = [group["label"] for group in reversed(facts["groups"])]
-    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {counted(facts['window'], 'training episode')}")
+    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {pluralize(facts['window'], 'training episode')}")
     drawn.update_yaxes(tickvals=list(range(count)), ticktext=labels, range=[-0.6, count - 0.4], automargin=True)
     return _html(drawn, "last-success", 110 + 46 * count)
 

@@ -17,7 +17,7 @@ from uavrl.reporting.learning_curves import curves, steps_to
 from uavrl.reporting.runs import LeftOut, Run, flatten, read_runs
 from uavrl.reporting.thesis import compare_with_thesis
 from uavrl.runs.episodes import RATES, Episode, mean_terms, wilson
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 FORMAT = 2  # of the JSON file
 _PLACES = ("run_dir", "resume")  # of the machine that made a run
@@ -148,10 +148,10 @@ def last_rates(seeds: Sequence[Sequence[Episode]], window: int) -> dict[str, Any
 def _run_facts(run: Run, group: str, window: int, threshold: float) -> dict[str, Any]:
     notes = list(run.notes)
     if not run.finished:
-        notes.append(f"Unfinished: {len(run.episodes):,} of {counted(run.config['trainer']['episodes'], 'episode')}.")
+        notes.append(f"Unfinished: {len(run.episodes):,} of {pluralize(run.config['trainer']['episodes'], 'episode')}.")
     if len(run.episodes) < window:
         notes.append(
-            f"It has {counted(len(run.episodes), 'episode')}, fewer than {window:,}: its rates are over all of them."
+            f"It has {pluralize(len(run.episodes), 'episode')}, fewer than {window:,}: its rates are over all of them."
         )
     return {
         "name": run.name,

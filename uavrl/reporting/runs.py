@@ -19,7 +19,7 @@ from uavrl.runs.config import load_config
 from uavrl.runs.episodes import RATES, Episode, read_episodes, wilson
 from uavrl.runs.names import CONFIG, EPISODES
 from uavrl.runs.weights import ARTIFACT, POLICY
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 _DEPTH = 4  # of folders that are searched for runs
 _MOST_STEPS = 2**53  # above, the doubles of JavaScript skip integers
@@ -241,7 +241,7 @@ def _tasks(content: dict[str, Any]) -> str:
     parts = [
         str(content.get("env")),
         f"valleys {valleys}" if valleys else "",
-        f"{counted(int(content['episodes']), 'task')} of seed {content.get('seed')}",
+        f"{pluralize(int(content['episodes']), 'task')} of seed {content.get('seed')}",
         f"{uavs} UAV{'' if uavs == 1 else 's'} at a time" if content.get("planes") else "",
         *sorted(changes),
     ]

@@ -8,7 +8,7 @@ from typing import Any
 from uavrl.config import learner_name
 from uavrl.reporting.groups import Group
 from uavrl.reporting.learning_curves import steps_to
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 _BACKWARD = {"abr": "ABR", "abr_plus": "ABR⁺"}
 
@@ -36,7 +36,7 @@ def counterpart(group: Group) -> tuple[str, str, list[str]] | str:
         unlike.append(f"reward={reward}, not navigation (Eq. 3.6)")
     lengths = sorted({len(run.episodes) for run in group.runs})
     if lengths != [thesis()["episodes"]]:
-        several = [*(f"{n:,}" for n in lengths[:-1]), counted(lengths[-1], "episode")]
+        several = [*(f"{n:,}" for n in lengths[:-1]), pluralize(lengths[-1], "episode")]
         unlike.append(f"{' and '.join(several)}, not {thesis()['episodes']:,}")
     return learner, str(column), unlike
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from uavrl.errors import OtherFormat, UavrlError
 from uavrl_onboard.files import naming, replacing
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 if TYPE_CHECKING:  # reports read episodes without torch
     from tensordict import TensorDictBase
@@ -216,7 +216,7 @@ class EpisodeLog:
         episodes = read_episodes(self.path)
         if len(episodes) < state_dict["count"]:
             raise UavrlError(
-                f"Expected at least {counted(state_dict['count'], 'episode')} in {self.path} and found "
+                f"Expected at least {pluralize(state_dict['count'], 'episode')} in {self.path} and found "
                 f"{len(episodes)}: the file does not belong to the checkpoint."
             )
         episodes = episodes[: state_dict["count"]]

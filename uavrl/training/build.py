@@ -37,7 +37,7 @@ from uavrl.training.replay import EpisodeReplay
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms import Mirror, NavigationState
-from uavrl.transforms.guidance import GUIDE_ACTION, Guidance, GuidedEnv
+from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator, DemonstratorEnv
 from uavrl.transforms.rewards import terms_of
 from uavrl_onboard.sentences import require
 
@@ -70,8 +70,8 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         episodes=settings.trainer.episodes,
         steps=settings.trainer.steps,
         until_success=settings.trainer.until_success,
-        learning_starts=0 if settings.guided else settings.algo.learning_starts,
-        stats_start=settings.algo.learning_starts if settings.guided else 0,
+        learning_starts=0 if settings.demonstrated else settings.algo.learning_starts,
+        stats_start=settings.algo.learning_starts if settings.demonstrated else 0,
         seed=settings.seed,
         reward_terms=reward_terms,
         checkpoint_interval=settings.trainer.checkpoint_interval,
@@ -110,9 +110,9 @@ def make_loss(
             f"true: {part._target_} compares an action with the one before",
             False,
         )
-        demonstrated = settings.guided or GUIDE_ACTION not in penalized.in_keys
+        demonstrated = settings.demonstrated or DEMONSTRATOR_ACTION not in penalized.in_keys
         wanted = f"a scripted controller, such as vfh: {part._target_} learns what it would do"
-        require(demonstrated, "guide", wanted, None)
+        require(demonstrated, "demonstrator", wanted, None)
         loss = penalized
     return loss.to(device)
 
@@ -139,16 +139,16 @@ def load_risk(
 
 
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
-    """The environment of a run; a scripted controller acts in it first where ``guide`` names one."""
+    """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
     parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
     callable_type: Any = Callable
-    guide = build(settings.guide, callable_type, packages=packages)
-    if guide is None:
+    demonstrator = build(settings.demonstrator, callable_type, packages=packages)
+    if demonstrator is None:
         return make_env(*parts, packages=packages, seed=seed)
-    env = cast(GuidedEnv, make_env(*parts, packages=packages, seed=seed, kind=GuidedEnv))
-    require_keys(env, [(getattr(guide, "in_keys", ()), ())], "guide")
+    env = cast(DemonstratorEnv, make_env(*parts, packages=packages, seed=seed, kind=DemonstratorEnv))
+    require_keys(env, [(getattr(demonstrator, "in_keys", ()), ())], "demonstrator")
     sizes = network_sizes(env)
-    env.append_transform(Guidance(guide, getattr(guide, "in_keys", ()), sizes.actions))
+    env.append_transform(Demonstrator(demonstrator, getattr(demonstrator, "in_keys", ()), sizes.actions))
     env.noise = make_noise(settings, sizes, torch.device("cpu"))
     return env
 
@@ -172,7 +172,7 @@ def _make_mirror(settings: TrainConfig) -> Mirror:
     ours = seen._target_ is not None and find_class(seen._target_, object, settings.packages) is NavigationState
     known = ours and seen.get("angles", "folded") == "folded"
     require(known, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
-    actions = ["action", GUIDE_ACTION] if settings.guided else ["action"]
+    actions = ["action", DEMONSTRATOR_ACTION] if settings.demonstrated else ["action"]
     told = {key: seen[key] for key in ("last_action", "reduction", "grid") if key in seen}
     return Mirror(actions=actions, motion=seen.get("motion") is not None, **told)
 

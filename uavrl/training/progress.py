@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from uavrl.config.settings import TrainConfig
 from uavrl.runs.progress_line import ProgressLine
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 log = logging.getLogger(__name__)
 SPAN = 60.0  # s that the speed is measured over
@@ -41,7 +41,7 @@ class Progress:
         done: int = 0,
         steps: int = 0,
         learning_starts: int = 0,
-        guided: bool = False,
+        demonstrated: bool = False,
         max_steps: int = 300,
         last_step: int | None = None,
         until_success: float | None = None,
@@ -52,7 +52,7 @@ class Progress:
             max_steps,
             learning_starts,
         )
-        self._first = "the scripted controller acts" if guided else "acting at random"
+        self._first = "the scripted controller acts" if demonstrated else "acting at random"
         self._by_steps = last_step is not None
         self._last_step = math.inf if last_step is None else last_step
         self._goal = "" if until_success is None else f" of {until_success:.0%}"
@@ -66,7 +66,7 @@ class Progress:
 
     def update(self, episodes: int, steps: int, rates: Mapping[str, float], mean_return: float) -> None:
         """Shows the state after ``episodes`` episodes and ``steps`` steps."""
-        beside = counted(episodes, "episode") if self._by_steps else counted(steps, "step")
+        beside = pluralize(episodes, "episode") if self._by_steps else pluralize(steps, "step")
         left, speed = self._left(episodes, steps), self._speed()
         beside += "" if speed is None else f", {speed:.0f} steps/s"
         self._bar.set(
@@ -115,7 +115,7 @@ def warn_of_late_learning(settings: TrainConfig) -> None:
     max_steps = settings.env.get("max_steps", 6 * learning_starts)
     # Random episodes end after about 50 steps, or after a sixth of many that they may take.
     expected = max(episodes * min(max_steps, 50), episodes * max_steps // 6)
-    if settings.guided:  # its episodes are learned from at once
+    if settings.demonstrated:  # its episodes are learned from at once
         late = learning_starts >= min(episodes * settings.env.get("max_steps", 300) // 3, steps or math.inf)
         said = f"the scripted controller may act for the whole run, {length}, and the policy never"
     elif steps is not None and learning_starts >= steps:
@@ -136,6 +136,6 @@ def warn_of_nothing_learned(settings: TrainConfig, steps: int, updates: int) -> 
         log.warning(
             "Nothing was learned: the run ended after %s, before its algo.learning_starts=%d. Lower it, or "
             "choose a longer run.",
-            counted(steps, "step"),
+            pluralize(steps, "step"),
             settings.algo.learning_starts,
         )

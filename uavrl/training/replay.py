@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 
 from uavrl.buffers import EpisodeBuffer
 from uavrl.runs.episodes import split_episodes
-from uavrl.transforms.guidance import GUIDE_ACTION
+from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION
 
 # What is learned from, beside a demonstrator's actions; everything else that the environment emits is for metrics.
 STORED_KEYS = (
@@ -40,7 +40,7 @@ class EpisodeReplay:
         if self.filter is not None:
             kept = [episode for episode in split_episodes(episodes) if self.filter.keeps(episode)]
             episodes = torch.cat(kept) if kept else episodes[:0]
-        return episodes.select(*STORED_KEYS).update(episodes.select(GUIDE_ACTION, strict=False))
+        return episodes.select(*STORED_KEYS).update(episodes.select(DEMONSTRATOR_ACTION, strict=False))
 
     def store(self, episodes: TensorDictBase) -> int:
         """Writes whole episodes ``[T]`` and says how many updates follow; also after one that is left out."""

@@ -34,7 +34,7 @@ from uavrl.training.matmul import chosen_matmul, denormals_flushed, matmul_backe
 from uavrl.training.progress import Progress, warn_of_late_learning, warn_of_nothing_learned
 from uavrl.training.trainer import EpisodeTrainer
 from uavrl_onboard.files import replacing
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 log = logging.getLogger(__name__)
 
@@ -133,7 +133,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
             steps=trainer.collected_frames,
             last_step=settings.trainer.steps,
             learning_starts=settings.algo.learning_starts,
-            guided=settings.guided,
+            demonstrated=settings.demonstrated,
             max_steps=settings.env.get("max_steps", 0),
             until_success=settings.trainer.until_success,
         )
@@ -185,7 +185,7 @@ def _restore_run(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, 
     _restore(trainer, checkpoint)
     trainer.seconds_before = Checkpoint.manifest(checkpoint)["metadata"]["seconds"]
     truncate_logs(trainer.log.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
-    done = f"{counted(trainer.episode_log.count, 'episode')}, {counted(trainer.collected_frames, 'step')}"
+    done = f"{pluralize(trainer.episode_log.count, 'episode')}, {pluralize(trainer.collected_frames, 'step')}"
     log.info("Resumed %s after %s.", run_dir, done)
     trainer.barrier()
     _write(config, run_dir)

@@ -10,7 +10,7 @@ from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, EPISODES, SUMMARY
 from uavrl.training.run import reset_unstarted_run
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 
 def run_folder(config: DictConfig) -> Path:
@@ -34,7 +34,7 @@ def is_begun(run_dir: Path) -> bool:
         return True
     if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
         raise UavrlError(
-            f"{run_dir} holds {counted(flown, 'episode')} and no checkpoint to go on from: bring its checkpoints back, "
+            f"{run_dir} holds {pluralize(flown, 'episode')} and no checkpoint to go on from: bring its checkpoints back, "
             f"or move the folder away to train anew."
         )
     reset_unstarted_run(run_dir)
@@ -43,8 +43,8 @@ def is_begun(run_dir: Path) -> bool:
 
 def summary_lines(run_dirs: list[Path]) -> str:
     """What stands of a sweep, a line for each run."""
-    lines = (f"\n  {run_dir}: {counted(_flown(run_dir, 'episodes'), 'episode')}" for run_dir in run_dirs)
-    return f"The sweep's {counted(len(run_dirs), 'run')}:{''.join(lines)}"
+    lines = (f"\n  {run_dir}: {pluralize(_flown(run_dir, 'episodes'), 'episode')}" for run_dir in run_dirs)
+    return f"The sweep's {pluralize(len(run_dirs), 'run')}:{''.join(lines)}"
 
 
 def _flown(run_dir: Path, what: str) -> int:

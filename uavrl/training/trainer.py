@@ -26,7 +26,7 @@ from uavrl.training.replay import EpisodeReplay
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms.rewards import RewardTerms
 from uavrl_onboard.files import naming, require_room
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 WAITED_FOR = "No episode has ended for a while: one takes up to env.max_steps steps"
 UPDATES = (
@@ -44,8 +44,8 @@ def waited_for(steps: int, learning_starts: int, stats_start: int) -> str:
     """
     if steps < learning_starts:
         return f"{WAITED_FOR}, random ones until step {learning_starts:,}, before which no updates are made."
-    guided = f" The scripted controller acts until step {stats_start:,}, and its episodes are learned from, too."
-    return f"{WAITED_FOR}, {UPDATES}." + (guided if steps < stats_start else "")
+    demonstrated = f" The scripted controller acts until step {stats_start:,}, and its episodes are learned from, too."
+    return f"{WAITED_FOR}, {UPDATES}." + (demonstrated if steps < stats_start else "")
 
 
 def barrier_seed(seed: int, episodes: int) -> int:
@@ -152,7 +152,7 @@ class EpisodeTrainer:
             return
         if not math.isfinite(value := losses["loss_value"].item()):
             raise UavrlError(
-                f"The critic's loss became {value} after {counted(self.stepper.updates, 'update')}: lower the "
+                f"The critic's loss became {value} after {pluralize(self.stepper.updates, 'update')}: lower the "
                 f"learning rates; the last checkpoint is untouched."
             )
         self.log.add({"optim_steps": self.stepper.updates, **losses}, self.collected_frames)

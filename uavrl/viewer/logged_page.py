@@ -19,7 +19,7 @@ from uavrl_onboard.geometry import is_return
 from uavrl_onboard.pages.assembly import pack
 from uavrl_onboard.pages.shapes import STATES, shell
 from uavrl_onboard.perception.reductions import directions
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 MOST_CYCLES = 36_000  # an hour
 MOST_POINTS = 1_000_000  # of all scans that are kept: where there are more, each scan keeps half as many
@@ -190,7 +190,7 @@ def facts(moments: LoggedMoments) -> dict[str, str]:
 def _missing(flight: LoggedFlight) -> list[str]:
     """What the log lacks."""
     cut = [] if flight.whole else ["The log ends in the middle: what came after is not in it."]
-    left_out = f"{counted(flight.left_out, 'cycle')} left out, for which the disk was too slow."
+    left_out = f"{pluralize(flight.left_out, 'cycle')} left out, for which the disk was too slow."
     return [*cut, *([left_out] if flight.left_out else [])]
 
 

@@ -36,7 +36,7 @@ from uavrl_onboard.guards.map import Navigator
 from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.sources import ScanSource
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.policy.policy import Policy
 from uavrl_onboard.ranges import Folder, NonNegative, Positive
 from uavrl_onboard.sentences import require
@@ -312,7 +312,7 @@ def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
     after = cast(float | None, facts["arrived_after_s"])
     ended = "it did not arrive" if after is None else f"it arrived after {after:.1f} s"
     least = f", {facts['least_distance_m']:.1f} m from the goal at the nearest" if facts["least_distance_m"] else ""
-    print(f"{facts['seconds']:.1f} s, {counted(facts['scans'], 'scan')}: {ended}{least}.")
+    print(f"{facts['seconds']:.1f} s, {pluralize(facts['scans'], 'scan')}: {ended}{least}.")
     if (latency := facts["latency_ms"])["median"] is not None:
         print(
             f"From a scan's last packet to the set-point: {latency['median']:.1f} ms (median), "

@@ -21,7 +21,7 @@ from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.summary import ScanSummary
 from uavrl_onboard.perception.cells import Statistic
 from uavrl_onboard.perception.reductions import STATISTICS, Reduction
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.ranges import Folder, Positive
 from uavrl_onboard.sentences import require
 
@@ -122,7 +122,7 @@ def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
 def _print(summary: ScanSummary, source: ScanSource) -> None:
     facts = summary.facts()
     rate = "" if facts["rate_hz"] is None else f" at {facts['rate_hz']:.2f} Hz"
-    scans = f"{counted(summary.scans, 'scan')}{rate}"
+    scans = f"{pluralize(summary.scans, 'scan')}{rate}"
     print(f"{source.source}: {scans}, {facts['points_median']:,.0f} points each (median), {_percent(summary)} misses")
     print("Nearest return in each direction:")
     for name, far in summary.sectors().items():

@@ -25,7 +25,7 @@ from uavrl_onboard.lidar.packets import (
     STRONGEST,
     decode_vlp16,
 )
-from uavrl_onboard.pluralize import counted
+from uavrl_onboard.pluralize import pluralize
 
 LONGEST_TURN = 300_000  # microseconds: the slowest sensor takes 200,000
 WIDEST_GAP = 3_000  # hundredths of a degree, two columns of the range image: a policy takes what is not seen for free
@@ -70,7 +70,7 @@ class Skipped:
         """One line for each reason that occurred."""
         about = {name: kind.metadata for name, kind in self.__dataclass_fields__.items()}
         counts = [(count, about[name]) for name, count in asdict(self).items() if count]
-        return [f"{counted(count, of['of'])} {of['says']}" for count, of in counts]
+        return [f"{pluralize(count, of['of'])} {of['says']}" for count, of in counts]
 
 
 def check_model(model: str | None) -> str:

@@ -11,7 +11,7 @@ from torchrl.data.replay_buffers import Storage
 
 from uavrl.buffers import EpisodeBuffer
 from uavrl.errors import UavrlError
-from uavrl.transforms.guidance import GUIDE_ACTION
+from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION
 from uavrl_onboard.ranges import Count, Share
 
 
@@ -77,7 +77,7 @@ class TwoPoolsBuffer(EpisodeBuffer):
 
     What differs from the paper:
 
-    - The pilot is a scripted controller, ``guide=vfh``, in place of people and of MPC with simulated annealing.
+    - The pilot is a scripted controller, ``demonstrator=vfh``, in place of people and of MPC with simulated annealing.
     - He flies the first steps and no later ones; the paper draws at each step who acts, with a probability.
     - The pools part at a number of stored steps. Episodes that were under way when the pilot handed over are put by
       the order in which they ended: at most one of each vehicle is in the other pool, or in both.
@@ -94,7 +94,7 @@ class TwoPoolsBuffer(EpisodeBuffer):
         UavrlError: for an ``until`` that is not above ``pilot_steps``, or is above ``capacity``.
     """
 
-    reads = (GUIDE_ACTION,)  # without a guide the first steps are nobody's
+    reads = (DEMONSTRATOR_ACTION,)  # without a demonstrator the first steps are nobody's
 
     def __init__(
         self, capacity: Count = 1_000_000, pilot_steps: Count = 10_000, until: Count = 50_000, first_share: Share = 1.0,

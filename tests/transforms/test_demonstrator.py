@@ -1,4 +1,4 @@
-"""First steps that a guide flies."""
+"""First steps that a demonstrator flies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from uavrl.training.build import make_buffer, make_loss, make_training_env
 from uavrl.training.progress import warn_of_late_learning
 from uavrl.training.run import create_run, train
 from uavrl.transforms import Mirror
-from uavrl.transforms.guidance import GuidedEnv
+from uavrl.transforms.demonstrator import DemonstratorEnv
 
 
 class Calm(ActorPenalty):
@@ -35,7 +35,7 @@ class Calm(ActorPenalty):
 
 
 class Still:
-    """A guide from elsewhere, which reads nothing and hovers."""
+    """A demonstrator from elsewhere, which reads nothing and hovers."""
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict.set("action", torch.zeros(*tensordict.batch_size, 4))
@@ -43,35 +43,40 @@ class Still:
 
 def test_the_guides_actions_are_flown_with_noise_and_chance_flies_without_one(tmp_path: Path) -> None:
     for noise in (0.0, 0.1):
-        config = small_config(tmp_path / "run", "guide=vfh", f"algo.exploration_noise={noise}")
+        config = small_config(tmp_path / "run", "demonstrator=vfh", f"algo.exploration_noise={noise}")
         env = make_training_env(validate(config), seed=0)
         state = env.reset()
         expected = VectorFieldHistogram()(state.clone())["action"]
-        assert torch.equal(state["guide_action"], expected)
+        assert torch.equal(state["demonstrator_action"], expected)
         check_env_specs(env)
         got = env.rand_action(state)["action"]
         assert torch.equal(got, expected) == (noise == 0.0)
         torch.testing.assert_close(got, expected, atol=1.0, rtol=0.0)
         env.close()
     plain = make_training_env(validate(small_config(tmp_path / "run")), seed=0)
-    assert not isinstance(plain, GuidedEnv)
+    assert not isinstance(plain, DemonstratorEnv)
     plain.close()
 
 
 def test_a_guide_of_ones_own_flies_the_first_steps_and_no_later_ones(tmp_path: Path) -> None:
     first = ["packages=[tests]", "algo.exploration_noise=0", "algo.learning_starts=40", "trainer.episodes=8"]
     config = small_config(tmp_path / "run", *first)
-    config.guide = {"_target_": "tests.transforms.test_guidance.Still"}
+    config.demonstrator = {"_target_": "tests.transforms.test_demonstrator.Still"}
     train(config, create_run(config))
     flights = read_episodes(tmp_path / "run" / "episodes.csv")
     assert [flight.outcome for flight in flights[:2]] == ["timed_out"] * 2, "it hovers"
 
 
 def test_a_guide_that_reads_what_no_environment_emits_is_told(tmp_path: Path) -> None:
-    told = ["guide.flight_level=3", "guide.radius=4", "guide.reduction=range_image", "guide.statistic=proximity"]
-    told += ["guide.last_action=false", "guide.motion=null", "guide.grid=null"]
-    config = compose(*CHOSEN, TRUSTED, "guide=vfh", *told, f"run_dir={tmp_path}", own=[OWN / "conf"])
-    with pytest.raises(UavrlError, match="guide reads 'faces'"):
+    told = [
+        "demonstrator.flight_level=3",
+        "demonstrator.radius=4",
+        "demonstrator.reduction=range_image",
+        "demonstrator.statistic=proximity",
+    ]
+    told += ["demonstrator.last_action=false", "demonstrator.motion=null", "demonstrator.grid=null"]
+    config = compose(*CHOSEN, TRUSTED, "demonstrator=vfh", *told, f"run_dir={tmp_path}", own=[OWN / "conf"])
+    with pytest.raises(UavrlError, match="demonstrator reads 'faces'"):
         make_training_env(validate(config), seed=0)
 
 
@@ -79,7 +84,7 @@ def test_a_guide_that_may_never_hand_over_is_told(tmp_path: Path, caplog: pytest
     for limit, told in (("episodes=20", True), ("episodes=200", False), ("steps=300", True), ("steps=301", False)):
         caplog.clear()
         length = [f"trainer.{limit}"] if limit.startswith("episodes") else ["trainer.episodes=200", f"trainer.{limit}"]
-        few = ["guide=vfh", "algo.learning_starts=300", "env.max_steps=30", *length]
+        few = ["demonstrator=vfh", "algo.learning_starts=300", "env.max_steps=30", *length]
         warn_of_late_learning(validate(small_config(tmp_path / "run", *few)))
         assert (f"the scripted controller may act for the whole run, trainer.{limit}," in caplog.text) == told
 
@@ -93,12 +98,12 @@ def test_random_steps_that_last_as_long_as_the_run_are_told(tmp_path: Path, capl
 
 
 def test_the_guides_action_is_mirrored_with_the_policys_as_it_sees(tmp_path: Path) -> None:
-    chosen = ["guide=vfh", "perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
+    chosen = ["demonstrator=vfh", "perception=range_image", "perception.last_action=true", "buffer.mirror=true"]
     settings = validate(small_config(tmp_path / "run", *chosen))
     env = make_training_env(settings, seed=0)
     buffer = make_buffer(settings, env, network_sizes(env), torch.device("cpu"))
     (mirror,) = (part for part in inner_transforms(buffer.transform) if isinstance(part, Mirror))
-    assert mirror.in_keys[-2:] == ["action", "guide_action"]
+    assert mirror.in_keys[-2:] == ["action", "demonstrator_action"]
     assert (mirror.reduction, mirror.last_action) == ("range_image", True)
     env.close()
 
@@ -113,19 +118,21 @@ def test_a_state_whose_mirror_image_is_unknown_is_not_mirrored(overrides: list[s
 
 def test_a_guides_costs_can_be_given(tmp_path: Path) -> None:
     costs = "{obstacle: 2, goal: 1, level: 0.3, turn: 0.2, width: 6, nearness: 2, caution: 0.5}"
-    config = small_config(tmp_path / "run", "guide=vfh", f"guide.costs={costs}")
+    config = small_config(tmp_path / "run", "demonstrator=vfh", f"demonstrator.costs={costs}")
     env = make_training_env(validate(config), seed=0)
-    assert (env.transform[-1].guide.costs.obstacle, env.transform[-1].guide.costs.caution) == (2.0, 0.5)
+    assert (env.transform[-1].demonstrator.costs.obstacle, env.transform[-1].demonstrator.costs.caution) == (2.0, 0.5)
     env.close()
 
 
 def test_imitation_asks_for_a_guide_and_other_penalties_for_single_steps(tmp_path: Path) -> None:
     alone = small_config(tmp_path / "a", "actor_penalty=imitation")
-    with pytest.raises(UavrlError, match="guide must be a scripted controller"):
+    with pytest.raises(UavrlError, match="demonstrator must be a scripted controller"):
         train(alone, create_run(alone))
     calm = small_config(tmp_path / "b", "algo.n_steps=3")
-    calm.packages, calm.actor_penalty = ["tests"], {"_target_": "tests.transforms.test_guidance.Calm"}
-    with pytest.raises(UavrlError, match=r"n_steps must be 1: tests.transforms.test_guidance.Calm learns from single"):
+    calm.packages, calm.actor_penalty = ["tests"], {"_target_": "tests.transforms.test_demonstrator.Calm"}
+    with pytest.raises(
+        UavrlError, match=r"n_steps must be 1: tests.transforms.test_demonstrator.Calm learns from single"
+    ):
         train(calm, create_run(calm))
 
 

@@ -1,4 +1,4 @@
-"""Trainings with a guide."""
+"""Trainings with a demonstrator."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ EASY = [
 
 def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_path: Path) -> None:
     rule = ["trainer.window=3", "trainer.until_success=0.6", "trainer.episodes=30", "logger.interval=1"]
-    config = small_config(tmp_path / "run", "guide=vfh", "algo.learning_starts=300", *EASY, *rule)
+    config = small_config(tmp_path / "run", "demonstrator=vfh", "algo.learning_starts=300", *EASY, *rule)
     summary = train(config, create_run(config))
     flights = read_episodes(tmp_path / "run" / "episodes.csv")
-    guided = [flight for flight in flights if flight.total_steps <= 300]
-    assert sum(flight.outcome == "arrived" for flight in guided[:3]) >= 2, "the rule would have ended it"
-    assert summary["episodes"] > len(guided) >= 3
+    demonstrated = [flight for flight in flights if flight.total_steps <= 300]
+    assert sum(flight.outcome == "arrived" for flight in demonstrated[:3]) >= 2, "the rule would have ended it"
+    assert summary["episodes"] > len(demonstrated) >= 3
     (file,) = (tmp_path / "run" / "logs").rglob("optim_steps.csv")
     first = file.read_text().splitlines()[0]
     assert int(first.split(",")[0]) < 300, "updates begin with the first flight"
@@ -40,12 +40,17 @@ def test_a_policy_that_imitates_comes_to_fly_as_its_guide(tmp_path: Path) -> Non
     learn = ["algo.learning_starts=64", "trainer.episodes=40", "trainer.updates_per_step=2", "algo.actor_lr=1e-3"]
     far = {}
     for weight in (0.0, 100.0):
-        flown = ["guide=vfh", "actor_penalty=imitation", f"actor_penalty.weight={weight}", "algo.exploration_noise=0.1"]
+        flown = [
+            "demonstrator=vfh",
+            "actor_penalty=imitation",
+            f"actor_penalty.weight={weight}",
+            "algo.exploration_noise=0.1",
+        ]
         config = small_config(tmp_path / f"run{weight}", *flown, *seen, *learn, *EASY)
         train(config, create_run(config))
         policy = read_policy(tmp_path / f"run{weight}")
         env = make_training_env(validate(config), seed=0)
         states = env.rollout(20, policy=policy, break_when_any_done=False)
-        far[weight] = action_distance(states["action"], states["guide_action"], 2.0).mean().item()
+        far[weight] = action_distance(states["action"], states["demonstrator_action"], 2.0).mean().item()
         env.close()
     assert far[100.0] < 0.5 * far[0.0]
