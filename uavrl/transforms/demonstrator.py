@@ -1,4 +1,4 @@
-"""A demonstrator, such as a scripted controller: it flies the first steps, and its action is recorded in every state."""
+"""A demonstrator, such as a scripted controller: it flies the first steps, and acts beside the policy in each state."""
 
 from collections.abc import Callable
 from typing import Any
@@ -50,10 +50,11 @@ class Demonstrator(Shown, Transform):
 
 
 class DemonstratorEnv(TransformedEnv):
-    """An environment whose "random" actions, which TorchRL's collectors begin with, are a demonstrator's with ``noise``.
+    """An environment whose "random" actions, with which TorchRL's collectors begin, are a demonstrator's with noise.
 
     So successful episodes are in the buffer from the first update on (after Uchendu et al. (2023), Jump-Start
-    Reinforcement Learning, arXiv:2204.02372, whose guide policy begins every episode). It holds a :class:`Demonstrator`.
+    Reinforcement Learning, arXiv:2204.02372, whose guide policy begins every episode). It holds a
+    :class:`Demonstrator`.
     """
 
     noise: Acts

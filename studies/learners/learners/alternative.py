@@ -23,7 +23,8 @@ class TwoActions(nn.Module):
     Args:
         actor: takes a state to an action.
         critic: takes a state and an action to a value; a copy of the learner's first one.
-        controller: what ``demonstrator=vfh`` names, or another with its ``radius``, ``flight_level`` and ``last_action``.
+        controller: what ``demonstrator=vfh`` names, or another with its ``radius``, ``flight_level`` and
+            ``last_action``.
         observations, actions, stacked: from the run.
     """
 
