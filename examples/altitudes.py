@@ -45,7 +45,7 @@ def main() -> None:
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     for name, result in map(evaluation, args.evaluations):
-        found = result["whereabouts"]
+        found = result["position_stats"]
         edges, share = shares(found["altitude_histogram"])
         axes.stairs(100 * share, edges, label=name, linewidth=2)
         low, middle, high = (found["altitude"][key] for key in ("p5", "p50", "p95"))

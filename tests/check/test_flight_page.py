@@ -63,7 +63,7 @@ def test_in_a_low_window_the_charts_lie_above_the_numbers(browser: Any) -> None:
     browser.set_window_size(1100, 600)
     try:
         bottom = "return document.querySelector('.chart:last-child').getBoundingClientRect().bottom"
-        top = "return document.getElementById('whereabouts').getBoundingClientRect().top"
+        top = "return document.getElementById('position_stats').getBoundingClientRect().top"
         assert browser.execute_script(bottom) <= browser.execute_script(top)
     finally:
         browser.set_window_size(size["width"], size["height"])

@@ -36,7 +36,7 @@ def test_a_browser_shows_scans_and_cells_without_errors(tmp_path: Path) -> None:
             assert f"{len(scan.points):,}" in seen["said"] and f"{near} of 72" in seen["said"]
         facts = driver.find_element("id", "facts").get_attribute("textContent")
         assert "scans2" in facts and "9.91 Hz" in facts and "0.50 m" in facts
-        nearest = driver.find_element("id", "whereabouts").get_attribute("textContent")
+        nearest = driver.find_element("id", "position_stats").get_attribute("textContent")
         assert nearest.count(" m") == np.isfinite(summary.nearest).sum()
         for button in driver.find_elements("css selector", "#views button, #layers button"):
             driver.execute_script("arguments[0].click()", button)

@@ -252,7 +252,7 @@ def test_a_class_of_ones_own_is_evaluated_once_it_is_trusted(
     arguments = ["policy=my_policies.Climber", f"output={tmp_path / 'e.json'}", *SHORT]
     assert "add packages=[my_policies]" in refused(evaluate_command.main, *arguments)
     assert in_process(evaluate_command.main, *arguments, "packages=[my_policies]") == 0
-    altitude = json.loads((tmp_path / "e.json").read_text())["whereabouts"]["altitude"]
+    altitude = json.loads((tmp_path / "e.json").read_text())["position_stats"]["altitude"]
     assert altitude["p95"] > altitude["p5"] + 0.05
     told = capfd.readouterr().out
     assert "uavrl-replay policy=my_policies.Climber 'packages=[my_policies]' env.max_steps=3\n" in told

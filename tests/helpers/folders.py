@@ -62,7 +62,7 @@ def run_folder(folder: Path, outcomes: str, choices: dict[str, str] | None = Non
     return folder
 
 
-WHEREABOUTS = {
+POSITION_STATS = {
     "steps": 8,
     "altitude": {"p5": 2.04, "p50": 3.46, "p95": 4.9},
     "height_quarters": [0.125, 0.25, 0.5, 0.125],
@@ -105,5 +105,5 @@ def several_runs(folder: Path) -> list[Path]:
         run_folder(folder / "td3_fork_seed0", learned, {"fork": "on"}),
         run_folder(folder / "td3_lg_seed0", learned, {"lifeguard": "linear"}),
     ]
-    evaluation(runs[0], 8, 10, whereabouts=WHEREABOUTS)
+    evaluation(runs[0], 8, 10, position_stats=POSITION_STATS)
     return runs

@@ -11,7 +11,7 @@ import pytest
 from plotly.offline import get_plotlyjs
 
 from tests.helpers.commands import in_process
-from tests.helpers.folders import WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import POSITION_STATS, evaluation, run_folder
 from uavrl.cli.report import main
 from uavrl.config.command_line import override
 from uavrl.reporting.page import page
@@ -130,7 +130,7 @@ def test_evaluations_with_missing_or_strange_values_and_with_positions(tmp_path:
     (folder / "evaluation_2.json").write_text(json.dumps(content))
     html = page(make_report([tmp_path], window=2))
     assert "evaluation_2.json" in html and "Positions: altitude" not in html
-    evaluation(folder, 1, 2, "evaluation_valleys=7.json", valleys=[7], whereabouts=WHEREABOUTS)
+    evaluation(folder, 1, 2, "evaluation_valleys=7.json", valleys=[7], position_stats=POSITION_STATS)
     text = Reader(page(make_report([tmp_path], window=2))).text
     row = "evaluation_valleys=7.json 2.0 / 3.5 / 4.9 1.1 / 6.2 / 13.3 12.5 % 25.0 % 50.0 % 12.5 %"
     assert row in text[text.index("Positions: altitude") :] and "Smoothness" not in text

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.helpers.folders import WHEREABOUTS, episodes, evaluation, run_folder
+from tests.helpers.folders import POSITION_STATS, episodes, evaluation, run_folder
 from uavrl.errors import UavrlError
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
@@ -170,7 +170,7 @@ def test_json_gives_back_the_facts_and_names_no_place_of_this_machine(tmp_path: 
     artifact = {"artifact": str(tmp_path / "deep/artifact")}
     folder = run_folder(tmp_path / "a", "ca", run_dir=str(tmp_path / "a"), backward_reward=artifact)
     run_folder(tmp_path / "empty", "")
-    evaluation(folder, 8, 10, path_efficiency=float("nan"), whereabouts=WHEREABOUTS)
+    evaluation(folder, 8, 10, path_efficiency=float("nan"), position_stats=POSITION_STATS)
     report = make_report([tmp_path, tmp_path / "nowhere"], window=2)
     facts = json.loads(report.to_json())
     assert facts == report.facts() and facts["format"] == 2

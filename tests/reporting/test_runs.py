@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from tests.helpers.folders import ROOT, WHEREABOUTS, evaluation, run_folder
+from tests.helpers.folders import POSITION_STATS, ROOT, evaluation, run_folder
 from uavrl.config import compose, learner_name, resolve
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
@@ -120,7 +120,7 @@ def test_class_sizes_are_those_of_the_artifact(tmp_path: Path) -> None:
 
 def test_evaluations_are_read_without_their_episodes(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "run", "a")
-    evaluation(folder, 8, 10, whereabouts=WHEREABOUTS)
+    evaluation(folder, 8, 10, position_stats=POSITION_STATS)
     evaluation(folder, 5, 10, "evaluation_valleys=100.json", valleys=[100], path_efficiency="x")
     (folder / "evaluation_bad.json").write_text("{")
     run = only(folder)
@@ -129,7 +129,7 @@ def test_evaluations_are_read_without_their_episodes(tmp_path: Path) -> None:
         ("evaluation_valleys=100.json", "static, valleys 100, 10 tasks of seed 20000", 0.5),
     ]
     assert run.evaluations[0]["success"] == pytest.approx({"rate": 0.8, "low": 0.4902, "high": 0.9433}, abs=1e-4)
-    assert run.evaluations[0]["whereabouts"]["altitude"]["p50"] == 3.46
+    assert run.evaluations[0]["position_stats"]["altitude"]["p50"] == 3.46
     assert "flights" not in run.evaluations[0]
     assert (run.evaluations[0]["action_change"], run.evaluations[0]["yaw_reversals"]) == (None, None)
     evaluation(folder, 8, 10, action_change=[0.21, 0.05, 0, 0.4], yaw_reversals=0.06)
@@ -145,8 +145,8 @@ def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path) -> None:
         {"success": {"rate": "much"}},
         {"success": {"rate": 1.2}},
         {"collision": {"rate": float("inf")}},
-        {"whereabouts": {**WHEREABOUTS, "height_quarters": [0.5, 0.5]}},
-        {"whereabouts": {**WHEREABOUTS, "altitude": {"p5": 1.0, "p50": 2.0}}},
+        {"position_stats": {**POSITION_STATS, "height_quarters": [0.5, 0.5]}},
+        {"position_stats": {**POSITION_STATS, "altitude": {"p5": 1.0, "p50": 2.0}}},
         {"action_change": [0.1, 0.2], "yaw_reversals": 0.1},
         {"action_change": [0.1, float("nan")]},
         {"action_change": 0.1},

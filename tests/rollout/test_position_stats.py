@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavrl.envs.world import World, WorldConfig
-from uavrl.evaluation.position_stats import PositionStats, summarize_places, whereabouts_lines
+from uavrl.evaluation.position_stats import PositionStats, position_lines, summarize_places
 
 
 def test_percentiles_quarters_and_histogram_of_known_places() -> None:
@@ -48,7 +48,7 @@ def test_each_valley_has_walls_and_a_ground_of_its_own() -> None:
 
 def test_lines_name_the_percentiles() -> None:
     found = summarize_places(np.array([1.0, 3.0]), np.array([0.2, 0.6]), np.array([5.0, 7.0]))
-    altitude, wall, quarters = whereabouts_lines(found)
+    altitude, wall, quarters = position_lines(found)
     assert altitude.startswith("altitude, 5 / 50 / 95 %") and altitude.endswith("1.10 / 2.00 / 2.90")
     assert wall.startswith("nearest wall") and wall.endswith("5.10 / 6.00 / 6.90")
     assert quarters.endswith(" 50 / 0 / 50 / 0 %")

@@ -143,10 +143,10 @@ def test_a_flight_tells_where_it_went() -> None:
     flight = small_recording().flights[0]
     altitudes = flight.positions[1:, 2].astype(float)
     half = np.array(small_env().world.size) / 2
-    assert flight.whereabouts["steps"] == flight.summary.steps
-    assert flight.whereabouts["altitude"]["p50"] == pytest.approx(np.median(altitudes))
+    assert flight.position_stats["steps"] == flight.summary.steps
+    assert flight.position_stats["altitude"]["p50"] == pytest.approx(np.median(altitudes))
     walls = (half - np.abs(flight.positions[1:, :2])).min(1)
-    assert flight.whereabouts["wall_distance"]["p50"] == pytest.approx(np.median(walls), abs=1e-4)
+    assert flight.position_stats["wall_distance"]["p50"] == pytest.approx(np.median(walls), abs=1e-4)
 
 
 def test_a_flight_does_not_depend_on_those_before_it() -> None:

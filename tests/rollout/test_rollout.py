@@ -280,7 +280,7 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
     assert results[0]["versions"] == versions() and results[0]["processor"] == processor()
     assert [len(f["action_change"]) for f in results[0]["flights"]] == [4] * 6 == [len(results[0]["action_change"])] * 6
     assert all(0 <= f["yaw_reversals"] <= 1 for f in results[0]["flights"])
-    went = results[0]["whereabouts"]
+    went = results[0]["position_stats"]
     assert went["steps"] == sum(f["steps"] for f in results[0]["flights"])
     assert 3.3 < went["altitude"]["p5"] <= went["altitude"]["p95"] < 3.7, "it starts at 3.5 m and keeps that height"
     assert "altitude, 5 / 50 / 95 %" in capfd.readouterr().out

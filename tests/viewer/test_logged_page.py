@@ -63,7 +63,7 @@ def test_the_numbers_in_the_page_are_those_of_the_log(
     np.testing.assert_allclose(turns[asked], [shown[at].turn for at in asked], atol=1e-6)
     fresh, stale = SILENT[0] - 3, SILENT[0] - 3 + 3
     assert turns[[fresh, stale]] == pytest.approx([shown[fresh - 1].turn, 0.0], abs=1e-6), "as the scan it flies by"
-    for name in ("rewards", "clearances", "planes", "whereabouts", "path_efficiency"):
+    for name in ("rewards", "clearances", "planes", "position_stats", "path_efficiency"):
         assert name not in flight, "no log knows it"
 
 

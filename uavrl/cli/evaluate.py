@@ -87,7 +87,7 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
             flights = fly(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
         finally:
             env.close()
-    result = summarize(flights) | ({} if places is None else {"whereabouts": places.summary()})
+    result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})
     known = [{key: value for key, value in asdict(flight).items() if value is not None} for flight in flights]
     result = {**result, **told, **chosen.source, "flights": known}
     with replacing(output) as partial:

@@ -76,7 +76,7 @@ def main(config: DictConfig) -> None:
         _show_log(settings, Path(settings.flight))
         return
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
-    from uavrl.evaluation.position_stats import whereabouts_lines
+    from uavrl.evaluation.position_stats import position_lines
     from uavrl.evaluation.recording import load_recording, save_recording
     from uavrl.evaluation.smoothness import smoothness_lines
     from uavrl.runs.episodes import SAID
@@ -97,7 +97,7 @@ def main(config: DictConfig) -> None:
         lengths = "" if efficiency is None else f"path efficiency {efficiency:.2f}, "
         print(f"task {summary.task}: {ended}, {lengths}minimum clearance {summary.clearance:.2f} m")
         lines = [
-            *whereabouts_lines(flight.whereabouts),
+            *position_lines(flight.position_stats),
             *smoothness_lines(summary.action_change, summary.yaw_reversals),
         ]
         print("\n".join(f"  {line}" for line in lines))

@@ -83,7 +83,7 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(value) for p, value in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-def whereabouts_lines(found: dict[str, Any]) -> list[str]:
+def position_lines(found: dict[str, Any]) -> list[str]:
     """A summary as lines for a person."""
     of = {key: " / ".join(f"{found[key][f'p{p}']:.2f}" for p in PERCENTILES) for key in ("altitude", "wall_distance")}
     quarters = " / ".join(f"{100 * share:.0f}" for share in found["height_quarters"])

@@ -81,7 +81,7 @@ def record_flight(
     places.add(states["position"][1:].numpy())
     return RecordedFlight(
         summary=ended[0],
-        whereabouts=places.summary(),
+        position_stats=places.summary(),
         times=np.arange(len(moments)) / CONTROL_RATE,
         positions=states["position"].numpy() - origin.astype(np.float32),
         attitudes=np.stack([moment["attitude"] for moment in moments]),

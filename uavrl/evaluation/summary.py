@@ -8,7 +8,7 @@ import yaml
 
 from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
-from uavrl.evaluation.position_stats import whereabouts_lines
+from uavrl.evaluation.position_stats import position_lines
 from uavrl.evaluation.rollout import Flight
 from uavrl.evaluation.smoothness import smoothness_lines, summarize_smoothness
 from uavrl.runs.episodes import LETTERS, RATES, wilson
@@ -96,7 +96,7 @@ def table(result: Mapping[str, Any]) -> str:
     for valley, success in result.get("success_by_valley", {}).items():
         interval = f"{success['low']:.1%} – {success['high']:.1%}, {pluralize(success['episodes'], 'episode')}"
         lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
-    return "\n".join([*lines, *(whereabouts_lines(result["whereabouts"]) if "whereabouts" in result else [])])
+    return "\n".join([*lines, *(position_lines(result["position_stats"]) if "position_stats" in result else [])])
 
 
 def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:

@@ -229,7 +229,7 @@ def _evaluation(path: Path) -> dict[str, Any]:
     tasks = int(content["episodes"])
     rates = {name: wilson(round(float(content[name]["rate"]) * tasks), tasks) for name in RATES}
     copied = {key: content.get(key) for key in _COPIED}
-    measured = {"whereabouts": _whereabouts(content.get("whereabouts")), **_smoothness(content)}
+    measured = {"position_stats": _position_stats(content.get("position_stats")), **_smoothness(content)}
     return {"file": path.name, "flown": _tasks(content), "episodes": tasks, **copied, **rates, **measured}
 
 
@@ -260,7 +260,7 @@ def _smoothness(content: dict[str, Any]) -> dict[str, Any]:
     return {"action_change": components, "yaw_reversals": share}
 
 
-def _whereabouts(places: Any) -> dict[str, Any] | None:
+def _position_stats(places: Any) -> dict[str, Any] | None:
     """The statistics of positions, or None where an evaluation has none."""
     if places is None:
         return None

@@ -96,7 +96,7 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
         **packed_points([flight.cloud(moment) for moment in range(len(flight.times))], most),
         "reward_names": list(flight.reward_names),
         **{name: getattr(flight.summary, name) for name in shown},
-        "whereabouts": flight.whereabouts,
+        "position_stats": flight.position_stats,
         "smoothness": smoothness_texts(flight.summary.action_change, flight.summary.yaw_reversals),
     }
 

@@ -296,7 +296,7 @@ function choose(index) {
   $("outcome").style.background = colour;
   list($("facts"), flight.facts ?? { task: flight.task, valley: flight.world_seed, time: `${number(flight.steps / 10, 1)} s`,
     "path efficiency": number(flight.path_efficiency), "least clearance": `${number(flight.clearance)} m` });
-  list($("whereabouts"), flight.whereabouts ? went(flight.whereabouts) : {});
+  list($("position_stats"), flight.position_stats ? went(flight.position_stats) : {});
   list($("smoothness"), flight.smoothness ?? {});
   $("notes").replaceChildren();
   for (const note of flight.notes ?? []) element("p", {}, $("notes"), note);

@@ -79,7 +79,7 @@ function start() {
   list($("facts"), { scans: count, rate: known(rate, (v) => `${number(v)} Hz`),
     "points (median)": known(points, (v) => Math.round(v).toLocaleString("en")),
     nearest: known(nearest, (v) => `${number(v)} m`), misses: known(misses, percent) });
-  list($("whereabouts"), Object.fromEntries(data.sectors.map(({ name, nearest: far }) =>
+  list($("position_stats"), Object.fromEntries(data.sectors.map(({ name, nearest: far }) =>
     [name, known(far, (v) => `${number(v)} m`)])));
   element("div", {}, $("legend"), "the sensor's frame: x ahead (nose pink), z up");
   distanceScale($("legend"), data.radius);
