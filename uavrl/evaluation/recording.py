@@ -22,9 +22,7 @@ class RecordedFlight:
     """One episode of T steps: T + 1 moments, the last after the last step. Positions are in the valley's own frame."""
 
     summary: Flight  #: Task, outcome, lengths and clearance, as an evaluation gives them
-    position_stats: dict[
-        str, Any
-    ]  #: Where it went, as :class:`uavrl.evaluation.position_stats.PositionStats` sums it up
+    position_stats: dict[str, Any]  #: where it flew, as :class:`uavrl.evaluation.position_stats.PositionStats` has it
     times: np.ndarray  #: ``[T + 1]`` in s
     positions: np.ndarray  #: ``[T + 1, 3]``, the airframe's centre in m
     attitudes: np.ndarray  #: ``[T + 1, 4]``, quaternions (x, y, z, w) from body to world axes
