@@ -68,6 +68,7 @@ def test_the_wheel_holds_the_package_and_its_configuration_alone(unpacked: Path)
     told = metadata.read_text(encoding="utf-8")
     assert f"/uavrl/blob/v{uavrl.__version__}/docs/results.md" in told
     assert not re.search(r"\]\((?!https?:|#)", told.partition("# uavrl")[2])
+    assert "Requires-Dist: uavrl-onboard" in told
 
 
 @pytest.mark.slow
