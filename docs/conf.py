@@ -36,7 +36,7 @@ extensions = [
     "myst_nb",
 ]
 _OURS = ["conf.py", "hyperparameters.py", "mend.py", "signatures.py", "tables.py", "tutorials/shell.py"]
-exclude_patterns = ["_build", *_OURS]
+exclude_patterns = ["_build", "figures", *_OURS]
 nitpicky = True
 suppress_warnings = ["myst-nb.lexer"]  # of tutorials that are shown without being run
 

@@ -226,37 +226,6 @@ def test_a_plane_passes_when_and_where_its_line_and_the_vehicles_say(said: Said)
     np.testing.assert_allclose(on_planes(points, without), [[2.0, 3.0, 0.0, 1.0, 2.0, 0.0, 0.02], [0.0] * 7])
 
 
-# ---------------------------------------------------------------------- where the goal lies behind
-
-
-def test_tasks_begin_with_the_goal_behind_at_the_places_of_an_evaluation(said: Said) -> None:
-    from goal_behind import GoalAtAngle
-
-    from uavrl.envs import NavigationEnv, WorldConfig
-
-    world, tasks = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0), 8
-    turned = GoalAtAngle(tasks, goal_at=-90.0, within=2.0, world=world, blind=True).reset()
-    drawn = NavigationEnv(tasks, world=world, blind=True).reset()
-    off = turned["heading_deg"][:, 0] - 270
-    assert 1.0 < off.abs().max() <= 2.001 and (off > 0).any() and (off < 0).any()
-    torch.testing.assert_close(turned["position"], drawn["position"], atol=1e-6, rtol=0)
-    assert turned["goal"].equal(drawn["goal"])
-
-
-def test_a_reversal_is_behind_where_the_goal_is_before_its_step(said: Said) -> None:
-    from goal_behind import Start, measured
-
-    found = measured([1.0, -1.0, 1.0, 1.0, -1.0], [179.0, 170.0, 120.0, 80.0, 10.0, 5.0], "arrived")
-    assert found == Start(3, 2, pytest.approx(0.1), 5.0, "arrived")
-
-
-def test_it_is_told_how_a_policy_turns_to_a_goal_behind(said: Said) -> None:
-    small = ["env.world.size=[14,12]", "env.world.obstacles=3", "env.world.min_goal_distance=5", "env.max_steps=25"]
-    told = said("goal_behind", "policy=straight", "--starts", 3, *small)
-    assert "in 20 steps: " in told and "with the goal behind: 0 in 3 of 3 starts" in told
-    assert "turned left in" in told and "success" in told
-
-
 # ---------------------------------------------------------------------- rules, LifeGuard, FORK
 
 

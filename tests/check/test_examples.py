@@ -19,19 +19,20 @@ from torchrl.envs import TransformedEnv
 from uavrl.envs import WorldConfig
 from uavrl.evaluation.policies import PACKAGED
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+ROOT = Path(__file__).parents[2]
+EXAMPLES, FIGURES = ROOT / "examples", ROOT / "docs/figures"
 
 
-def said(example: str, *arguments: object) -> str:
-    """What an example prints, in a process of its own."""
-    command = [sys.executable, "-W", "error::FutureWarning", EXAMPLES / example, *map(str, arguments)]
+def said(script: Path, *arguments: object) -> str:
+    """What a script prints, in a process of its own."""
+    command = [sys.executable, "-W", "error::FutureWarning", script, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_the_backward_reward_is_used_outside_the_valley() -> None:
-    assert "arrived" in said("backward_reward.py", 600)
+    assert "arrived" in said(EXAMPLES / "backward_reward.py", 600)
 
 
 def test_one_file_trains_td3_with_torchrls_collector_and_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,7 +60,7 @@ def test_one_file_trains_td3_with_torchrls_collector_and_buffer(monkeypatch: pyt
 
 def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> None:
     place = f"{PACKAGED / 'best' / 'suite.json'}:static"
-    printed = said("altitudes.py", place, "--output", tmp_path / "altitudes.png")
+    printed = said(FIGURES / "altitudes.py", place, "--output", tmp_path / "altitudes.png")
     assert printed.startswith("best, static ")
     low, middle, high = (float(x) for x in printed.split("%: ")[1].split(" m")[0].split(" / "))
     assert 0 < low < middle < high < 5
@@ -67,15 +68,15 @@ def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> No
 
 
 def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path) -> None:
-    suites = EXAMPLES.parent / "docs/data/suite"
+    suites = ROOT / "docs/data/suite"
     picture = tmp_path / "worlds.png"
-    said("scenarios.py", f"a rule={suites / 'vfh_turning.json'}", suites / "best.json", "--output", picture)
+    said(FIGURES / "scenarios.py", f"a rule={suites / 'vfh_turning.json'}", suites / "best.json", "--output", picture)
     assert picture.stat().st_size > 5_000
     few = tmp_path / "few.json"
     row = json.loads((suites / "best.json").read_text())["static"]
     few.write_text(json.dumps({"few": {**row, "episodes": 20, "success": {"rate": 0.5, "low": 0.3, "high": 0.7}}}))
     worlds = ["--table", "--worlds", "static", "few"]
-    printed = said("scenarios.py", f"one={suites / 'best.json'}", f"one={few}", f"other={few}", *worlds)
+    printed = said(FIGURES / "scenarios.py", f"one={suites / 'best.json'}", f"one={few}", f"other={few}", *worlds)
     assert printed.splitlines()[0] == "| success in % | `static` | `few` |"
     assert printed.splitlines()[2:] == [
         "| one | 98.8 (97.4–99.4) | 50.0\\* (30.0–70.0) |",
@@ -83,7 +84,7 @@ def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path
     ]
     evaluation = tmp_path / "evaluation.json"
     evaluation.write_text(json.dumps(json.loads((suites / "best.json").read_text())["static"]))
-    drawing = [sys.executable, EXAMPLES / "scenarios.py"]
+    drawing = [sys.executable, FIGURES / "scenarios.py"]
     for wrong, message in (
         ([evaluation], "Expected worlds with a success each in"),
         ([suites / "best.json", "--worlds", "dence"], "Expected worlds that a file tells of, got dence"),

@@ -53,7 +53,7 @@ def test_the_contract_says_what_stands_in_place_of_the_heading_and_how_it_is_fou
 
 
 def test_its_inputs_are_printed_as_a_table(folder: Path) -> None:
-    example = runpy.run_path(str(Path(__file__).parents[2] / "examples/inputs_table.py"))
+    example = runpy.run_path(str(Path(__file__).parents[2] / "docs/figures/inputs_table.py"))
     (row,) = (row for row in example["table"](folder / "contract.json").splitlines() if "waypoint" in row)
     assert row.startswith("| 73 | waypoint; degrees in [0, 360)")
 

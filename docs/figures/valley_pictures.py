@@ -1,8 +1,8 @@
 """Draws a valley from outside and from where a UAV starts, with PyBullet's own renderer.
 
-python examples/valley_pictures.py --output docs/img
-python examples/valley_pictures.py --seed 100 --obstacles 90
-python examples/valley_pictures.py --seed 200 --obstacles 20 --traps 3 --output docs/img   # from above, with five tasks
+python docs/figures/valley_pictures.py --output docs/img
+python docs/figures/valley_pictures.py --seed 100 --obstacles 90
+python docs/figures/valley_pictures.py --seed 200 --obstacles 20 --traps 3 --output docs/img   # from above, with five tasks
 """
 
 from __future__ import annotations

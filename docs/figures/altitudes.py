@@ -1,7 +1,7 @@
 """Draws how high flights were, from the files that `uavrl-evaluate` writes.
 
-python examples/altitudes.py uavrl/policies/data/best/suite.json:static uavrl/policies/data/best/suite.json:dynamic
-python examples/altitudes.py runs/mine/evaluation.json
+python docs/figures/altitudes.py uavrl/policies/data/best/suite.json:static uavrl/policies/data/best/suite.json:dynamic
+python docs/figures/altitudes.py runs/mine/evaluation.json
 """
 
 from __future__ import annotations

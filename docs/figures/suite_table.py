@@ -1,6 +1,6 @@
 """Writes what `uavrl-evaluate suite=...` found of a policy as a table, into a page or to the terminal.
 
-python examples/suite_table.py uavrl/policies/data/best/suite.json --page docs/deploy.md
+python docs/figures/suite_table.py uavrl/policies/data/best/suite.json --page docs/deploy.md
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Draws success in each world, with its interval, from the files that ``uavrl-evaluate suite=... output=FILE`` writes.
 
-python examples/scenarios.py "vfh=docs/data/suite/vfh_turning.json" "best=uavrl/policies/data/best/suite.json"
+python docs/figures/scenarios.py "vfh=docs/data/suite/vfh_turning.json" "best=uavrl/policies/data/best/suite.json"
 
 A name that is given twice has the worlds of both files. With ``--table`` it prints them as a table in Markdown; an
 asterisk is at rates of fewer tasks than the most.

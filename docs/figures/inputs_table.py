@@ -1,6 +1,6 @@
 """Writes what a policy reads, number by number, as its contract has it; docs/policies.md shows that of `best`.
 
-python examples/inputs_table.py uavrl/policies/data/best/contract.json
+python docs/figures/inputs_table.py uavrl/policies/data/best/contract.json
 """
 
 from __future__ import annotations
