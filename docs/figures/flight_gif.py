@@ -1,4 +1,7 @@
-"""A moving picture of a flight page, as the README shows it: ``python docs/figures/flight_gif.py demo.html flight.gif``.
+"""A moving picture of a flight page, as the README shows it.
+
+python docs/figures/flight_gif.py demo.html flight.gif
+
 
 Needs Chromium with its driver, selenium and Pillow; the page comes from
 ``uavrl-replay policy=best env=static task=0 output=demo.html``.

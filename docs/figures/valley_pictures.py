@@ -2,7 +2,7 @@
 
 python docs/figures/valley_pictures.py --output docs/img
 python docs/figures/valley_pictures.py --seed 100 --obstacles 90
-python docs/figures/valley_pictures.py --seed 200 --obstacles 20 --traps 3 --output docs/img   # from above, with five tasks
+python docs/figures/valley_pictures.py --seed 200 --obstacles 20 --traps 3 --output docs/img   # from above
 """
 
 from __future__ import annotations
