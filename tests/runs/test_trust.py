@@ -1,4 +1,4 @@
-"""What somebody else made is refused where it is read; tests/check/test_foreign_files.py gives it to the commands."""
+"""A foreign file is refused where it is read; tests/check/cli/test_foreign_files.py tries the commands."""
 
 from __future__ import annotations
 

@@ -1,0 +1,200 @@
+"""``uavrl-fly``: dry runs of a recording and of a sensor, and what a user may get wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.helpers.commands import in_process
+from tests.helpers.exported import exported
+from tests.helpers.measured import measured
+from tests.helpers.packets import RECORDED
+from tests.helpers.ports import free_ports
+from uavrl_onboard.cli import fly
+from uavrl_onboard.flight.logged_flight import LoggedFlight
+from uavrl_onboard.flight.loop import Flight
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.lidar.packets import encode_scan
+from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.vlp16 import firing_directions
+
+RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
+GOAL = "goal=[20,0,2.5]"
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(tmp_path_factory.mktemp("exported"), "algo.hidden=[16,8]")
+
+
+def test_a_recording_is_flown_into_nothing(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers = tmp_path / "flight.json"
+    assert in_process(fly.main, f"policy={policy}", GOAL, *RECORDING, f"json={numbers}") == 0
+    out, err = capsys.readouterr()
+    assert "0.0 s  silent (settling): all rules must hold for 1 s first" in out
+    assert err == "Vehicle: in_control (a dry run: set-points are sent to nobody)\n"
+    assert "0.1 s, 2 scans: it did not arrive, 20.0 m from the goal at the nearest." in out
+    assert f"Written to {numbers}" in out
+    facts = json.loads(numbers.read_text())
+    assert (facts["scans"], facts["cycles"], facts["arrived"], facts["least_distance_m"]) == (2, 2, False, 20.0)
+    assert 0.0 < facts["latency_ms"]["median"] < 1000.0
+
+
+@measured
+def test_a_sensor_is_flown_by_until_the_goal(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    numbers, ended, (port, _) = tmp_path / "flight.json", threading.Event(), free_ports()
+
+    def turn() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+            begun = time.monotonic()
+            for number in range(250):
+                for packet in encode_scan(3.0 * firing_directions(), stamp=0.1 * number):
+                    sensor.sendto(packet, ("127.0.0.1", port))
+                if ended.wait(max(begun + 0.1 * number - time.monotonic(), 0.0)):
+                    return
+
+    sensor = threading.Thread(target=turn)
+    sensor.start()
+    try:
+        where = (
+            f"lidar=udp://127.0.0.1:{port}",
+            "model=VLP16",
+            "autopilot=null",
+            "standing=[19.5,0,3.5,0]",
+            "hold=0.2",
+        )
+        assert in_process(fly.main, f"policy={policy}", GOAL, *where, "log=null", f"json={numbers}", "seconds=20") == 0
+    finally:
+        ended.set()
+        sensor.join()
+    facts = json.loads(numbers.read_text())
+    assert facts["arrived"] and facts["least_distance_m"] == 0.5
+    assert 1.0 <= facts["arrived_after_s"] <= facts["seconds"] < 20.0
+    assert "flying (in_control): the policy flies" in capsys.readouterr().out
+
+
+def test_without_a_scan_it_says_why(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    where = (f"lidar=udp://127.0.0.1:{free_ports()[0]}", "model=VLP16", "autopilot=null", "log=null", "seconds=3.4")
+    assert in_process(fly.main, f"policy={policy}", GOAL, *where) == 0
+    out = capsys.readouterr().out
+    assert "0.0 s  silent (no_scan): there is no scan" in out
+    assert out.count("No scan has come for 3 s: no packet arrived; the sensor sends to the address") == 1
+
+
+def test_a_flight_is_logged(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = [each for each in RECORDING if each != "log=null"]
+    for name in ("flight.mcap", "flight_2.mcap"):
+        assert in_process(fly.main, f"policy={policy}", GOAL, *recording, f"log={tmp_path / 'flight.mcap'}") == 0
+        assert f"Log: {tmp_path / name}, which uavrl-replay" in capsys.readouterr().out
+        logged = LoggedFlight(tmp_path / name)
+        cycles = list(logged)
+        assert logged.whole and logged.goal == (20.0, 0.0, 2.5) and logged.about["autopilot"] == "None"
+        scans = [points for _, points in ScanSource(RECORDED, "VLP16")]
+        for cycle, points in zip(cycles, scans, strict=True):
+            assert cycle.scan is not None and np.array_equal(cycle.scan.points, points)
+
+
+def test_a_floor_below_the_ground_is_told(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lidar, autopilot = free_ports()
+    where = (f"lidar=udp://127.0.0.1:{lidar}", "model=VLP16", f"autopilot=udp://127.0.0.1:{autopilot}", "log=null")
+    for floor, told in (("-2", 1), ("1", 0)):
+        assert in_process(fly.main, f"policy={policy}", GOAL, *where, f"safety.floor={floor}", "seconds=0.2") == 0
+        assert capsys.readouterr().err.count("safety.floor is below the ground") == told
+
+
+def test_a_pipe_that_nobody_reads_ends_no_flight(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers, (reader, writer) = tmp_path / "flight.json", os.pipe()
+    os.close(reader)
+    monkeypatch.setattr(sys, "stdout", os.fdopen(writer, "w"))
+    monkeypatch.setattr(
+        "uavrl_onboard.cli.nonblocking_output._LONGEST_END", 30.0
+    )  # on a machine that has much else to do
+    where = (f"lidar=udp://127.0.0.1:{free_ports()[0]}", "model=VLP16", "autopilot=null", "log=null", "seconds=0.5")
+    assert in_process(fly.main, f"policy={policy}", GOAL, *where, f"json={numbers}") == 141
+    assert json.loads(numbers.read_text())["seconds"] >= 0.5
+    assert "Nobody reads what is printed (Broken pipe): the flight goes on." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([GOAL], "policy must be a folder that uavrl-export wrote, got None"),
+        (["policy=none", GOAL], "Expected an exported policy with none/contract.json"),
+        (["policy=none"], "goal must be three numbers, [x,y,z] in m from the autopilot's origin, got None"),
+        (["policy=none", "goal=[1,2]"], "goal must be three numbers"),
+        (["policy=none", GOAL, f"lidar={RECORDED}"], "a recording flies nothing but autopilot=null"),
+        (["policy=none", GOAL, "safety.velocity=0"], "safety.velocity must be a finite number above 0, got 0"),
+        (["policy=none", GOAL, "safety.floor=8"], "floor 8 must be below ceiling 5"),
+        (["policy=none", GOAL, "safety.box=[1,2,3]"], "safety.box must be a list of 4, got [1, 2, 3]"),
+        (["policy=none", GOAL, "vehicle=[1,2,3]"], "vehicle must be six numbers"),
+        (["policy=none", GOAL, "standing=[1,2,3]"], "standing must be a list of 4"),
+        (["policy=none", GOAL, "autopilot=ros2:///odom", "arm=true"], "autopilot must be udp://:14540 with arm"),
+        (["policy=none", GOAL, "autopilot=ros2:///odom", "ros2.kind=px5"], "ros2.kind must be one of"),
+        (["policy=none", GOAL, "system=0"], "system must be"),
+        (
+            ["policy=none", GOAL, "shield.height=1"],
+            "shield.radius must be the hull's in m with shield.height: ",
+        ),
+        (
+            ["policy=none", GOAL, "shield=true"],
+            "shield must be the settings of ShieldConfig (radius, height, sen",
+        ),
+        (["policy=none", GOAL, "json=./flight.mcap"], "json must be another file than the log and the recording"),
+        (["policy=none", GOAL, *RECORDING, f"json={RECORDED}"], "json must be another file than the log"),
+        (["policy=none", GOAL, "safety.speed=1"], "There is no key 'safety.speed'"),
+        (["policy=none", GOAL, "evade=0"], "evade must be in (0, 100], got 0"),
+    ],
+)
+def test_what_a_user_may_get_wrong(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(fly.main, *arguments) == 1
+    error = capsys.readouterr().err
+    assert said in error and "Traceback" not in error
+
+
+def test_a_port_that_is_taken(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        where = (f"lidar=udp://127.0.0.1:{port}", "model=VLP16", "autopilot=null", "log=null")
+        assert in_process(fly.main, f"policy={policy}", GOAL, *where) == 1
+    assert f"udp://127.0.0.1:{port} cannot be listened to" in capsys.readouterr().err
+
+
+def test_the_model_is_named(policy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(fly.main, f"policy={policy}", GOAL, "autopilot=null", "log=null") == 1
+    assert "model must be one of VLP16" in capsys.readouterr().err
+
+
+def test_evasion_knows_the_vehicle_as_the_shield_does(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = list[Evasion]()
+
+    def kept(*arguments: Any, evasion: Evasion, **stages: Any) -> Flight:
+        made.append(evasion)
+        return Flight(*arguments, evasion=evasion, **stages)
+
+    monkeypatch.setattr(fly, "Flight", kept)
+    vehicle = ("shield.radius=0.3", "shield.height=0.2", "shield.sensor=0.15", "safety.velocity=1.5")
+    recording = [*(each for each in RECORDING if each != "log=null"), f"log={tmp_path / 'flight.mcap'}"]
+    for told in (("evade=9", *vehicle), ("evade=12",), ("evade=12", "shield.sensor=0.2"), ()):
+        assert in_process(fly.main, f"policy={policy}", GOAL, *recording, *told) == 0
+    own, usual, higher, none = made
+    flown = [
+        (each.vehicle.hull, each.vehicle.lidar_above, each.vehicle.velocity_limit) for each in (own, usual, higher)
+    ]
+    assert flown == [((0.3, 0.1), 0.15, 1.5), ((0.35, 0.14), 0.1, 2.0), ((0.35, 0.14), 0.2, 2.0)]
+    assert (own.max_range, usual.max_range) == (9.0, 12.0)
+    assert none is None
+    assert LoggedFlight(tmp_path / "flight.mcap").about["evade"] == "9.0"

@@ -1,0 +1,203 @@
+"""Every source gives the same scans."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.helpers.captures import KINDS, PACKETS, TIMES, captured
+from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, store, write_bag
+from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import is_return
+from uavrl_onboard.lidar import bags, sources
+from uavrl_onboard.lidar.pcap import read_pcap, udp_content
+from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
+from uavrl_onboard.lidar.udp import address, read_udp
+
+POINTS = np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [0.0, 0.0, 0.0], [-4.0, 5.5, 6.0]], np.float32)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_kinds_of_files_give_the_same_scans(kind: str, tmp_path: Path) -> None:
+    path = KINDS[kind](tmp_path)
+    inner = [path] if path.is_file() else [path, *(p for p in path.iterdir() if p.suffix in (".db3", ".mcap"))]
+    for each in inner:
+        source = ScanSource(each, "VLP16")
+        scans = list(source)
+        assert [scan.points.shape for scan in scans] == [(76 * 384, 3)] * 3
+        assert all(scan.points.dtype == np.float32 for scan in scans)
+        assert np.diff([scan.stamp for scan in scans]) == pytest.approx(76 * 0.001327, abs=1e-4)
+        assert kind == "bin" or scans[0].stamp == pytest.approx(TIMES[75], abs=1e-4)
+        assert source.skipped.sentences() == [] and len(list(source)) == 3, "it can be read again"
+
+
+@pytest.mark.parametrize("kind", ["ros1", "db3", "mcap"])
+def test_a_driver_s_clouds_come_as_they_are(kind: str, tmp_path: Path) -> None:
+    types = store(kind == "ros1")
+    forms: list[dict[str, Any]] = [{}, {"big": True}, {"double": True, "pad": 0}]
+    messages = [cloud_message(types, POINTS, 5.0 + n, **form) for n, form in enumerate(forms)]
+    path = write_bag(tmp_path / "a.bag", kind, {"/points": (CLOUD, messages)})
+    scans = list(ScanSource(path))
+    assert [scan.stamp for scan in scans] == [5.0, 6.0, 7.0] and {(scan.rays, scan.misses) for scan in scans} == {
+        (4, 2)
+    }
+    for scan in scans:
+        np.testing.assert_array_equal(scan.points, POINTS)
+        assert is_return(scan.points).tolist() == [True, False, False, True]
+
+
+def test_of_several_topics_one_is_named(tmp_path: Path) -> None:
+    types = store()
+    topics = {"/a": (CLOUD, [cloud_message(types, POINTS)]), "/b": (SCAN, [scan_message(types, PACKETS[:76])])}
+    path = write_bag(tmp_path / "a", "db3", topics)
+    with pytest.raises(UavrlError, match=r"more than one with scans: give topic=NAME, one of /a, /b"):
+        ScanSource(path, "VLP16")
+    assert len(list(ScanSource(path, topic="/a"))) == 1
+    assert len(list(ScanSource(path, "VLP16", topic="/b"))) == 1
+    with pytest.raises(UavrlError, match=r"no /c with scans"):
+        ScanSource(path, "VLP16", topic="/c")
+    with pytest.raises(UavrlError, match="model must be one of VLP16"):
+        ScanSource(path, topic="/b")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"fields": []}, {"point_step": 0}, {"point_step": 8}, {"row_step": 3}, {"height": 9}, {"width": 2**31}],
+    ids=str,
+)
+def test_a_cloud_whose_fields_do_not_fit_its_data_is_counted(change: dict[str, Any], tmp_path: Path) -> None:
+    message = cloud_message(store(), POINTS)
+    for name, value in change.items():
+        setattr(message, name, value)
+    assert bags.cloud_points(message) is None
+    path = write_bag(tmp_path / "a", "db3", {"/a": (CLOUD, [message, cloud_message(store(), POINTS)])})
+    source = ScanSource(path)
+    assert len(list(source)) == 1 and source.skipped.malformed == 1
+
+
+def test_a_packet_s_way_through_other_headers_is_found() -> None:
+    ip = bytes([0x45, 0, 0, 33, 0, 0, 0x40, 0, 64, 17, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8]) + struct.pack(
+        ">HHHH", 1, 2, 13, 0
+    )
+    ip += b"hello"
+    ethernet = bytes(12) + b"\x08\x00" + ip + b"padding"
+    for frame, link in (
+        (ethernet, 1),
+        (bytes(12) + b"\x81\0\0\7" + ethernet[12:], 1),
+        (ip, 101),
+        (bytes(16) + ip, 113),
+    ):
+        assert udp_content(frame, link) == b"hello"
+    first_fragment = ethernet[:20] + b"\x20\0" + ethernet[22:]
+    for frame, link in (
+        (first_fragment, 1),
+        (ethernet[:40], 1),
+        (b"", 1),
+        (ethernet, 99),
+        (bytes(60), 1),
+        (ip[:9], 101),
+    ):
+        assert udp_content(frame, link) is None
+
+
+def test_a_sensor_is_heard_by_udp() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source = ScanSource(f"udp://127.0.0.1:{port}", "VLP16", seconds=20.0)
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+            for _ in range(200):
+                for packet in PACKETS:
+                    sensor.sendto(packet, ("127.0.0.1", port))
+                    sensor.sendto(bytes(512), ("127.0.0.1", port))
+                if done.wait(0.02):
+                    return
+
+    done = threading.Event()
+    sending = threading.Thread(target=send)
+    sending.start()
+    try:
+        scan = next(iter(source))
+    finally:
+        done.set()
+        sending.join()
+    assert len(scan.points) > 60 * 384 and 0 <= time.monotonic() - scan.stamp < 5
+    assert source.skipped.position > 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the system does not say when a packet arrived")
+def test_a_packet_that_waited_for_us_is_as_old_as_it_is() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+        sensor.bind(("127.0.0.1", 0))
+        port = sensor.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+        threading.Timer(0.05, lambda: [sensor.sendto(b"%d" % n, ("127.0.0.1", port)) for n in range(3)]).start()
+        packets = read_udp(f"udp://127.0.0.1:{port}", seconds=10.0)
+        first, content = next(packets)
+        assert content == b"0" and 0 <= time.monotonic() - first < 5
+        time.sleep(0.2)  # the policy takes its time
+        now = time.monotonic()
+        second, content = next(packets)
+    assert content == b"1" and now - second > 0.15
+
+
+def test_silence_and_bad_addresses_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UavrlError, match="no packet arrived; the sensor sends to"):
+        list(ScanSource("udp://127.0.0.1:24680", "VLP16", seconds=0.0))
+    for bad in ("udp://:0", "udp://:70000", "udp:2368", "udp://a:b", "udp://::1:2368"):
+        with pytest.raises(UavrlError, match=r"udp://:PORT or udp://HOST:PORT"):
+            ScanSource(bad, "VLP16")
+    assert address("udp://") == ("", 2368)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        with pytest.raises(UavrlError, match="cannot be listened to"):
+            list(ScanSource(f"udp://127.0.0.1:{taken.getsockname()[1]}", "VLP16"))
+
+
+def test_a_box_masks_the_vehicle_wherever_its_sensor_is() -> None:
+    leg, ahead = np.array([[0.3, 0.2, -0.4], [0.6, 0.0, 0.0]], np.float32)
+    low, high = np.array([-0.5, -0.5, -0.3]), np.array([0.5, 0.5, 0.3])
+    seen = np.stack([leg, ahead, np.full(3, np.nan, np.float32)])
+    assert len(without_vehicle(seen, low, high)) == 3, "from the sensor the leg lies below the box"
+    kept = without_vehicle(seen, low, high, sensor=np.array([0.0, 0.0, 0.2]))
+    np.testing.assert_array_equal(kept, seen[1:])
+    assert kept.dtype == np.float32
+
+
+def test_a_long_file_takes_little_memory(tmp_path: Path) -> None:
+    import tracemalloc
+
+    def most(repeats: int) -> int:
+        path = tmp_path / f"{repeats}.bin"
+        path.write_bytes(b"".join(PACKETS) * repeats)
+        tracemalloc.start()
+        try:
+            assert sum(1 for _ in ScanSource(path, "VLP16")) > 2 * repeats
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    assert most(20) < 1.3 * most(6)
+    assert sources.PACKET_SIZE == 1206 and len(list(read_pcap(captured(tmp_path)))) == len(PACKETS)
+
+
+def test_clouds_that_are_not_in_a_sensor_s_frame_are_refused(tmp_path: Path) -> None:
+    frames = {"world": (["/map", "/map"], "in the frame map, which is fixed to the world"),
+              "changed": (["velodyne", "ouster"], "frame changed from velodyne to ouster")}  # fmt: skip
+    for name, (ids, said) in frames.items():
+        messages = [cloud_message(store(), POINTS, 5.0 + number) for number in range(2)]
+        for message, frame_id in zip(messages, ids, strict=True):
+            message.header.frame_id = frame_id
+        path = write_bag(tmp_path / name, "db3", {"/a": (CLOUD, messages)})
+        with pytest.raises(UavrlError, match=said):
+            list(ScanSource(path))

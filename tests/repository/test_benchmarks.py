@@ -1,0 +1,109 @@
+"""The benchmarks run and write what the documentation quotes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPTS = sorted(path for folder in ("benchmarks", "studies") for path in (ROOT / folder).glob("*.py"))
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_every_script_ends_in_one_sentence(script: Path) -> None:
+    begun, _, started = script.read_text().partition('if __name__ == "__main__":\n')
+    assert started == ("    with one_sentence():\n        main()\n" if "\ndef main(" in begun else "")
+
+
+def test_minutes_are_counted_until_enough_of_the_last_flights_arrive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Flights end at 1, 2, 3, 4, 5 minutes; the share of the last two is 0, ½, 1, ½ from the second on."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import minutes
+
+    (tmp_path / "logs/run/scalars").mkdir(parents=True)
+    (tmp_path / "logs/run/scalars/minutes.csv").write_text("100,1.0\n500,5.0\n")
+    outcomes = ["collided", "timed_out", "arrived", "arrived", "collided"]
+    rows = [f"{100 * (k + 1)},{outcome}" for k, outcome in enumerate(outcomes)]
+    (tmp_path / "episodes.csv").write_text("\n".join(["total_steps,outcome", *rows]) + "\n")
+    curve = minutes.read(tmp_path)
+    assert curve.minutes.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert curve.success(2).tolist() == [0.0, 0.5, 1.0, 0.5]
+    assert curve.reaches(0.5, 2) == (3.0, 300)
+    assert curve.reaches(0.8, 2) == (4.0, 400)
+    assert curve.reaches(0.8, 3) is None
+    never = minutes.Curve(curve.minutes, curve.steps, np.zeros(5))
+    asked = SimpleNamespace(success=0.8, window=2)
+    result = minutes.told({minutes.DEFAULT: [curve, curve, never], minutes.FAST: [curve, never, never]}, asked)
+    assert result["rows"][minutes.DEFAULT] == {
+        "minutes": [4.0, 4.0, None],
+        "steps": [400, 400, None],
+        "median_minutes": 4.0,
+    }
+    assert result["rows"][minutes.FAST]["median_minutes"] is None
+    assert result["fast_vs_default"] is None
+    minutes.draw({minutes.DEFAULT: [curve, curve]}, 2, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 1000
+
+
+def test_pybullets_rays_see_what_the_lidar_sees(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    from pybullet_rays import PyBulletLidar
+
+    from uavrl.envs import Lidar, LidarConfig, World, WorldConfig
+
+    world, config = World(WorldConfig()), LidarConfig(max_range=4.0)
+    tilted = Rotation.from_euler("zyx", [[0.3, 0.1, -0.2]]).as_matrix()
+    places = world.sample_task(np.random.default_rng(0)).start[None]
+    ours = Lidar(world.meshes, None, config).scan(places, tilted)
+    theirs = PyBulletLidar(world.meshes, config).scan(places, tilted)
+    both = np.isfinite(ours).all(-1) & np.isfinite(theirs).all(-1)
+    assert both.sum() > 1000
+    assert (np.isnan(ours) != np.isnan(theirs)).mean() < 1e-3  # at the range's end and at edges
+    np.testing.assert_allclose(ours[both], theirs[both], atol=1e-3)
+
+
+def test_the_stopwatch_gives_each_second_to_the_innermost_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import profiling
+
+    now = iter(range(100)).__next__
+    monkeypatch.setattr(profiling, "time", SimpleNamespace(perf_counter=now))
+    owner = SimpleNamespace(inner=lambda: None)
+    owner.outer = lambda: owner.inner()
+    before = dict(vars(owner))
+    stopwatch = profiling.Stopwatch("rest")  # reads 0
+    with stopwatch.watching({"outer": [(owner, "outer")], "inner": [(owner, "inner")]}):
+        owner.outer()  # begins at 1, its inner one lasts from 2 to 3, ends at 4
+    assert stopwatch.stop() == {"rest": 2, "outer": 2, "inner": 1}  # stops at 5
+    assert vars(owner) == before
+
+
+def test_the_policy_of_a_minute_is_that_of_the_last_checkpoint_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import unseen
+
+    ends = {"checkpoint-0": (0, 0.0), "checkpoint-1": (5, 31.0), "checkpoint-2": (9, 59.0), "checkpoint-3": (20, 130.0)}
+    (tmp_path / "checkpoints").mkdir()
+    for name in ends:
+        (tmp_path / "checkpoints" / name).touch()
+
+    def manifest(path: Path) -> dict[str, Any]:
+        return {"metadata": dict(zip(("episodes", "seconds"), ends[path.name], strict=True))}
+
+    monkeypatch.setattr(unseen.Checkpoint, "manifest", manifest)
+    found = unseen.by_minute(tmp_path)
+    assert {at: Path(policy[1].partition("=")[2]).name for at, policy in found.items()} == {
+        1: "checkpoint-2",
+        3: "checkpoint-3",
+    }
+    (tmp_path / "minute_007.zip").touch()
+    assert list(unseen.by_minute(tmp_path)) == [7]
