@@ -94,7 +94,7 @@ class Coverage:
         coarse = seen.reshape(-1, _COARSE).any(1)
         self._run = np.where(coarse, np.where(self._last == self._scans - 1, self._run, 0) + 1, self._run)
         self._last[coarse] = self._scans
-        nearest = np.full(len(coarse), np.inf)
+        nearest = np.full(self._nearest.shape, np.inf)
         np.minimum.at(nearest, degree // _COARSE, far)
         self._nearest = np.where(coarse, nearest, self._nearest)
         self._farthest = max(self._farthest, float(far.max()))
