@@ -49,7 +49,7 @@ def test_the_fields_of_one_setpoint() -> None:
         assert (setpoint.target_system, setpoint.target_component) == (7, 1)
         assert (setpoint.vx, setpoint.vy, setpoint.vz, setpoint.yaw_rate) == (2.0, 1.0, -0.5, 0.25)
         assert (setpoint.coordinate_frame, setpoint.type_mask) == (8, 0b010111000111)
-        assert (setpoint.get_srcSystem(), setpoint.get_srcComponent()) == (1, 191)
+        assert (setpoint.get_srcSystem(), setpoint.get_srcComponent()) == (7, 191), "of the vehicle's system"
 
 
 def test_pose_and_goal_in_our_axes() -> None:
@@ -230,7 +230,7 @@ def test_other_senders_are_not_listened_to() -> None:
 
 def test_ground_stations_and_other_systems_are_no_autopilot() -> None:
     with Peer(mode=OFFBOARD, system=3) as peer:
-        peer.ours.vehicle._only = 4
+        peer.ours.vehicle.roster.system = 4
         peer.steps(10)
         assert peer.ours.status(peer.time).control is Control.WAITING
         assert not peer.received

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import socket
@@ -14,12 +15,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.deploy.test_senders import capture
 from tests.helpers.commands import in_process
 from tests.helpers.exported import exported
 from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
+from tests.helpers.recordings import CLOUD, cloud_message, store, write_bag
 from uavrl_onboard.cli import fly
+from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.guards.evasion import Evasion
@@ -126,6 +130,58 @@ def test_a_pipe_that_nobody_reads_ends_no_flight(
     assert "Nobody reads what is printed (Broken pipe): the flight goes on." in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("half", "reason"), [(True, "half_scan"), (False, "empty_scans")])
+def test_a_recording_that_does_not_see_is_not_flown_to_its_end(
+    half: bool, reason: str, policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    types, seen = store(), 3.0 * firing_directions()[::8].astype(np.float32)
+    points = seen[seen[:, 0] > 0] if half else seen[:0]
+    messages = [cloud_message(types, points, 5.0 + 0.1 * n) for n in range(40)]
+    path, numbers = write_bag(tmp_path / "a", "db3", {"/a": (CLOUD, messages)}), tmp_path / "a.json"
+    where = (f"lidar={path}", "autopilot=null", "log=null", f"json={numbers}")
+    assert in_process(fly.main, f"policy={policy}", GOAL, *where) == 0
+    changes = [(state, why) for _, state, why, _ in json.loads(numbers.read_text())["changes"]]
+    assert changes[-1] == ("silent", reason)
+    assert f"({reason}): " in capsys.readouterr().out
+
+
+def test_what_is_odd_about_a_recording_is_told(
+    policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = capture(tmp_path / "a.pcap", bytes([192, 168, 1, 202]), 2368)
+    where = (f"lidar={path}", "model=VLP16", "autopilot=null", "log=null")
+    assert in_process(fly.main, f"policy={policy}", GOAL, *where) == 0
+    assert "uavrl: Two senders: only 192.168.1.201:2368 is read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_how_a_flight_ended_is_told_before_its_numbers_are_written(
+    fails: bool, policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the disk is full, and where the flight itself ends with an error."""
+
+    def full(path: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    def broken(flight: Any, scans: Any, link: Any) -> Any:
+        yield next(rehearse(flight, scans, link))
+        raise UavrlError("the recording ends in the middle.")
+
+    rehearse, numbers, log = fly.rehearse, tmp_path / "a.json", tmp_path / "a.mcap"
+    if fails:
+        monkeypatch.setattr(fly, "rehearse", broken)
+    monkeypatch.setattr(fly, "replacing", full)
+    recording = [*(each for each in RECORDING if each != "log=null"), f"log={log}", f"json={numbers}"]
+    assert in_process(fly.main, f"policy={policy}", GOAL, *recording) == 1
+    out, err = capsys.readouterr()
+    assert "scans: it did not arrive" in out or "1 scan: it did not arrive" in out
+    assert f"Log: {log}, which uavrl-replay" in out
+    assert "No space left on device" in err and not numbers.exists()
+    assert ("the recording ends in the middle." in err) is fails
+    logged = LoggedFlight(log)
+    assert list(logged) and logged.whole
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -142,6 +198,7 @@ def test_a_pipe_that_nobody_reads_ends_no_flight(
         (["policy=none", GOAL, "autopilot=ros2:///odom", "arm=true"], "autopilot must be udp://:14540 with arm"),
         (["policy=none", GOAL, "autopilot=ros2:///odom", "ros2.kind=px5"], "ros2.kind must be one of"),
         (["policy=none", GOAL, "system=0"], "system must be"),
+        (["policy=none", GOAL, "autopilot=ros2:///odom", "signing_key_file=k"], "udp://:14540 with signing_key_file"),
         (
             ["policy=none", GOAL, "shield.height=1"],
             "shield.radius must be the hull's in m with shield.height: ",

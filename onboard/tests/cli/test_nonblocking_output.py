@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from uavrl_onboard.cli import nonblocking_output
 from uavrl_onboard.cli.nonblocking_output import beside
 
 

@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.deploy.test_senders import capture
 from tests.helpers.captures import KINDS
 from tests.helpers.commands import in_process
 from tests.helpers.flights import unpack
-from tests.helpers.packets import RECORDED
+from tests.helpers.packets import RECORDED, turns
 from tests.helpers.pages import Page
+from tests.helpers.recordings import CLOUD, cloud_message, store, write_bag
 from uavrl_onboard.cli import scan
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import ScanSource, read_bare
 from uavrl_onboard.lidar.summary import SECTORS, ScanSummary
+from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.pages.assembly import filled
 from uavrl_onboard.pages.scan_page import scan_page_data
 from uavrl_onboard.perception.cells import Statistic
@@ -92,9 +95,9 @@ def test_a_recording_is_never_replaced(kind: str, key: str, refused: Callable[..
 def test_ctrl_c_while_listening_loses_nothing_that_came(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(count: int) -> Callable[..., Iterator[tuple[float, bytes]]]:
-        def read(*_: object) -> Iterator[tuple[float, bytes]]:
-            yield from list(read_bare(RECORDED))[:count]
+    def interrupted(count: int) -> Callable[..., Iterator[tuple[float, bytes, str]]]:
+        def read(*_: object) -> Iterator[tuple[float, bytes, str]]:
+            yield from [(*each, "192.168.1.201:2368") for each in read_bare(RECORDED)][:count]
             raise KeyboardInterrupt
 
         return read
@@ -167,3 +170,37 @@ def test_directions_lie_where_they_are_called() -> None:
     nothing = ScanSummary()
     nothing.add(Scan(0.0, np.full((5, 3), np.nan, np.float32), 5, 5))
     assert nothing.facts()["nearest_m"] is None and nothing.facts()["misses"] == 1.0 and nothing.sectors() == {}
+
+
+def test_what_a_recording_does_not_see_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A driver's window of x > 0, a cloud without a point, and packets without a return."""
+    types = store()
+    seen = 3.0 * firing_directions()[::8].astype(np.float32)
+    clouds = {"half": seen[seen[:, 0] > 0], "empty": seen[:0]}
+    said = {
+        "half": "No return has ever come from 90° to 270° (0° is ahead, 90° left): does the driver's window cut",
+        "empty": "10 scans in a row hold no return at all: is the sensor covered",
+    }
+    for name, points in clouds.items():
+        messages = [cloud_message(types, points, 5.0 + 0.1 * n) for n in range(25)]
+        path = write_bag(tmp_path / name, "db3", {"/a": (CLOUD, messages)})
+        assert in_process(scan.main, f"source={path}", "output=null") == 0
+        assert capsys.readouterr().err.count(f"uavrl: {said[name]}") == 1
+    nothing = tmp_path / "nothing.bin"
+    nothing.write_bytes(b"".join(turns(2, distance=0.0)))
+    assert in_process(scan.main, f"source={nothing}", "model=VLP16", "output=null") == 0
+    assert "uavrl: No scan holds a return: is the sensor covered" in capsys.readouterr().err
+
+
+def test_two_senders_and_stamps_that_do_not_run_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = capture(tmp_path / "a.pcap", bytes([192, 168, 1, 202]), 2368)
+    assert in_process(scan.main, f"source={path}", "model=VLP16", "output=null") == 0
+    out, err = capsys.readouterr()
+    assert "3 scans at " in out and "28,928" in out.replace("29,184", "28,928") and "2.00 m" in out
+    assert "Two senders: only 192.168.1.201:2368 is read, and the packets of 192.168.1.202:2368 are left out." in err
+    types = store()
+    messages = [cloud_message(types, np.ones((100, 3), np.float32)) for _ in range(11)]
+    path = write_bag(tmp_path / "b", "db3", {"/a": (CLOUD, messages)})
+    assert in_process(scan.main, f"source={path}", "output=null") == 0
+    out, err = capsys.readouterr()
+    assert "11 scans at 10.00 Hz" in out and "11 stamps of the recording are 0" in err

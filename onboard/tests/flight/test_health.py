@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,14 +35,6 @@ def told(*cycles: FlightCycle) -> list[str]:
 @pytest.mark.parametrize("rate", [9.0, 10.0, 10.2])
 def test_nothing_is_odd(rate: float) -> None:
     assert told(*(cycle(number / rate, WALL if number % 19 else NOTHING) for number in range(60))) == []
-
-
-@pytest.mark.parametrize("points", [NOTHING, np.zeros((0, 3), np.float32), np.zeros((4, 3), np.float32)])
-def test_a_sensor_that_sees_nothing(points: np.ndarray) -> None:
-    assert told(*(cycle(number / 10, points) for number in range(60))) == [
-        "20 scans in a row hold no return at all: for the policy the way is free. "
-        "Is the sensor covered, or its laser off?"
-    ]
 
 
 def test_a_sensor_that_turns_too_slowly() -> None:
@@ -108,3 +102,37 @@ def test_no_scan_at_all() -> None:
     assert told(*(cycle(0.12 * number, None) for number in range(60))) == [
         "No scan has come for 3 s: the test says so."
     ]
+
+
+@pytest.mark.parametrize("age", [0.19, 0.22])
+def test_scans_whose_stamp_is_steadily_old_have_a_cause(age: float) -> None:
+    """A driver that stamps the first point: flying, holding and silent take turns, or there is silence for ever."""
+    cycles = [replace(cycle(0.1 * number, WALL), scan=Scan(0.1 * number - age, WALL, 1, 0)) for number in range(60)]
+    asks = f"Scans are {age:.2f} s old when they arrive: "
+    header = "is header.stamp that of the first point? It must be that of the last one."
+    waits = "look at the processor's load, and at what holds packets up on their way."
+    for stamped, cause in ((True, header), (False, waits)):
+        doubts = Doubts(lambda: "", 10.0, stamped=stamped)
+        assert [sentence for each in cycles for sentence in doubts.of(each)] == [asks + cause]
+
+
+@pytest.mark.parametrize("age", [0.0, 0.03, 0.07])
+def test_scans_that_take_their_time_are_not_told(age: float) -> None:
+    cycles = [replace(cycle(0.1 * number, WALL), scan=Scan(0.1 * number - age, WALL, 1, 0)) for number in range(60)]
+    cycles[30] = replace(cycle(3.0, WALL), scan=Scan(2.7, WALL, 1, 0))
+    assert told(*cycles) == []
+
+
+def test_poses_whose_stamp_is_steadily_old_have_a_cause() -> None:
+    assert told(*(cycle(0.1 * number, WALL, 0.07 + 0.02 * (number % 2)) for number in range(60))) == [
+        "Poses are 0.07 s old or older whenever a scan comes: is their stamp that of an earlier measurement, or do "
+        "they come less than 20 times a second?"
+    ]
+    assert told(*(cycle(0.1 * number, WALL, 0.03 * (number % 4)) for number in range(60))) == []
+
+
+def test_what_is_odd_about_scans_and_their_source_is_told_once() -> None:
+    doubts = Doubts(lambda: "", 10.0, remarks=lambda: ["Two senders."])
+    cycles = [replace(cycle(0.1 * number, WALL), doubt="no return has ever come: why?") for number in range(5)]
+    said = [sentence for each in cycles for sentence in doubts.of(each)]
+    assert said == ["Two senders.", "No return has ever come: why?"]

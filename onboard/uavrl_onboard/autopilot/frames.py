@@ -31,6 +31,7 @@ class Pose:
     yaw: float  #: from east to the left (counter-clockwise seen from above), rad in [-π, π]
     roll: float = 0.0  #: about forward, positive with the left side up, rad
     pitch: float = 0.0  #: about left, positive with the nose down, rad
+    resets: int = 0  #: how often its estimator has reset it, where that says so
 
     @property
     def attitude(self) -> Vector:

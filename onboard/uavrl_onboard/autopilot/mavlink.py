@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from uavrl_onboard.autopilot.frames import Pose, to_command
+from uavrl_onboard.autopilot.signing import INVALID, keep_time, read_key, start_signing
 from uavrl_onboard.autopilot.vehicle_state import Control, Vehicle, VehicleStatus
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.udp import listen
@@ -20,7 +21,7 @@ PORT = 14540  # where PX4 sends what is meant for a companion computer
 ADDRESS = f"udp://:{PORT}"
 TYPE_MASK = 1479  # of SET_POSITION_TARGET_LOCAL_NED: ignore position, acceleration and yaw; take velocity and yaw rate
 BODY_NED = 8  # MAV_FRAME_BODY_NED, which autopilots turn with the yaw alone
-SYSTEM, COMPONENT = 1, 191  # ours: the vehicle's system, MAV_COMP_ID_ONBOARD_COMPUTER
+COMPONENT = 191  # ours, in the vehicle's system: MAV_COMP_ID_ONBOARD_COMPUTER
 STREAM = 1.0  # s of set-points before Offboard is asked for
 GAP = 0.5  # s between two set-points after which a stream has ended
 _EVERY = 1.0  # s between two heartbeats, and between two requests of a kind
@@ -31,6 +32,8 @@ _AT_ONCE = 1000  # packets that one call reads at most
 _POSE_MESSAGES = (30, 32)  # ATTITUDE, LOCAL_POSITION_NED
 _BEGINNINGS = (b"\xfd", b"\xfe")  # of a message of MAVLink 2 and 1
 _ACCEPTED = 0  # MAV_RESULT
+_ANYBODY = (Control.WAITING, Control.LOST, Control.UNSUPPORTED)  # then the vehicle may send from anywhere
+_UNSENT = (Control.AMBIGUOUS, Control.SIGNED)
 _CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
@@ -53,22 +56,33 @@ class Autopilot:
         source: where to listen, ``udp://:14540``.
         set_mode: ask for Offboard or GUIDED.
         arm: ask for arming, once the mode is ours.
-        system: the MAVLink system id of the vehicle; by default that of the first autopilot heard.
+        system: the MAVLink system id of the vehicle; by default that of the first vehicle heard.
+        signing_key_file: the file with the link's signing key; None: messages are neither signed nor verified.
 
     Raises:
-        UavrlError: where pymavlink is missing, or the port cannot be opened.
+        UavrlError: where pymavlink is missing, the key cannot be read, or the port cannot be opened.
     """
 
     def __init__(
-        self, source: str = ADDRESS, *, set_mode: bool = False, arm: bool = False, system: int | None = None
+        self,
+        source: str = ADDRESS,
+        *,
+        set_mode: bool = False,
+        arm: bool = False,
+        system: int | None = None,
+        signing_key_file: str | None = None,
     ) -> None:
         self._messages = mavlink()
+        key = None if signing_key_file is None else read_key(signing_key_file)
         self._socket = listen(source, PORT)
         self._socket.setblocking(False)
-        self._writer = self._messages.MAVLink(self, srcSystem=SYSTEM, srcComponent=COMPONENT)
+        self._writer = self._messages.MAVLink(self, srcComponent=COMPONENT)
+        if key is not None:
+            start_signing(self._writer, key)
         self._parser, self._sender = self._new_parser(), ("", 0)
         self._peer: tuple[str, int] | None = None
-        self.vehicle = Vehicle(system)
+        self._told = set[str]()
+        self.vehicle = Vehicle(system, signs=key is not None)
         self._wants = {"mode": set_mode, "arm": arm}
         self._tries = {"mode": 0, "arm": 0}
         self._answer = ""
@@ -97,12 +111,17 @@ class Autopilot:
             except OSError:  # nothing waits; or an earlier packet of ours was refused
                 return
             status = self.status(now)
-            if self._peer not in (None, sender) and status.control not in (Control.WAITING, Control.LOST):
-                continue  # not from our autopilot
+            if self._peer not in (None, sender) and status.control not in _ANYBODY:
+                self._note_stranger(data, sender, now)
+                continue
             for message in self._parsed(data, sender):
-                if self.vehicle.hear(message, now):
+                if message.get_type() == "BAD_DATA":
+                    self.vehicle.refused += message.reason == INVALID
+                elif self.vehicle.hear(message, now):
                     self._peer = sender
                     self._acknowledged(message)
+            if self.vehicle.roster.rivals:
+                self._tell(f"{self.vehicle.roster.which()}.")
 
     def send(self, setpoint: Sequence[float] | np.ndarray | None, now: float) -> None:
         """Sends a set-point (l_x, l_y, l_z, a_z), or none, and what else is due: call it ten times a second.
@@ -111,8 +130,9 @@ class Autopilot:
             UavrlError: for a set-point that is not four finite numbers.
         """
         command = None if setpoint is None else to_command(setpoint)
-        if self.vehicle.source is None or self.vehicle.firmware is None:
+        if self.vehicle.source is None or self.vehicle.firmware is None or self.status(now).control in _UNSENT:
             return
+        self._writer.srcSystem = self.vehicle.source[0]
         if command is None:
             self._stream = None
         else:
@@ -125,6 +145,7 @@ class Autopilot:
             begun, latest = self._stream or (now, now)
             self._stream = (begun if now - latest <= GAP else now, now)
         if self._is_due("heartbeat", now):
+            keep_time(self._writer)
             onboard, no_autopilot, active = 18, 8, 4  # MAV_TYPE, MAV_AUTOPILOT, MAV_STATE
             self._writer.heartbeat_send(onboard, no_autopilot, 0, 0, active)
         pose = self.vehicle.pose()
@@ -198,7 +219,26 @@ class Autopilot:
     def _new_parser(self) -> Any:
         parser = self._messages.MAVLink(None)
         parser.robust_parsing = True  # bytes that are no message come out as such, not as an exception
+        parser.signing = self._writer.signing  # one key and one time for both directions
         return parser
+
+    def _note_stranger(self, data: bytes, sender: tuple[str, int], now: float) -> None:
+        """Look whether another address speaks for a vehicle, too: it is not obeyed, and the user is told."""
+        if data[:1] not in _BEGINNINGS:
+            return
+        for message in self._new_parser().parse_buffer(data) or []:
+            if message.get_type() != "HEARTBEAT":
+                continue
+            self.vehicle.roster.note(message, now)
+            if (message.get_srcSystem(), message.get_srcComponent()) == self.vehicle.source and self._peer is not None:
+                ours, other = (f"{host}:{port}" for host, port in (self._peer, sender))
+                self._tell(f"{other} sends as system {message.get_srcSystem()} as well: only {ours} is listened to.")
+
+    def _tell(self, sentence: str) -> None:
+        """Log a warning once."""
+        if sentence not in self._told:
+            self._told.add(sentence)
+            _logger.warning("Vehicle: %s", sentence)
 
     def _parsed(self, data: bytes, sender: tuple[str, int]) -> Iterator[Any]:
         """The messages in what one sender sent; a message may begin in one packet and end in the next.

@@ -9,10 +9,13 @@ from typing import Any
 from uavrl_onboard.autopilot.clock_sync import SenderClock
 from uavrl_onboard.autopilot.firmware import FIRMWARES, MULTIROTORS, Firmware
 from uavrl_onboard.autopilot.frames import Pose, Vector, swap_attitude, swap_world
+from uavrl_onboard.autopilot.roster import Roster, Source
+from uavrl_onboard.autopilot.signing import is_signed
 
 HEARTBEAT_TIMEOUT = 3.0  # s; heartbeats come once a second
-_NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a ground station, a camera, a companion
+_RESTART = 10_000  # ms by which an autopilot's clock goes back when it has restarted, and not for a late message
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
+_ASK_FOR_KEY = "give signing_key_file=, the file with the link's key. Nothing is sent"
 
 
 class Control(StrEnum):
@@ -20,6 +23,8 @@ class Control(StrEnum):
 
     WAITING = "waiting"  #: no autopilot has been heard yet
     UNSUPPORTED = "unsupported"  #: it is neither PX4 nor ArduPilot, or flies no multirotor
+    AMBIGUOUS = "ambiguous"  #: several vehicles send, and nobody said which is ours
+    SIGNED = "signed"  #: its link is signed, and we have no key
     LOST = "lost"  #: its heartbeats have ceased
     OTHER_MODE = "other_mode"  #: the pilot, or a mode of the autopilot
     DISARMED = "disarmed"  #: nobody, as the mode is for set-points and the motors are off
@@ -56,7 +61,15 @@ class Vehicle:
     """Collects an autopilot's messages.
 
     Args:
-        system: the MAVLink system id to listen to; by default the first autopilot heard.
+        system: the MAVLink system id to listen to; by default that of the first vehicle heard.
+        signs: whether we sign what we send.
+
+    Attributes:
+        roster: who was heard on the link.
+        was_armed: whether it ever was armed in the mode for set-points.
+        had_mode: whether it was ever seen in the mode for set-points.
+        resets: how often its estimator has reset its pose, or the autopilot has restarted.
+        refused: how many messages had no signature of our key.
 
     Examples:
         >>> vehicle = Vehicle()
@@ -64,14 +77,19 @@ class Vehicle:
         'no autopilot has been heard yet'
     """
 
-    def __init__(self, system: int | None = None) -> None:
-        self._only = system
-        self.source: tuple[int, int] | None = None  #: system and component id of the autopilot
-        self.was_armed = False  #: whether it ever was in the mode for set-points
-        self.had_mode = False  #: whether it was ever seen in the mode for set-points
+    def __init__(self, system: int | None = None, *, signs: bool = False) -> None:
+        self.roster, self._signs = Roster(system), signs
+        self.was_armed, self.had_mode, self.refused, self.resets = False, False, 0, 0
         self._beat: Any = None
         self._beat_at = 0.0
         self._position, self._attitude = _Latest("LOCAL_POSITION_NED"), _Latest("ATTITUDE")
+        self._boot, self._rejoined, self._restarted = 0, False, False
+        self._counters: dict[int, int] = {}  # of resets, by MAV_ESTIMATOR_TYPE
+
+    @property
+    def source(self) -> Source | None:
+        """System and component id of the autopilot."""
+        return self.roster.vehicle
 
     @property
     def firmware(self) -> Firmware | None:
@@ -82,19 +100,36 @@ class Vehicle:
 
     def hear(self, message: Any, now: float) -> bool:
         """Takes in one message that arrived at ``now``; whether it is our autopilot's."""
-        kind, source = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
-        if kind == "HEARTBEAT" and message.autopilot != _NO_AUTOPILOT and self._may_be_ours(source, now):
-            self.source, self._beat, self._beat_at = source, message, now
-            if (firmware := self.firmware) and firmware.mode_name(message.custom_mode) == firmware.mode:
-                self.had_mode = True
-                self.was_armed = self.was_armed or bool(message.base_mode & _ARMED)
-        elif source != self.source:
+        kind = message.get_type()
+        if kind == "HEARTBEAT":
+            if not self.roster.admits(message, now):
+                return False
+            self._take_beat(message, now)
+        elif (message.get_srcSystem(), message.get_srcComponent()) != self.source:
             return False
-        elif kind == "LOCAL_POSITION_NED":
-            self._position.hear(message, now)
-        elif kind == "ATTITUDE":
-            self._attitude.hear(message, now)
-        return source == self.source
+        elif kind in ("LOCAL_POSITION_NED", "ATTITUDE"):
+            self._look_for_restart(message.time_boot_ms)
+            (self._attitude if kind == "ATTITUDE" else self._position).hear(message, now)
+        elif kind == "ODOMETRY":
+            before = self._counters.get(message.estimator_type, message.reset_counter)
+            self.resets += before != message.reset_counter
+            self._counters[message.estimator_type] = message.reset_counter
+        return True
+
+    def _take_beat(self, beat: Any, now: float) -> None:
+        if self._beat is not None and now - self._beat_at > HEARTBEAT_TIMEOUT:
+            # Its clock may be another: what it sends now is not late.
+            self._position, self._attitude, self._rejoined = _Latest("LOCAL_POSITION_NED"), _Latest("ATTITUDE"), True
+        self._beat, self._beat_at = beat, now
+        if (firmware := self.firmware) and firmware.mode_name(beat.custom_mode) == firmware.mode:
+            self.had_mode, self._restarted = True, False
+            self.was_armed = self.was_armed or bool(beat.base_mode & _ARMED)
+
+    def _look_for_restart(self, boot: int) -> None:
+        if boot < self._boot - (0 if self._rejoined else _RESTART):
+            self.resets += 1
+            self._restarted, self._boot = True, boot
+        self._boot, self._rejoined = max(self._boot, boot), False
 
     def pose(self) -> Pose | None:
         """Where the vehicle was last, which may not be finite; ``None`` before position and attitude have come."""
@@ -104,12 +139,12 @@ class Vehicle:
         position: Vector = swap_world((at.x, at.y, at.z))
         stamp = min(self._position.stamp, self._attitude.stamp)
         roll, pitch, yaw = swap_attitude(attitude.roll, attitude.pitch, attitude.yaw)
-        return Pose(stamp, position, swap_world((at.vx, at.vy, at.vz)), yaw, roll, pitch)
+        return Pose(stamp, position, swap_world((at.vx, at.vy, at.vz)), yaw, roll, pitch, self.resets)
 
     def status(self, now: float) -> VehicleStatus:
         """Who flies the vehicle at ``now``."""
         if self._beat is None:
-            return VehicleStatus(Control.WAITING, "no autopilot has been heard yet")
+            return VehicleStatus(Control.WAITING, self._unheard())
         firmware = self.firmware
         if firmware is None:
             kind = f"autopilot {self._beat.autopilot} of vehicle type {self._beat.type}"
@@ -120,18 +155,25 @@ class Vehicle:
         silent = now - self._beat_at
         if silent > HEARTBEAT_TIMEOUT:
             control, sentence = Control.LOST, f"no heartbeat for {silent:.1f} s"
+        elif is_signed(self._beat) and not self._signs:
+            control, sentence = Control.SIGNED, f"{firmware.name} signs its messages and ignores ours: {_ASK_FOR_KEY}"
+        elif self.roster.is_ambiguous or (self.roster.rivals and not self.had_mode):
+            control, sentence = Control.AMBIGUOUS, f"{self.roster.which()}. Nothing is sent"
         elif mode == firmware.mode and armed:
             control, sentence = Control.IN_CONTROL, f"{firmware.name} flies by set-points ({mode})"
         elif mode == firmware.mode:
             control, sentence = Control.DISARMED, f"{firmware.name} is in {mode}, and not armed"
+        elif self.had_mode and self._restarted:
+            again = f"give it {firmware.mode} again"
+            control, sentence = Control.TAKEN_OVER, f"{firmware.name} has restarted and is in {mode}: {again}"
         elif self.had_mode:
             control, sentence = Control.TAKEN_OVER, f"{firmware.name} has left {firmware.mode} for {mode}"
         else:
             control, sentence = Control.OTHER_MODE, f"{firmware.name} is in {mode}, not in {firmware.mode}"
         return VehicleStatus(control, sentence, firmware.name, mode, armed)
 
-    def _may_be_ours(self, source: tuple[int, int], now: float) -> bool:
-        """Whether an autopilot's heartbeat is of the one that we listen to; another may follow one that is lost."""
-        if self._only is not None:
-            return source[0] == self._only
-        return self.source in (None, source) or now - self._beat_at > HEARTBEAT_TIMEOUT
+    def _unheard(self) -> str:
+        if self.refused:
+            wrong = "it is another key, none, or the sender's clock is more than a minute behind ours"
+            return f"no message bears a signature of signing_key_file=: {wrong} ({self.refused} were refused)"
+        return self.roster.missing()

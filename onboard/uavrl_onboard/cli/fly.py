@@ -82,7 +82,8 @@ class FlyConfig(LidarKeys):
             run, which sends nothing
         set_mode: ask the autopilot for Offboard (PX4) or GUIDED (ArduPilot); false: the pilot chooses the mode
         arm: ask the autopilot to arm, once in that mode
-        system: MAVLink system id of the vehicle; null: the first autopilot heard
+        system: MAVLink system id of the vehicle; null: the first vehicle heard
+        signing_key_file: file with the key of a signed MAVLink link, 32 bytes or 64 hexadecimal digits; null: unsigned
         standing: pose of the vehicle in a dry run: x, y, z in m, yaw from east to the left in rad
         radius: horizontal distance from the goal, in m, at which the vehicle has arrived; it then hovers there
         hold: time of hovering at the goal before the flight ends, in s; null: until Ctrl-C, or until the pilot takes
@@ -106,6 +107,7 @@ class FlyConfig(LidarKeys):
     set_mode: bool = False
     arm: bool = False
     system: Annotated[int, Field(ge=1, le=255)] | None = None
+    signing_key_file: Folder | None = None
     standing: tuple[float, float, float, float] = (0.0, 0.0, VEHICLE.flight_level, 0.0)
     radius: Positive = 1.0
     hold: NonNegative | None = None
@@ -132,7 +134,7 @@ class FlyConfig(LidarKeys):
         require(shielded, "shield.radius", hull, self.shield.radius)
         dry = self.autopilot is None or self.is_live
         require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
-        asked = [key for key in ("set_mode", "arm", "system") if getattr(self, key)]
+        asked = [key for key in ("set_mode", "arm", "system", "signing_key_file") if getattr(self, key)]
         by_ros = self.autopilot is not None and self.autopilot.startswith(ROS2)
         able = not (by_ros and asked)
         require(able, "autopilot", f"udp://:14540 with {' and '.join(asked)}: only MAVLink has that", self.autopilot)
@@ -168,6 +170,8 @@ def main(settings: FlyConfig) -> None:
         print("safety.floor is below the ground, for a bench without propellers: never fly so.", file=sys.stderr)
     summary, lines, stopped = FlightSummary(), FlightLines(), None
     with ExitStack() as opened:
+        if numbers is not None:
+            opened.push(_writes(summary, numbers))  # comes last
         if settings.is_live:
             opened.enter_context(beside())
         link = opened.enter_context(closing(_link(settings)))
@@ -193,9 +197,9 @@ def main(settings: FlyConfig) -> None:
                         print(line, flush=True)
         except KeyboardInterrupt as error:
             stopped = error
-    _conclude(summary, numbers)
-    if log is not None:
-        print(f"Log: {log.path}, which uavrl-replay flight={log.path} shows")
+        finally:
+            if summary.cycles:
+                _conclude(summary.facts(), log)
     if stopped is not None:
         number = getattr(stopped, "number", signal.SIGINT)
         raise Stopped("stopped: no more set-points are sent.", number) from stopped
@@ -207,7 +211,8 @@ def _link(settings: FlyConfig) -> VehicleLink:
         return DryRun((x, y, z), yaw)
     if settings.autopilot.startswith(ROS2):
         return ros2_link(settings.autopilot, settings.ros2)
-    return Autopilot(settings.autopilot, set_mode=settings.set_mode, arm=settings.arm, system=settings.system)
+    told = {key: getattr(settings, key) for key in ("set_mode", "arm", "system", "signing_key_file")}
+    return Autopilot(settings.autopilot, **told)
 
 
 def _log(settings: FlyConfig, policy: Policy, led: Navigator | None, shield: Shield | None) -> FlightLog | None:
@@ -258,10 +263,24 @@ def _evasion(settings: FlyConfig, vehicle: Vehicle) -> Evasion | None:
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:
     """The flight's cycles, from a sensor or a recording."""
     if not settings.is_live:
-        scans = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
-        return rehearse(flight, scans, link)
+        source = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
+        opened.callback(_tell_skipped, source)
+        return _doubted(rehearse(flight, source, link), Doubts(lambda: "", 1.0 / flight.period))
     feed = opened.enter_context(closing(_feed(settings, link)))
-    return _doubted(fly(flight, feed, link), Doubts(feed.trouble, 1.0 / flight.period, settings.safety.pose_age))
+    doubts = Doubts(
+        feed.trouble,
+        1.0 / flight.period,
+        settings.safety.pose_age,
+        stamped=settings.lidar.startswith(ROS2),
+        remarks=feed.remarks,
+    )
+    return _doubted(fly(flight, feed, link), doubts)
+
+
+def _tell_skipped(source: ScanSource) -> None:
+    """Says what of a recording was left out, and what is odd about it."""
+    for sentence in source.remarks():
+        print(f"uavrl: {sentence}", file=sys.stderr)
 
 
 def _feed(settings: FlyConfig, link: VehicleLink) -> UdpScans | Ros2Scans:
@@ -297,18 +316,34 @@ def _until_the_end(cycles: Iterable[FlightCycle], settings: FlyConfig) -> Iterat
         yield cycle
         first = cycle.time if first is None else first
         arrived = cycle.time if arrived is None and cycle.arrived else arrived
+        arrived = arrived if cycle.arrived else None
         hovered = arrived is not None and settings.hold is not None and cycle.time - arrived >= settings.hold
         taken_over = arrived is not None and cycle.control.control in (Control.TAKEN_OVER, Control.DISARMED)
         if hovered or taken_over or (settings.seconds is not None and cycle.time - first >= settings.seconds):
             return
 
 
-def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
-    """Says how it ended, and writes the numbers."""
-    facts = summary.facts()
-    if numbers is not None:  # before anything is printed, which nobody may read
-        with replacing(numbers) as partial:
-            partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
+def _writes(summary: FlightSummary, path: Path) -> Callable[[object, BaseException | None, object], None]:
+    """Returns what writes the numbers of a flight that has begun, at its end; an error of the flight comes first."""
+
+    def write(_kind: object, error: BaseException | None, _trace: object) -> None:
+        if not summary.cycles:
+            return
+        try:
+            with replacing(path) as partial:
+                partial.write_text(json.dumps(summary.facts(), indent=2) + "\n", encoding="utf-8")
+        except OSError as failure:
+            if error is None:
+                raise
+            print(f"uavrl: {path} was not written ({failure.strerror}).", file=sys.stderr)
+        else:
+            print(f"Written to {path}")
+
+    return write
+
+
+def _conclude(facts: dict[str, Any], log: FlightLog | None) -> None:
+    """Says how it ended, before any file is written: a disk may be full."""
     after = cast(float | None, facts["arrived_after_s"])
     ended = "it did not arrive" if after is None else f"it arrived after {after:.1f} s"
     least = f", {facts['least_distance_m']:.1f} m from the goal at the nearest" if facts["least_distance_m"] else ""
@@ -318,8 +353,8 @@ def _conclude(summary: FlightSummary, numbers: Path | None) -> None:
             f"From a scan's last packet to the set-point: {latency['median']:.1f} ms (median), "
             f"{latency['p99']:.1f} ms (99 %)."
         )
-    if numbers is not None:
-        print(f"Written to {numbers}")
+    if log is not None:
+        print(f"Log: {log.path}, which uavrl-replay flight={log.path} shows", flush=True)
 
 
 if __name__ == "__main__":

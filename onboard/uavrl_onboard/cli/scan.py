@@ -16,6 +16,7 @@ from uavrl_onboard.cli.command import About, command
 from uavrl_onboard.cli.lidar_keys import LidarKeys
 from uavrl_onboard.errors import Stopped, UavrlError
 from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.lidar.coverage import Coverage
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.summary import ScanSummary
@@ -79,9 +80,9 @@ def main(settings: ScanConfig) -> None:
         kept = source.kind == "udp" or Path(source.source).resolve() not in (path.resolve(), *path.resolve().parents)
         require(kept, key, "another file than the source, which it would replace", str(path))
     files = {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
-    summary, stopped = ScanSummary(), False
+    summary, coverage, stopped = ScanSummary(), Coverage(), False
     try:
-        for scan in _shown(source, settings):
+        for scan in _shown(source, settings, coverage):
             summary.add(scan)
     except KeyboardInterrupt:
         if source.kind != "udp" or not summary.scans:
@@ -105,10 +106,14 @@ def _write(summary: ScanSummary, source: ScanSource, settings: ScanConfig, files
             print(f"Written to {path}")
 
 
-def _shown(source: ScanSource, settings: ScanConfig) -> Iterator[Scan]:
-    """The scans without the vehicle; while a sensor is listened to, a line each second."""
-    told = -np.inf
+def _shown(source: ScanSource, settings: ScanConfig, coverage: Coverage) -> Iterator[Scan]:
+    """The scans without the vehicle; tells what is odd about them, and of a sensor a line each second."""
+    told, doubted = -np.inf, set[str]()
     for scan in source:
+        doubt = coverage.add(scan.points)
+        if doubt is not None and doubt.kind not in doubted:
+            doubted.add(doubt.kind)
+            print(f"uavrl: {doubt.sentence[0].upper()}{doubt.sentence[1:]}", file=sys.stderr, flush=True)
         if settings.box is not None:
             scan = replace(scan, points=without_vehicle(scan.points, *settings.box))
         yield scan
@@ -127,8 +132,10 @@ def _print(summary: ScanSummary, source: ScanSource) -> None:
     print("Nearest return in each direction:")
     for name, far in summary.sectors().items():
         print(f"  {name:<14}{far:7.2f} m")
-    for reason in source.skipped.sentences():
-        print(f"uavrl: left out: {reason}", file=sys.stderr)
+    if facts["nearest_m"] is None:
+        print("uavrl: No scan holds a return: is the sensor covered, or its laser off?", file=sys.stderr)
+    for sentence in source.remarks():
+        print(f"uavrl: {sentence}", file=sys.stderr)
 
 
 def _percent(summary: ScanSummary) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.flight.interfaces import FlightCycle
-from uavrl_onboard.geometry import is_return
 
 UNHEARD = 3.0  # s without a scan, or with poses that are too old, after which it is told why
 AGAIN = 30.0  # s after which that is told again
@@ -16,6 +17,10 @@ LOOKED_AT = 20  # scans
 _SLOW = 0.8  # of the policy's rate
 _GAP = 0.3  # s between two scans that is a silence: no sensor turns so slowly
 _STANDS = 0.5  # s without a newer pose: autopilots send 50 a second
+_OLD_SCAN = 0.08  # s: a stamp of the first point is older by a turn, 0.1 s at 10 Hz
+_OLD_POSE = 0.06  # s: poses that come 20 times a second, stamped when they are made, are younger when they are read
+_STEADY = 0.05  # s within which ages are steady
+_POSES_LOOKED_AT = 30
 
 
 class _Spell:
@@ -51,15 +56,27 @@ class Doubts:
         trouble: says why no scan has come, as a sentence's second half.
         rate: how often the policy acts, Hz.
         pose_age: greatest age of a pose by which the safety layer lets it fly, s.
+        stamped: whether scans bear a stamp of their sender; else they have that of their arrival.
+        remarks: gives what else is odd about the source of scans, each sentence again and again.
     """
 
-    def __init__(self, trouble: Callable[[], str], rate: float, pose_age: float = 0.1) -> None:
+    def __init__(
+        self,
+        trouble: Callable[[], str],
+        rate: float,
+        pose_age: float = 0.1,
+        *,
+        stamped: bool = False,
+        remarks: Callable[[], list[str]] = list,
+    ) -> None:
         self._trouble, self._rate, self._pose_age = trouble, rate, pose_age
+        self._stamped, self._remarks = stamped, remarks
         self._heard: float | None = None  # when the latest scan came
         self._posed: tuple[float, float] | None = None  # the stamp of the latest pose, and when that was new
         self._scans, self._poses = _Spell(), _Spell()
         self._stamps: deque[float] = deque(maxlen=LOOKED_AT)
-        self._empty = 0  # scans in a row without a return
+        self._scan_ages: deque[float] = deque(maxlen=LOOKED_AT)
+        self._pose_ages: deque[float] = deque(maxlen=_POSES_LOOKED_AT)
         self._told = set[str]()
 
     def of(self, cycle: FlightCycle) -> list[str]:
@@ -107,16 +124,33 @@ class Doubts:
 
     def _found(self, cycle: FlightCycle) -> Iterator[tuple[str, str]]:
         """What is told once."""
+        yield from ((sentence, sentence) for sentence in self._remarks())
         if cycle.scan is None:
             return
         if self._stamps and cycle.scan.stamp - self._stamps[-1] > _GAP:
             self._stamps.clear()
         self._stamps.append(cycle.scan.stamp)
-        self._empty = 0 if is_return(cycle.scan.points).any() else self._empty + 1
-        if self._empty >= LOOKED_AT:
-            empty = f"{LOOKED_AT} scans in a row hold no return at all: for the policy the way is free"
-            yield "empty", f"{empty}. Is the sensor covered, or its laser off?"
+        if cycle.doubt is not None:
+            yield "doubt", f"{cycle.doubt[0].upper()}{cycle.doubt[1:]}"
+        yield from self._old_stamps(cycle.time, cycle.scan.stamp, None if cycle.pose is None else cycle.pose.stamp)
         span = self._stamps[-1] - self._stamps[0]
         if len(self._stamps) == LOOKED_AT and span * _SLOW * self._rate > LOOKED_AT - 1:
             slow = f"Scans come {(LOOKED_AT - 1) / span:.1f} times a second, and the policy has learned {self._rate:g}"
             yield "slow", f"{slow}: look at the sensor's rate, at what is lost on the way, and at the processor's load."
+
+    def _old_stamps(self, now: float, scan: float, pose: float | None) -> Iterator[tuple[str, str]]:
+        """What is told of stamps that are old at once, and steadily."""
+        self._scan_ages.append(now - scan)
+        age = float(np.median(self._scan_ages))
+        if len(self._scan_ages) == LOOKED_AT and age > _OLD_SCAN:
+            header = "is header.stamp that of the first point? It must be that of the last one"
+            waits = "look at the processor's load, and at what holds packets up on their way"
+            yield "old scans", f"Scans are {age:.2f} s old when they arrive: {header if self._stamped else waits}."
+        if pose is None:
+            self._pose_ages.clear()
+            return
+        self._pose_ages.append(now - pose)
+        youngest, spread = min(self._pose_ages), max(self._pose_ages) - min(self._pose_ages)
+        if len(self._pose_ages) == _POSES_LOOKED_AT and youngest > _OLD_POSE and spread < _STEADY:
+            cause = "is their stamp that of an earlier measurement, or do they come less than 20 times a second?"
+            yield "old poses", f"Poses are {youngest:.2f} s old or older whenever a scan comes: {cause}"

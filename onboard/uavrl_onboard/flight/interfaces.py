@@ -66,5 +66,6 @@ class FlightCycle:
     control: VehicleStatus
     status: SafetyStatus
     latency: float | None  #: from the scan's last packet to the set-point, s; ``None`` without a new scan
-    arrived: bool = False  #: whether the vehicle is, or has been, at the goal
+    arrived: bool = False  #: whether the vehicle is, or has been, at the goal, by plausible poses
     turn: float | None = None  #: how far off the goal's direction the memory led the policy, rad; ``None`` for not
+    doubt: str | None = None  #: what is odd about the latest scans, which may have an innocent reason

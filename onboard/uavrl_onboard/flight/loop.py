@@ -16,11 +16,13 @@ from uavrl_onboard.autopilot.frames import Pose, to_goal
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
-from uavrl_onboard.flight.safety import ZEROS, Cycle, SafetyLayer, State
+from uavrl_onboard.flight.plausible import Implausible, PoseCheck
+from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, State
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Navigator
 from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.lidar.coverage import Coverage, Doubt
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import without_vehicle
 
@@ -32,6 +34,7 @@ _logger = logging.getLogger(__name__)
 
 _EARLY = 0.8  # of a cycle: a scan that comes sooner after the one before is left out, as of a sensor that turns faster
 _LATE = 1.2  # of a cycle: after that it goes on without a scan
+_ARRIVING = 3  # cycles in a row at the goal, by plausible poses, after which the vehicle has arrived
 _FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
 _TICK = 0.005  # s between two looks at what the system cannot wait for
 _FLIES = (State.FLYING, State.FENCED)
@@ -55,8 +58,12 @@ class Flight:
     """The stages of one vehicle's flight to a goal.
 
     While the safety layer does not let the policy fly, each scan is to the policy the first of an episode, so that it
-    takes off from where it stands as it has learned to. Its last action is what the vehicle was sent. At the goal, and
-    from there on, the vehicle is sent zeros: it hovers.
+    takes off from where it stands as it has learned to. Its last action is what the vehicle was sent. At the goal the
+    vehicle is sent zeros, and once it has been there for three cycles in a row it hovers from there on.
+
+    Poses and scans are checked for being plausible, too (`uavrl_onboard.flight.plausible`,
+    `uavrl_onboard.lidar.coverage`). Where the pose jumps, policy, map and tracks start anew, and an arrival before
+    that does not count.
 
     Args:
         policy: an exported policy.
@@ -95,6 +102,9 @@ class Flight:
         self._policy, self._link, self._layer = policy, link, layer
         self._radius, self._box, self._evasion, self._shield = radius, box, evasion, shield
         self._memory = map_for(policy.contract) if memory is None else memory
+        self._poses, self._coverage = PoseCheck(), Coverage()
+        self._doubt: Doubt | None = None  # about the latest scans
+        self._there = 0  # cycles in a row at the goal
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
@@ -123,25 +133,48 @@ class Flight:
         if control.control is not self._control:
             _logger.info("Vehicle: %s (%s)", control.control, control.sentence)
         self._control = control.control
+        implausible = self._check(scan, pose)
         if scan is not None:
             if self._box is not None:
                 scan = replace(scan, points=without_vehicle(scan.points, *self._box))
             self._scan_stamp, self._action = scan.stamp, self._act(scan, pose, now)
         distance = self._distance(pose)
-        there = self.arrived is not None or (distance is not None and distance <= self._radius)
-        action = np.zeros(4) if there else self._action
+        at_goal = distance is not None and distance <= self._radius
+        action = np.zeros(4) if at_goal or self.arrived is not None else self._action
         stamp, position, yaw = (None, None, None) if pose is None else (pose.stamp, pose.position, pose.yaw)
         in_control = control.control is Control.IN_CONTROL
-        status = self._layer.step(Cycle(now, action, self._scan_stamp, stamp, position, yaw, in_control))
+        why = None if implausible is None else implausible[:2]
+        status = self._layer.step(Cycle(now, action, self._scan_stamp, stamp, position, yaw, in_control, why))
         self._link.send(status.setpoint, now)
         latency = None if scan is None else now - scan.stamp + time.perf_counter() - begun
         self._policy.last_action = np.array(status.setpoint or ZEROS, np.float32)
         self._state = status.state
-        if self.arrived is None and there and status.state in _FLIES:
+        self._there = self._there + 1 if at_goal and status.state in _FLIES else 0
+        if self.arrived is None and self._there >= _ARRIVING:
             self.arrived = now
         cells = None if scan is None else self._policy.cells
         arrived, turn = self.arrived is not None, None if scan is None else self._turn
-        return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, arrived, turn)
+        doubt = None if self._doubt is None or self._doubt.certain else self._doubt.sentence
+        return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, arrived, turn, doubt)
+
+    def _check(self, scan: Scan | None, pose: Pose | None) -> Implausible | None:
+        """What is implausible about the pose, or about the latest scans."""
+        implausible = self._poses.look(pose)
+        if implausible is not None and implausible.starts_anew:
+            _logger.warning("Pose: %s: the policy starts anew", implausible.sentence)  # whatever else is wrong now
+            self._start_anew()
+        if scan is not None:
+            self._doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
+        if implausible is None and self._doubt is not None and self._doubt.certain:
+            return Implausible(Reason(self._doubt.kind), self._doubt.sentence)
+        return implausible
+
+    def _start_anew(self) -> None:
+        """Drops what was remembered in axes that are others now."""
+        self.arrived, self._there = None, 0
+        self._acted = -math.inf
+        if self._memory is not None:
+            self._memory.reset()
 
     def _act(self, scan: Scan, pose: Pose | None, now: float) -> np.ndarray | None:
         """The policy's action, or ``None`` where it can give none."""

@@ -55,6 +55,12 @@ class Reason(StrEnum):
     OLD_POSE = "old_pose"
     POSE_AHEAD = "pose_ahead"
     POSE_NOT_FINITE = "pose_not_finite"
+    POSITION_JUMPED = "position_jumped"
+    YAW_JUMPED = "yaw_jumped"
+    POSE_RESET = "pose_reset"  #: the autopilot's estimator says so
+    VELOCITY_DISAGREES = "velocity_disagrees"  #: with the position
+    EMPTY_SCANS = "empty_scans"
+    HALF_SCAN = "half_scan"  #: it covers less than its sensor's field of view
     OUTSIDE_FENCE = "outside_fence"
     NO_ACTION = "no_action"
     ACTION_NOT_FINITE = "action_not_finite"
@@ -71,6 +77,7 @@ class Cycle:
     position: Sequence[float] | np.ndarray | None  #: x, y, z in the world's axes, m
     yaw: float | None  #: in the same axes, rad
     in_control: bool  #: whether the autopilot flies by set-points
+    implausible: tuple[Reason, str] | None = None  #: why scan or pose are not believed though they are fresh and finite
 
 
 @dataclass(frozen=True)
@@ -130,7 +137,8 @@ class SafetyLayer:
         ages = _age(now, cycle.scan_stamp), _age(now, cycle.pose_stamp)
         action, place = _numbers(cycle.action, 4), _numbers(cycle.position, 3)
         yaw = _numbers([cycle.yaw], 1)
-        fault = fault or self._stale(*ages) or self._misplaced(place, yaw) or _unfit(action)
+        fault = fault or self._stale(*ages) or _no_pose(place, yaw) or cycle.implausible
+        fault = fault or self._outside(place) or _unfit(action)
         self._sane_since = None if fault else now if self._sane_since is None else self._sane_since
         state, (reason, sentence) = self._next(now, fault, cycle.in_control)
         setpoint: SetPoint | None = None if state is State.SILENT else ZEROS
@@ -193,16 +201,23 @@ class SafetyLayer:
                 return ahead, f"the {what} is {-age:.2f} s ahead of the clock"
         return None
 
-    def _misplaced(self, place: np.ndarray | None, yaw: np.ndarray | None) -> _Why | None:
-        """What is wrong with the pose."""
-        if place is None or yaw is None:
-            return Reason.NO_POSE, "a pose is a position of three numbers and a yaw"
-        if not (np.isfinite(place).all() and np.isfinite(yaw).all()):
-            return Reason.POSE_NOT_FINITE, f"the pose has numbers that are not finite: {place.tolist()}, yaw {yaw[0]}"
+    def _outside(self, place: np.ndarray | None) -> _Why | None:
+        """What is wrong with the position."""
+        if place is None:
+            return None
         outside, side = distance_outside(place, self.limits)
         if outside > self.limits.margin:
             return Reason.OUTSIDE_FENCE, f"the vehicle is {outside:.1f} m outside the fence's {side}"
         return None
+
+
+def _no_pose(place: np.ndarray | None, yaw: np.ndarray | None) -> _Why | None:
+    """What is wrong with the numbers of a pose."""
+    if place is None or yaw is None:
+        return Reason.NO_POSE, "a pose is a position of three numbers and a yaw"
+    if not (np.isfinite(place).all() and np.isfinite(yaw).all()):
+        return Reason.POSE_NOT_FINITE, f"the pose has numbers that are not finite: {place.tolist()}, yaw {yaw[0]}"
+    return None
 
 
 def _unfit(action: np.ndarray | None) -> _Why | None:

@@ -35,7 +35,9 @@ class FlightSummary:
         self._first = cycle.time if self.cycles == 0 else self._first
         self.is_new_second = int(cycle.time - self._first) > int(self.seconds)
         self._last, self.cycles, self.scans = cycle.time, self.cycles + 1, self.scans + (cycle.scan is not None)
-        if cycle.arrived and self._arrived is None:
+        if not cycle.arrived:  # or not any more: the pose has jumped
+            self._arrived = None
+        elif self._arrived is None:
             self._arrived = self.seconds
         if cycle.distance is not None and np.isfinite(cycle.distance):
             self._least = min(self._least, cycle.distance)

@@ -21,8 +21,12 @@ from uavrl_onboard.lidar.frame_ids import CloudFrame
 from uavrl_onboard.lidar.mcap_file import MAGIC, McapFile
 from uavrl_onboard.lidar.ros_messages import CLOUD, DEFINITIONS, ROS1, SCAN
 from uavrl_onboard.lidar.scans import Scan, Skipped
+from uavrl_onboard.pluralize import pluralize
 
 ROSBAG1 = b"#ROSBAG V2.0"
+_STANDS = 0.01  # s by the recorder's clock in which a stamp has to move on
+_BACK = 0.5  # s by which a message may be stamped before the one before it: they come out of order
+_AHEAD = 10.0  # s by which stamps may run ahead of the recorder's clock, which may stop for a slow disk
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField's numbers for float32 and float64
 
 
@@ -66,24 +70,74 @@ def scan_topic(path: Path, topic: str | None = None) -> Topic:
     )
 
 
-def read_packets(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[float, bytes]]:
+class RecordedClock:
+    """Gives the messages of a recording times that run.
+
+    These are the stamps of the messages. Where one is 0, or steps against the recorder's clock, as where the time since
+    boot and the time of the day are mixed, the recorder's clock says how much time has passed since the one before.
+
+    Attributes:
+        replaced: how many stamps were replaced by the recorder's time.
+
+    Examples:
+        >>> clock = RecordedClock()
+        >>> [clock.time(said, recorded) for said, recorded in [(0.0, 50.0), (9.0, 50.5), (9.25, 51.0), (9000.0, 51.5)]]
+        [50.0, 50.5, 50.75, 51.25]
+        >>> clock.replaced
+        2
+    """
+
+    def __init__(self) -> None:
+        self.replaced = 0
+        self._before: tuple[float, float, float] | None = None  # what it said, when it was recorded, the time given
+
+    def time(self, said: float, recorded: float) -> float:
+        """Return the time of a message, s.
+
+        Args:
+            said: its own stamp, s.
+            recorded: when the recorder received it, s.
+        """
+        runs = said != 0.0
+        if self._before is None:
+            time = said if runs else recorded
+        else:
+            step, passed = said - self._before[0], recorded - self._before[1]
+            if runs and self._before[0] != 0.0:
+                stands = step == 0.0 and passed > _STANDS
+                runs = not stands and -_BACK < step < passed + _AHEAD
+                passed = step if runs else passed
+            time = self._before[2] + passed
+        self.replaced += not runs
+        self._before = said, recorded, time
+        return time
+
+    def sentence(self) -> str | None:
+        """Say how many stamps do not run, where some do not."""
+        if not self.replaced:
+            return None
+        stamps = f"{pluralize(self.replaced, 'stamp')} of the recording {'is' if self.replaced == 1 else 'are'} 0"
+        return f"{stamps}, or out of step with the recorder's clock, whose time is used instead."
+
+
+def read_packets(path: Path, topic: str, skipped: Skipped, clock: RecordedClock) -> Iterator[tuple[float, bytes]]:
     """The stamp in seconds and the bytes of each packet in a recording's messages of VelodyneScan."""
-    for _, message in _messages(path, topic, skipped):
+    for recorded, message in _messages(path, topic, skipped):
         for packet in message.packets:
-            yield seconds(packet.stamp), packet.data.tobytes()
+            yield clock.time(seconds(packet.stamp), recorded), packet.data.tobytes()
 
 
-def read_clouds(path: Path, topic: str, skipped: Skipped) -> Iterator[Scan]:
+def read_clouds(path: Path, topic: str, skipped: Skipped, clock: RecordedClock) -> Iterator[Scan]:
     """The scans in a recording's messages of PointCloud2.
 
     Raises:
         UavrlError: for clouds that are not in the frame of one sensor.
     """
     frame = CloudFrame()
-    for _, message in _messages(path, topic, skipped):
+    for recorded, message in _messages(path, topic, skipped):
         if refusal := frame.refusal(message.header.frame_id):
             raise UavrlError(f"The clouds on {topic} of {path} cannot be used: {refusal}.")
-        if scan := cloud_scan(message, seconds(message.header.stamp), skipped):
+        if scan := cloud_scan(message, clock.time(seconds(message.header.stamp), recorded), skipped):
             yield scan
 
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import time
 
-from uavrl_onboard.lidar.packets import FLAG, PACKET_SIZE
 from uavrl_onboard.lidar.scans import Scan, ScanAssembler
+from uavrl_onboard.lidar.senders import SILENCE, OneSender
 from uavrl_onboard.lidar.udp import NOTHING_CAME, UdpPackets
-
-SILENCE = 1.0  # s without a packet of the sensor after which another one may take its place
 
 
 class UdpScans:
     """The scans of one sensor that sends packets to this machine.
 
-    The sensor is whoever sends the first data packet. What others send is left out and counted until it falls silent:
-    two sensors on one port would make one scan of two places.
+    The sensor is whoever sends the first data packet of the model. What others send is left out and counted until it
+    falls silent: two sensors on one port would make one scan of two places.
 
     Args:
         source: ``udp://:2368``.
@@ -32,30 +30,27 @@ class UdpScans:
     def __init__(self, source: str, model: str | None, product: int | None = None) -> None:
         self._assembler = ScanAssembler(model, product)
         self._packets = UdpPackets(source)
-        self._sensor: tuple[str, float] | None = None  # its address, and when it was last heard
+        self._senders = OneSender(self._assembler.product)
         self.skipped = self._assembler.skipped
 
     def poll(self, now: float) -> Scan | None:
         """The newest scan that has come since the last call; its stamp is of ``time.monotonic``."""
         newest = None
         for stamp, packet, sender in self._packets.waiting():
-            if self._is_sensor(sender, packet, stamp):
+            if self._senders.takes(sender, packet, stamp):
                 newest = self._assembler.push(stamp, packet) or newest
+            else:
+                self.skipped.other_sender += 1
         return newest
 
-    def _is_sensor(self, sender: str, packet: bytes, stamp: float) -> bool:
-        is_data = len(packet) == PACKET_SIZE and packet[:2] == FLAG.to_bytes(2, "little")
-        if is_data and (self._sensor is None or sender == self._sensor[0] or stamp - self._sensor[1] > SILENCE):
-            self._sensor = (sender, stamp)
-        if self._sensor is not None and sender != self._sensor[0]:
-            self.skipped.other_sender += 1
-            return False
-        return True
+    def remarks(self) -> list[str]:
+        """What the user should know of the port, though scans come."""
+        return [sentence] if (sentence := self._senders.sentence()) else []
 
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""
-        if self._sensor is not None and (silent := time.monotonic() - self._sensor[1]) > SILENCE:
-            sender = self._sensor[0]
+        sender = self._senders.taken
+        if sender is not None and (silent := time.monotonic() - self._senders.heard) > SILENCE:
             return (
                 f"no packet of {sender}, which had sent before, has come for {silent:.0f} s: look at sensor and cable."
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
+from ipaddress import ip_address
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,9 +23,16 @@ _VLANS = (0x8100, 0x88A8)
 
 
 def read_pcap(path: Path) -> Iterator[tuple[float, bytes]]:
-    """The time in seconds and the content of each UDP packet of a capture (pcap or pcapng), one at a time.
+    """The time in seconds and the content of each UDP packet of a capture, as of `read_datagrams`."""
+    for stamp, content, _ in read_datagrams(path):
+        yield stamp, content
 
-    What is no whole UDP packet is left out. A capture that ends in the middle of a packet ends before it.
+
+def read_datagrams(path: Path) -> Iterator[tuple[float, bytes, str]]:
+    """The time in seconds, the content and the sender of each UDP packet of a capture (pcap or pcapng).
+
+    They come one at a time. What is no whole UDP packet is left out. A capture that ends in the middle of a packet ends
+    before it. A sender is ``ADDRESS:PORT``.
     """
     with path.open("rb") as file:
         magic = file.read(4)
@@ -35,9 +43,9 @@ def read_pcap(path: Path) -> Iterator[tuple[float, bytes]]:
         else:
             raise UavrlError(f"{path} is no capture of network traffic: give a pcap or pcapng file.")
         for stamp, link, frame in frames:
-            content = udp_content(frame, link)
-            if content is not None:
-                yield stamp, content
+            datagram = udp_datagram(frame, link)
+            if datagram is not None:
+                yield stamp, *datagram
 
 
 def _pcap_frames(file: BinaryIO, order: str, unit: float) -> Iterator[tuple[float, int, bytes]]:
@@ -88,6 +96,12 @@ def _time_unit(options: bytes, order: str) -> float:
 
 def udp_content(frame: bytes, link: int) -> bytes | None:
     """What the UDP packet in a captured frame carries; None where there is no whole one."""
+    datagram = udp_datagram(frame, link)
+    return None if datagram is None else datagram[0]
+
+
+def udp_datagram(frame: bytes, link: int) -> tuple[bytes, str] | None:
+    """What the UDP packet in a captured frame carries, and its sender; None where there is no whole one."""
     start = _LINK_HEADERS.get(link)
     if start is None or len(frame) < start + 20:
         return None
@@ -97,14 +111,16 @@ def udp_content(frame: bytes, link: int) -> bytes | None:
     version = frame[start] >> 4 if len(frame) > start else 0
     if version == 4 and frame[start + 9 : start + 10] == bytes([_UDP]):
         fragment = int.from_bytes(frame[start + 6 : start + 8], "big") & 0x3FFF
-        udp = start + 4 * (frame[start] & 15)
+        udp, source = start + 4 * (frame[start] & 15), frame[start + 12 : start + 16]
     elif version == 6 and frame[start + 6 : start + 7] == bytes([_UDP]):
-        fragment, udp = 0, start + 40
+        fragment, udp, source = 0, start + 40, frame[start + 8 : start + 24]
     else:
         return None
     length = int.from_bytes(frame[udp + 4 : udp + 6], "big")
     content = frame[udp + 8 : udp + length]
-    return content if not fragment and length >= 8 and len(content) == length - 8 else None
+    if fragment or length < 8 or len(content) != length - 8:
+        return None
+    return content, f"{ip_address(source)}:{int.from_bytes(frame[udp : udp + 2], 'big')}"
 
 
 def write_pcap(path: Path, packets: Iterable[tuple[float, bytes]], port: int = PORT) -> None:

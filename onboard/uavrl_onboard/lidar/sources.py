@@ -10,8 +10,9 @@ import numpy as np
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar import bags
 from uavrl_onboard.lidar.packets import FLAG, PACKET_SIZE
-from uavrl_onboard.lidar.pcap import PCAP, PCAPNG, read_pcap
+from uavrl_onboard.lidar.pcap import PCAP, PCAPNG, read_datagrams
 from uavrl_onboard.lidar.scans import Scan, ScanAssembler, Skipped, check_model
+from uavrl_onboard.lidar.senders import OneSender
 from uavrl_onboard.lidar.udp import NOTHING_CAME, address, read_udp
 
 _RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", bags.ROSBAG1)
@@ -37,6 +38,7 @@ class ScanSource:
 
     Attributes:
         skipped: how much was left out so far, by reason.
+        clock: what gives the messages of a recording their times.
 
     Raises:
         UavrlError: for a source of no known kind, one without a scan, or another model than the packets are of.
@@ -61,7 +63,8 @@ class ScanSource:
         seconds: float | None = None,
     ) -> None:
         self.source, self.model, self.product, self.seconds = str(source), model, product, seconds
-        self.skipped = Skipped()
+        self.skipped, self.clock = Skipped(), bags.RecordedClock()
+        self._senders: OneSender | None = None
         self.topic: bags.Topic | None = None
         if self.source.startswith("udp:"):
             address(self.source)
@@ -75,17 +78,28 @@ class ScanSource:
 
     def __iter__(self) -> Iterator[Scan]:
         """Reads the source from its beginning."""
+        self.clock = bags.RecordedClock()
         if self.topic is not None and self.topic.kind == bags.CLOUD:
-            scans = bags.read_clouds(Path(self.source), self.topic.name, self.skipped)
+            scans = bags.read_clouds(Path(self.source), self.topic.name, self.skipped, self.clock)
             yield from self._some(scans, "it holds no cloud that can be read.")
             return
         assembler = ScanAssembler(check_model(self.model), self.product)
         assembler.skipped = self.skipped
-        yield from self._some(self._assembled(assembler), "", assembler)
+        self._senders = OneSender(assembler.product)
+        yield from self._some(self._assembled(assembler, self._senders), "", assembler)
 
-    def _assembled(self, assembler: ScanAssembler) -> Iterator[Scan]:
+    def remarks(self) -> list[str]:
+        """What the user should know of what was read so far: what was left out, and what is odd."""
+        told = [f"left out: {reason}" for reason in self.skipped.sentences()]
+        odd = (self.clock.sentence(), None if self._senders is None else self._senders.sentence())
+        return told + [sentence for sentence in odd if sentence is not None]
+
+    def _assembled(self, assembler: ScanAssembler, senders: OneSender) -> Iterator[Scan]:
         stamp = 0.0
-        for stamp, packet in self._packets():
+        for stamp, packet, sender in self._packets():
+            if not senders.takes(sender, packet, stamp):
+                self.skipped.other_sender += 1
+                continue
             scan = assembler.push(stamp, packet)
             if scan is not None:
                 yield scan
@@ -107,12 +121,18 @@ class ScanSource:
             return NOTHING_CAME
         return assembler.trouble()
 
-    def _packets(self) -> Iterator[tuple[float, bytes]]:
+    def _packets(self) -> Iterator[tuple[float, bytes, str]]:
+        """The packets, each with its time and its sender, of which a file may know nothing."""
+        path = Path(self.source)
         if self.kind == "udp":
-            return read_udp(self.source, self.seconds)
-        if self.topic is not None:
-            return bags.read_packets(Path(self.source), self.topic.name, self.skipped)
-        return read_pcap(Path(self.source)) if self.kind == "pcap" else read_bare(Path(self.source))
+            yield from read_udp(self.source, self.seconds)
+        elif self.kind == "pcap":
+            yield from read_datagrams(path)
+        elif self.topic is None:
+            yield from ((stamp, packet, "") for stamp, packet in read_bare(path))
+        else:
+            packets = bags.read_packets(path, self.topic.name, self.skipped, self.clock)
+            yield from ((stamp, packet, "") for stamp, packet in packets)
 
 
 def read_bare(path: Path) -> Iterator[tuple[float, bytes]]:

@@ -86,17 +86,17 @@ class UdpPackets:
         self._socket.close()
 
     def waiting(self) -> Iterator[tuple[float, bytes, str]]:
-        """Time, content and sender of each packet that has come, at most a thousand at once."""
+        """Time, content and sender (``ADDRESS:PORT``) of each packet that has come, at most a thousand at once."""
         for _ in range(_AT_ONCE):
             try:
                 packet, said, _, sender = self._socket.recvmsg(_LONGEST, socket.CMSG_SPACE(struct.calcsize(_TIMESPEC)))
             except OSError:  # nothing waits
                 return
-            yield time.monotonic() - _waited(said), packet, str(sender[0])
+            yield time.monotonic() - _waited(said), packet, f"{sender[0]}:{sender[1]}"
 
 
-def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes]]:
-    """The time of arrival and the content of each packet of ``UdpPackets``.
+def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes, str]]:
+    """The time of arrival, the content and the sender of each packet of ``UdpPackets``.
 
     Args:
         source: where to listen.
@@ -111,7 +111,7 @@ def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) ->
         while time.monotonic() - heard < silence and (seconds is None or time.monotonic() - begun < seconds):
             if select.select([port], [], [], _TICK)[0]:
                 heard = time.monotonic()
-                yield from (each[:2] for each in port.waiting())
+                yield from port.waiting()
 
 
 def _waited(said: list[tuple[int, int, bytes]]) -> float:

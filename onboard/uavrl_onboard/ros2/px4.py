@@ -106,7 +106,7 @@ def px4_pose(odometry: Any, stamp: float) -> Pose:
     elif odometry.velocity_frame != _NED:
         velocity = _NOT
     roll, pitch, yaw = swap_attitude(*roll_pitch_yaw(odometry.q)) if ned else (math.nan,) * 3
-    return Pose(stamp, position, swap_world(velocity), yaw, roll, pitch)
+    return Pose(stamp, position, swap_world(velocity), yaw, roll, pitch, odometry.reset_counter)
 
 
 def px4_setpoint(setpoint: Sequence[float] | np.ndarray, yaw: float, micros: int) -> Any:

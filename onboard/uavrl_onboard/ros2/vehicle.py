@@ -100,6 +100,10 @@ class Ros2Scans(OnNode):
             return None
         return cloud_scan(arrived.message, stamp, self.skipped)
 
+    def remarks(self) -> list[str]:
+        """What the user should know of the topic, though scans come."""
+        return []
+
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""
         if SILENCE < (silent := time.monotonic() - self._heard) < math.inf:

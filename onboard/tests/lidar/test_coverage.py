@@ -1,0 +1,146 @@
+"""Scans that cover less than their sensor sees, and open terrain, which looks similar."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import pytest
+from tests.deploy.test_flight import Rig
+
+from uavrl_onboard.flight.safety import Reason, State
+from uavrl_onboard.lidar.coverage import EMPTY, WATCHED, Coverage, Doubt
+
+AZIMUTHS = np.radians(np.arange(0.1, 360.0, 0.4))
+
+
+def ring(ranges: np.ndarray | float = 3.0) -> np.ndarray:
+    """Points around the sensor, none where the range is infinite."""
+    far = np.broadcast_to(ranges, AZIMUTHS.shape)
+    points = np.stack([far * np.cos(AZIMUTHS), far * np.sin(AZIMUTHS), np.full_like(AZIMUTHS, -0.2)], -1)
+    return points[np.isfinite(far)].astype(np.float32)
+
+
+ROOM = ring(2.0 + np.cos(AZIMUTHS) ** 2 * 4.0)
+
+
+def cut(low: float, high: float, points: np.ndarray = ROOM) -> np.ndarray:
+    """Without what lies between two directions, in degrees."""
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360.0
+    return points[(azimuth < low) | (azimuth > high)]
+
+
+def looked(scans: Iterable[np.ndarray], yaw: Callable[[int], float] = lambda number: 0.0) -> list[Doubt | None]:
+    coverage = Coverage()
+    return [coverage.add(points, yaw(number)) for number, points in enumerate(scans)]
+
+
+@pytest.mark.parametrize("empty", [np.zeros((0, 3)), np.zeros((50, 3)), np.full((50, 3), np.nan)])
+def test_scans_without_a_return_are_doubted_after_a_second(empty: np.ndarray) -> None:
+    found = looked([ROOM] * 5 + [empty] * 15 + [ROOM])
+    assert not any(found[: 5 + EMPTY - 1]) and all(found[5 + EMPTY - 1 : 20]) and found[20] is None
+    assert found[14] == (
+        "empty_scans",
+        "10 scans in a row hold no return at all: is the sensor covered, its laser off, or its driver's range too "
+        "short?",
+        True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "certain"),
+    [(90.0, 270.0, True), (180.0, 360.0, True), (90.0, 180.0, True), (100.0, 265.0, False), (150.0, 210.0, False)],
+)
+def test_a_window_is_doubted_from_the_start(low: float, high: float, certain: bool) -> None:
+    found = looked([cut(low, high)] * 30)
+    assert not any(found[: WATCHED - 1]) and all(found[WATCHED - 1 :])
+    last = found[-1]
+    assert last is not None and (last.kind, last.certain) == ("half_scan", certain)
+    assert f"no return has ever come from {low:.0f}° to {high % 360:.0f}° (0° is ahead, 90° left)" in last.sentence
+    assert ("is nothing in range there" in last.sentence) is not certain
+
+
+def test_a_window_turns_with_the_sensor_and_is_certain_then() -> None:
+    found = looked([cut(100.0, 265.0)] * 60, lambda number: math.radians(number))
+    assert [doubt.certain for doubt in found if doubt is not None] == [False] + [True] * 40
+
+
+def test_open_terrain_does_not_turn_with_the_sensor() -> None:
+    scans = []
+    for number in range(300):
+        yaw = math.radians(40.0 * math.sin(0.1 * number))
+        direction = (AZIMUTHS + yaw) % math.tau  # in the world, where everything between 100° and 265° is far
+        scans.append(ring(np.where((direction > math.radians(100)) & (direction < math.radians(265)), np.inf, 3.0)))
+    found = looked(scans, lambda number: math.radians(40.0 * math.sin(0.1 * number)))
+    assert not any(doubt is not None and doubt.certain for doubt in found)
+
+
+@pytest.mark.parametrize("far", [6.0, 12.0])
+def test_a_wall_that_goes_out_of_range_is_no_fault(far: float) -> None:
+    """The vehicle flies away from a long wall behind it, beside another one, with a driver's range of ``far``."""
+    scans = []
+    for number in range(100):
+        away = 2.0 + 0.2 * number
+        with np.errstate(divide="ignore"):
+            behind = np.where(np.cos(AZIMUTHS) < 0, -away / np.cos(AZIMUTHS), np.inf)
+            beside = np.where(np.sin(AZIMUTHS) > 0, 2.0 / np.sin(AZIMUTHS), np.inf)
+        ranges = np.minimum(behind, beside)
+        scans.append(ring(np.where(ranges < far, ranges, np.inf)))
+    assert not any(doubt is not None and doubt.certain for doubt in looked(scans))
+
+
+def test_the_ground_that_goes_out_of_range_is_no_fault() -> None:
+    """A ring of returns from the ground at the very end of a driver's range, which half of the circle loses."""
+    ground = ring(11.6)
+    assert not any(doubt is not None and doubt.certain for doubt in looked([ground] * 20 + [cut(95, 270, ground)] * 40))
+
+
+def test_half_of_the_scans_that_ceases_at_once_is_certain() -> None:
+    found = looked([ROOM] * 15 + [cut(80.0, 250.0)] * 15 + [ROOM])
+    assert not any(found[:24]) and all(found[25:30]) and found[30] is None
+    assert found[25] is not None and found[25].certain
+    assert found[25].sentence.startswith("no return has come from 80° to 250° (0° is ahead, 90° left) for 1")
+
+
+@pytest.mark.parametrize("points", [np.array([[3.0, 0.0, 0.0]]), ROOM[:200], ROOM[::8]], ids=["one", "arc", "sparse"])
+def test_few_or_narrow_scans_are_not_judged(points: np.ndarray) -> None:
+    assert not any(doubt is not None and doubt.certain for doubt in looked([points] * 60))
+
+
+def test_a_half_scan_stops_the_flight_and_names_the_reason() -> None:
+    rig = Rig()
+    states = [rig.scan(cut(90.0, 270.0)).status for _ in range(30)]
+    assert State.FLYING in {status.state for status in states[:WATCHED]}
+    stopped = states[WATCHED - 1]
+    assert (stopped.state, stopped.reason) == (State.HOLDING, Reason.HALF_SCAN)
+    assert stopped.sentence == (
+        "no return has ever come from 90° to 270° (0° is ahead, 90° left): does the driver's window cut it off?"
+    )
+    assert states[-1].state is State.SILENT
+    assert rig.nothing().status.reason is Reason.HALF_SCAN, "without a scan it is not over"
+
+
+def test_a_window_that_may_be_open_terrain_is_told_and_flown() -> None:
+    rig = Rig()
+    cycles = [rig.scan(cut(100.0, 265.0)) for _ in range(30)]
+    assert cycles[-1].status.state is State.FLYING
+    assert cycles[-1].doubt is not None and "is nothing in range there, or does the driver's" in cycles[-1].doubt
+
+
+def test_the_vehicle_s_own_parts_count_as_seen() -> None:
+    behind = np.abs(np.degrees(AZIMUTHS) - 180.0) < 20.0
+    mast = ring(np.where(behind, 0.5, 3.0))
+    for points, doubted in ((mast, False), (cut(160.0, 200.0), True)):
+        rig = Rig(box=(np.full(3, -0.7), np.full(3, 0.7)))
+        cycles = [rig.scan(points) for _ in range(30)]
+        assert (cycles[-1].doubt is not None) is doubted and cycles[-1].status.state is State.FLYING
+
+
+def test_empty_scans_stop_the_flight() -> None:
+    rig = Rig()
+    rig.airborne()
+    states = [rig.scan(np.zeros((0, 3))).status for _ in range(20)]
+    assert states[8].state is State.FLYING
+    assert (states[9].state, states[9].reason) == (State.HOLDING, Reason.EMPTY_SCANS)
+    assert states[-1].state is State.SILENT

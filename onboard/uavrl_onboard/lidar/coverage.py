@@ -1,0 +1,151 @@
+"""Whether scans cover what their sensor should see: a policy takes what it does not see for free."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from uavrl_onboard.perception.reductions import is_return
+
+EMPTY = 10
+"""Scans in a row without a return, 1 s at 10 Hz: at 2 m/s that is half of the 4 m that a policy sees."""
+WATCHED = 20
+"""Scans after which a direction without returns is judged, 2 s at 10 Hz."""
+GONE = 10
+"""Scans without a return from a sector that had some; a vehicle that brakes is not tilted for as long."""
+UNSEEN = 30
+"""Degrees of the horizon without a return, as in a turn of packets: two columns of a range image."""
+LOST = 90
+"""Degrees that no obstacle covers alone, so that they do not become empty at once in flight."""
+TURNED = math.radians(20.0)
+"""Yaw after which the borders of open terrain have moved in the sensor's frame, and those of a window have not."""
+_FEWEST = 60  # returns of a scan whose directions are judged
+_EDGE = 3  # degrees within which a window's border is met in every scan
+_ALIGNED = 1  # degrees between the border of a half or a quarter of the circle and the last return
+_FILLED = 0.9  # of the directions outside a window that have returns
+_SEEN_BEFORE = 8  # scans in a row in which a sector had returns before it lost them
+_NEAR = 0.5  # of the farthest return: what was nearer than that has not gone out of a driver's range
+_NEAR_SHARE = 0.25  # of a sector that must have been so near
+_COARSE = 5  # degrees of the directions in which returns are counted
+
+
+class Doubt(NamedTuple):
+    """What is wrong with some scans."""
+
+    kind: Literal["empty_scans", "half_scan"]
+    sentence: str
+    certain: bool  #: whether nothing may be flown by them; else there is an innocent reason, too
+
+
+class Coverage:
+    """Looks at one scan after the other, with the points on the vehicle.
+
+    Open terrain has no returns where nothing is in range, which is no fault. A window is certain where its borders
+    stay in the sensor's frame while the vehicle turns, or lie at right angles to its axes; and a sector is certainly
+    lost where near returns cease in all of it from one scan to the next.
+
+    Examples:
+        >>> coverage, nothing = Coverage(), np.full((100, 3), np.nan)
+        >>> [coverage.add(nothing) for _ in range(EMPTY)][-1].kind
+        'empty_scans'
+    """
+
+    def __init__(self) -> None:
+        self._empty, self._scans = 0, 0
+        self._recent: deque[np.ndarray] = deque(maxlen=WATCHED)  # bool [360] each: degrees that have returns
+        self._ever = np.zeros(360, bool)
+        self._last = np.full(360 // _COARSE, -1)  # the latest scan with a return in each direction
+        self._run = np.zeros(360 // _COARSE, int)  # in how many in a row it had one by then
+        self._nearest = np.full(360 // _COARSE, np.inf)  # how near it was, m
+        self._farthest = 0.0
+        self._first_yaw: float | None = None
+        self._turned = 0.0
+
+    def add(self, points: np.ndarray, yaw: float | None = None) -> Doubt | None:
+        """Take in a scan; return what is wrong with the latest ones.
+
+        Args:
+            points: ``[P, 3]`` in the sensor frame, m.
+            yaw: of the vehicle, rad; None where nobody says.
+        """
+        points = points[is_return(points)]
+        self._empty = 0 if points.size else self._empty + 1
+        if self._empty >= EMPTY:
+            cause = "is the sensor covered, its laser off, or its driver's range too short?"
+            return Doubt("empty_scans", f"{self._empty} scans in a row hold no return at all: {cause}", True)
+        if points.shape[0] < _FEWEST:
+            return None
+        self._count(points)
+        if yaw is not None and math.isfinite(yaw):
+            self._first_yaw = yaw if self._first_yaw is None else self._first_yaw
+            self._turned = max(self._turned, abs(math.remainder(yaw - self._first_yaw, math.tau)))
+        return self._lost() or self._window()
+
+    def _count(self, points: np.ndarray) -> None:
+        x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
+        degree = np.floor(np.degrees(np.arctan2(y, x))).astype(int) % 360
+        far = np.hypot(x, y)
+        seen = np.bincount(degree, minlength=360) > 0
+        self._recent.append(seen)
+        self._ever |= seen
+        coarse = seen.reshape(-1, _COARSE).any(1)
+        self._run = np.where(coarse, np.where(self._last == self._scans - 1, self._run, 0) + 1, self._run)
+        self._last[coarse] = self._scans
+        nearest = np.full(self._nearest.shape, np.inf)
+        np.minimum.at(nearest, degree // _COARSE, far)
+        self._nearest = np.where(coarse, nearest, self._nearest)
+        self._farthest = max(self._farthest, float(far.max()))
+        self._scans += 1
+
+    def _lost(self) -> Doubt | None:
+        """A sector that had returns, and has had none since one moment."""
+        gone = (self._scans - 1 - self._last >= GONE) & (self._run >= _SEEN_BEFORE)
+        start, length = _longest(gone)
+        if length * _COARSE < LOST:
+            return None
+        sector = (start + np.arange(length)) % len(gone)
+        at_once = np.ptp(self._last[sector]) <= 1
+        if not at_once or np.quantile(self._nearest[sector], _NEAR_SHARE) > _NEAR * self._farthest:
+            return None
+        where = _between(start * _COARSE, length * _COARSE)
+        since = self._scans - 1 - int(self._last[sector].max())
+        cause = "is the sensor covered there, or has its driver's window changed?"
+        return Doubt("half_scan", f"no return has come {where} for {since} scans, where there were some: {cause}", True)
+
+    def _window(self) -> Doubt | None:
+        """A sector that never had a return, with sharp borders."""
+        start, length = _longest(~self._ever)
+        if len(self._recent) < WATCHED or length < UNSEEN:
+            return None
+        outside = np.delete(np.roll(self._ever, -start), slice(0, length))
+        whole = outside[: len(outside) // _COARSE * _COARSE].reshape(-1, _COARSE).any(1)
+        before, after = (start - 1 - np.arange(_EDGE)) % 360, (start + length + np.arange(_EDGE)) % 360
+        recent = np.array(self._recent)
+        is_sharp = bool(recent[:, before].any(1).all() and recent[:, after].any(1).all())
+        if not is_sharp or whole.mean() < _FILLED:
+            return None
+        aligned = all(abs(math.remainder(edge, 90)) <= _ALIGNED for edge in (start, start + length))
+        certain = aligned or self._turned >= TURNED
+        where = f"no return has ever come {_between(start, length)}"
+        cause = "does the driver's window cut it off?"
+        return Doubt("half_scan", f"{where}: {cause if certain else f'is nothing in range there, or {cause}'}", certain)
+
+
+def _longest(flags: np.ndarray) -> tuple[int, int]:
+    """Where the longest run of true flags on a circle begins, and how many it has."""
+    if flags.all():
+        return 0, len(flags)
+    turned = np.roll(flags, -int(np.argmin(flags)))  # which begins with a false one
+    steps = np.diff(np.concatenate([turned, [False]]).astype(int))
+    begins, ends = np.flatnonzero(steps == 1) + 1, np.flatnonzero(steps == -1) + 1
+    if not len(begins):
+        return 0, 0
+    longest = int(np.argmax(ends - begins))
+    return int(begins[longest] + np.argmin(flags)) % len(flags), int((ends - begins)[longest])
+
+
+def _between(start: int, length: int) -> str:
+    return f"from {start}° to {(start + length) % 360}° (0° is ahead, 90° left)"
