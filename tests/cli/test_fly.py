@@ -19,7 +19,7 @@ from tests.helpers.exported import exported
 from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
-from uavrl.cli import fly
+from uavrl_onboard.cli import fly
 from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.guards.evasion import Evasion
