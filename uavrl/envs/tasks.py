@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from uavrl.envs.mesh import edge_lengths
 from uavrl.envs.terrain import FLOOR_AMPLITUDE, HeightField
+from uavrl_onboard.geometry import heading_vector
 from uavrl_onboard.mesh import Mesh
 
 CELL = 0.25  # m, between two points of the map along x and y
@@ -135,7 +136,7 @@ def _has_partner(points: np.ndarray, distance: float) -> np.ndarray:
     """Returns which points ``[C, 2]`` have another one at least ``distance`` away: ``bool [C]``."""
     farthest = np.zeros(len(points))
     for angle in np.linspace(0, np.pi, 64, endpoint=False) if len(points) else ():
-        along = points @ np.array([np.cos(angle), np.sin(angle)])
+        along = points @ heading_vector(angle)
         for extreme in (points[along.argmax()], points[along.argmin()]):
             farthest = np.maximum(farthest, np.linalg.norm(points - extreme, axis=1))
     return farthest >= distance

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from uavrl_onboard.ranges import Widths
+from uavrl_onboard.vehicle import VEHICLE
 
 
 def mlp(inputs: int, hidden: Sequence[int], outputs: int, *, layer_norm: bool = False) -> nn.Sequential:
@@ -54,7 +55,9 @@ class Actor(nn.Module):
         torch.Size([7, 4])
     """
 
-    def __init__(self, observations: int, actions: int, hidden: Widths = (400, 300), limit: float = 2.0) -> None:
+    def __init__(
+        self, observations: int, actions: int, hidden: Widths = (400, 300), limit: float = VEHICLE.velocity_limit
+    ) -> None:
         super().__init__()
         self.net = mlp(observations, hidden, actions)
         self.limit = limit

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from tests.deploy.test_senders import capture
+
 from tests.helpers.commands import in_process
 from tests.helpers.exported import exported
 from tests.helpers.measured import measured

@@ -13,6 +13,7 @@ from uavrl.config.build import find_class
 from uavrl.envs import Airframe
 from uavrl.evaluation.policies import BASELINES, named_policy
 from uavrl.planners.point_memory import PERIOD, Planner
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import hull_distances
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
@@ -95,18 +96,18 @@ def test_it_gives_way_to_the_side_on_which_nothing_stands(side: float) -> None:
     wall = torch.stack([wall[:, 0], torch.full((len(wall),), -0.9 * side), wall[:, 1]], -1)
     ahead = torch.tensor([[2.0, 0.0, 0.0]])
     ways, known = bodies([4.0, 0.3 * side, 0.0], speed=(-3.0, 0.0, 0.0))
-    free = evaded(ahead, ahead, ways, known, [NONE], torch.zeros(1, 1))
-    beside = evaded(ahead, ahead, ways, known, [wall], torch.zeros(1, 1))
+    free = call_numpy(evaded, ahead, ahead, ways, known, [NONE], torch.zeros(1, 1))
+    beside = call_numpy(evaded, ahead, ahead, ways, known, [wall], torch.zeros(1, 1))
     assert side * free[0, 1] < 0, "away from the body, were it not for the wall"
     assert side * beside[0, 1] >= 0
-    assert hull_distances(wall, 1.0 * beside[:, None], 0.15).min() > 0.15, "after a second"
+    assert call_numpy(hull_distances, wall, 1.0 * beside[:, None], 0.15).min() > 0.15, "after a second"
 
 
 def test_only_whom_a_body_threatens_gives_way() -> None:
     ahead = torch.tensor([[2.0, 0.0, 0.0]] * 3)
     ways, known = bodies([6.0, 0.0, 0.0], [6.0, 5.0, 0.0], [6.0, 0.0, 0.0], speed=(-3.0, 0.0, 0.0))
     known[2] = False
-    found = evaded(ahead, ahead, ways, known, [NONE] * 3, torch.zeros(3, 1))
+    found = call_numpy(evaded, ahead, ahead, ways, known, [NONE] * 3, torch.zeros(3, 1))
     assert (found[0] - ahead[0]).norm() > 0.5
     assert torch.equal(found[1:], ahead[1:])
 
@@ -115,6 +116,6 @@ def test_it_does_not_climb_out_of_where_it_may_fly() -> None:
     """Over the flight level by what is allowed, it does not rise further; low over the ground it does not sink."""
     ahead = torch.tensor([[2.0, 0.0, 0.0]] * 2)
     ways, known = bodies([4.0, 0.0, 0.0], [4.0, 0.0, 0.0], speed=(-3.0, 0.0, 0.0))
-    high, low = evaded(ahead, ahead, ways, known, [NONE] * 2, torch.tensor([[0.7], [-2.3]]))
+    high, low = call_numpy(evaded, ahead, ahead, ways, known, [NONE] * 2, torch.tensor([[0.7], [-2.3]]))
     assert high[2] <= 0 and low[2] >= 0
     assert (high - ahead[0]).norm() > 0.5 and (low - ahead[1]).norm() > 0.5

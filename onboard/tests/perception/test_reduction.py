@@ -12,7 +12,7 @@ from tests.helpers.numpy_reductions import MISSES, PAIRS, check_clouds
 from uavrl.transforms import REDUCTIONS
 from uavrl.transforms.reduction import is_return as torch_is_return
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import NEAREST_RETURN, is_return
+from uavrl_onboard.geometry import NEAREST_RETURN, is_return, within
 from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.perception.reductions import directions, range_image
 
@@ -43,7 +43,7 @@ def test_the_cells_lie_where_those_in_torch_lie() -> None:
 @pytest.mark.parametrize("miss", MISSES, ids=str)
 def test_a_miss_is_a_miss_however_a_driver_writes_it(miss: list[float]) -> None:
     scan = np.tile(np.array(miss, np.float32), (28928, 1))
-    assert not is_return(scan, 4.0).any() and not torch_is_return(torch.from_numpy(scan), 4.0).any()
+    assert not is_return(scan, within(4.0)).any() and not torch_is_return(torch.from_numpy(scan), 4.0).any()
     for ours, name in PAIRS:
         for statistic in ("face", "range", "proximity"):
             assert not ours(scan, 4.0, statistic).any()

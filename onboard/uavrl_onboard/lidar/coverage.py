@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from uavrl_onboard.perception.reductions import is_return
+from uavrl_onboard.geometry import is_return
 
 EMPTY = 10
 """Scans in a row without a return, 1 s at 10 Hz: at 2 m/s that is half of the 4 m that a policy sees."""

@@ -13,7 +13,7 @@ from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.limits import SafetyLimits
 from uavrl_onboard.flight.safety import State
-from uavrl_onboard.geometry import rotate
+from uavrl_onboard.geometry import quaternion, rotate
 from uavrl_onboard.lidar.ros_messages import DIAGNOSTICS, MARKERS
 from uavrl_onboard.policy.contract import Cells, Contract
 from uavrl_onboard.ros2.dds import OnNode, idl_type
@@ -93,7 +93,7 @@ class Ros2Reports(OnNode):
                 seen = cell_points(cycle.cells, self._contract.cells) + self._contract.cloud.sensor_position
                 points = [position + rotate(point, pose.rotation) for point in seen.tolist()]
                 made.append(_marker(frame, "cells", _SPHERES, _ORANGE, scale=(0.2,) * 3, points=points))
-            yaw = (math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2))
+            yaw = quaternion(0.0, 0.0, pose.yaw)
             asked = cycle.status.setpoint
             arrow = [] if asked is None else [position, position + rotate(asked[:3], yaw)]
             made.append(_marker(frame, "set-point", _ARROW, _BLUE, scale=(0.06, 0.15, 0.2), points=arrow))
