@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from uavrl.evaluation.loaded import LoadedPolicy
 
-PACKAGED = Path(__file__).parents[1] / "policies"  # what `policy=NAME` names, beside the baselines
+PACKAGED = Path(__file__).parents[1] / "policies/data"  # what `policy=NAME` names, beside the baselines
 EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
 GONE = ("static", "dynamic")  # what came with uavrl 0.1.0
 BASELINES = {
