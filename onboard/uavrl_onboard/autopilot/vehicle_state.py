@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 from uavrl_onboard.autopilot.clock_sync import SenderClock
 from uavrl_onboard.autopilot.firmware import FIRMWARES, MULTIROTORS, Firmware
 from uavrl_onboard.autopilot.frames import Pose, Vector, swap_attitude, swap_world
+from uavrl_onboard.enums import StrEnum
 
 HEARTBEAT_TIMEOUT = 3.0  # s; heartbeats come once a second
 _NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: a ground station, a camera, a companion

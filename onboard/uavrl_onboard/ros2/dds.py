@@ -13,10 +13,10 @@ import threading
 import time
 from contextlib import suppress
 from functools import cache
-from importlib import import_module
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.ros_messages import DEFINITIONS
 
 _logger = logging.getLogger(__name__)
@@ -229,7 +229,7 @@ class OnNode:
     def __init__(self, domain: int) -> None:
         self._node = Node(domain)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> OnNode:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -245,10 +245,4 @@ class OnNode:
 
 
 def _cyclonedds(module: str) -> Any:
-    try:
-        return import_module(f"cyclonedds.{module}")
-    except ImportError as error:
-        raise UavrlError(
-            "ROS 2 is spoken by cyclonedds, which is not installed: pip install 'uavrl[ros2]', or build it where there "
-            "is no wheel (Linux on ARM)."
-        ) from error
+    return needed(f"cyclonedds.{module}", "ROS 2", "ros2", ", or build it on Linux for ARM, where there is no wheel")
