@@ -21,9 +21,9 @@ def table(contract: Path) -> str:
         state, size = terms["state"], sum(entry["size"] for entry in terms["observation"])
         frames, first = state["frames"], f"{state['padding']:g}"
         sentence = (
-            f"{state['size']} numbers of {state['dtype']}, {terms['rate_hz']} times a second: {frames} observations of "
-            f"{size} numbers, {state['order']} ({state['size'] - size}–{state['size'] - 1} are of now), with {first} "
-            f"before the first."
+            f"{state['size']} numbers of {state['dtype']}, {terms['rate_hz']:g} times a second: {frames} observations "
+            f"of {size} numbers, {state['order']} ({state['size'] - size}–{state['size'] - 1} are of now), with "
+            f"{first} before the first."
         )
         rows = list(_rows(terms))
     except (OSError, ValueError, KeyError, TypeError) as error:

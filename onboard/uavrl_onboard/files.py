@@ -1,4 +1,4 @@
-"""Files that are whole or not there."""
+"""Files that are whole or not there, and files of others that may lie about their lengths."""
 
 import errno
 import shutil
@@ -84,3 +84,46 @@ def numbered(path: Path, suffix: str) -> Iterator[Path]:
     yield path
     stem = path.name.removesuffix(suffix)
     yield from (path.with_name(f"{stem}_{number}{suffix}") for number in count(2))
+
+
+class RecordFile:
+    """A file that a library reads record by record, where none may take more than its share of memory.
+
+    The libraries trust the lengths in a file: they allocate what it says, or read to its end for a negative length.
+
+    Args:
+        file: the file, open for reading.
+        most: bytes of one record.
+
+    Examples:
+        >>> from io import BytesIO
+        >>> file = RecordFile(BytesIO(bytes(8)), most=6)
+        >>> len(file.read(6)), file.next_record()
+        (6, None)
+        >>> file.read(3)
+        Traceback (most recent call last):
+        ...
+        EOFError: the file ends within a record
+    """
+
+    def __init__(self, file: BinaryIO, most: int) -> None:
+        self._file, self._most, self._left = file, most, most
+
+    def next_record(self) -> None:
+        """Begin another record."""
+        self._left = self._most
+
+    def read(self, size: int) -> bytes:
+        """Read exactly so many bytes.
+
+        Raises:
+            ValueError: for a negative size, and for more than the record may still have.
+            EOFError: if the file has fewer.
+        """
+        if not 0 <= size <= self._left:
+            raise ValueError(f"a length of {size} bytes")
+        self._left -= size
+        data = self._file.read(size)
+        if len(data) < size:
+            raise EOFError("the file ends within a record")
+        return data

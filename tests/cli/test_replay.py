@@ -174,5 +174,7 @@ def test_a_package_that_is_missing_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    assert "pip install 'uavrl[report]'" in refused(command.main, "policy=straight", f"output={tmp_path / 'page.html'}")
+    assert "pip install 'uavrl-onboard[pages]'" in refused(
+        command.main, "policy=straight", f"output={tmp_path / 'page.html'}"
+    )
     assert not list(tmp_path.iterdir())

@@ -17,7 +17,7 @@ from tests.helpers.recorded import READ, SCANNED, SCANS, states, unmistakable
 from uavrl.config import compose, validate
 from uavrl.config.settings import TrainConfig
 from uavrl.envs import NavigationEnv
-from uavrl.export.export import as_text, contract
+from uavrl.export.export import contract
 from uavrl_onboard.perception.cells import RangeGrid
 from uavrl_onboard.policy.contract import Cells
 
@@ -29,7 +29,7 @@ def derived(*overrides: str) -> tuple[TrainConfig, dict[str, Any]]:
     settings = validate(compose(*overrides))
     found = contract(settings, "0" * 64)
     assert found is not None
-    return settings, json.loads(as_text(found))
+    return settings, json.loads(found.to_text())
 
 
 # ---------------------------------------------------------------------- by what the contract says, and numpy

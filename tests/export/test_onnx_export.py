@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,14 @@ from tests.helpers.commands import content
 from tests.helpers.exported import exported, policy_folder
 from uavrl.errors import UavrlError
 from uavrl.export.export import export_policy
-from uavrl.export.onnx_export import OPSET, policy_onnx
+from uavrl.export.onnx_export import opset_of, policy_onnx
 from uavrl.models import Actor
 
-TERMS = {"state": {"size": 6}, "action": {"low": [-2.0] * 4, "high": [2.0] * 4}}
 SMALL = ("algo.hidden=[4]",)
 
 
 def export_network(network: nn.Module) -> bytes:
-    return policy_onnx(TensorDictModule(network, ["observation"], ["action"]), TERMS)
+    return policy_onnx(TensorDictModule(network, ["observation"], ["action"]), 6, [-2.0] * 4, [2.0] * 4)
 
 
 def acted(file: bytes, states: Tensor) -> np.ndarray:
@@ -67,10 +67,39 @@ def test_it_is_the_same_file_wherever_it_is_made(tmp_path: Path) -> None:
     assert (exported(tmp_path / "there", *SMALL) / "policy.onnx").read_bytes() == file
     model = onnx.load_from_string(file)
     onnx.checker.check_model(model, full_check=True)
-    assert [(opset.domain, opset.version) for opset in model.opset_import] == [("", OPSET)]
     for place in (str(tmp_path), str(Path(__file__).parents[2]), "site-packages", ".py", "uavrl"):
         assert place.encode() not in file, place
-    assert not model.metadata_props and not any(node.metadata_props for node in model.graph.node)
+    parts = [model, *model.graph.node, *model.graph.input, *model.graph.output, *model.graph.initializer]
+    assert not any(part.metadata_props for part in parts)
+
+
+class Choosing(Branching):
+    """Chooses within the graph, which holds a graph for each of its answers."""
+
+    def forward(self, state: Tensor) -> Tensor:
+        return torch.cond(
+            state.sum() > 0, lambda x: self.net(x).relu(), lambda x: nn.functional.silu(-x[..., :4]), (state,)
+        )
+
+
+@pytest.mark.parametrize(
+    ("network", "opset", "version"),
+    [
+        (lambda: nn.Sequential(nn.Linear(6, 8), nn.ReLU(), nn.Linear(8, 4), nn.Tanh()), 14, 7),
+        (lambda: nn.Sequential(nn.Linear(6, 4), nn.Tanh()), 13, 7),
+        (Convolving, 17, 8),
+        (Choosing, 16, 8),
+    ],
+    ids=["as TD3", "tanh alone", "layer norm", "a graph in the graph"],
+)
+def test_old_versions_of_onnx_runtime_open_it(network: Callable[[], nn.Module], opset: int, version: int) -> None:
+    """ONNX Runtime 1.16 reads IR version 9 at most, and PyTorch writes 10."""
+    torch.manual_seed(0)
+    made = network()
+    file = export_network(made)
+    assert (opset_of(file), onnx.load_from_string(file).ir_version) == (opset, version)
+    states = torch.randn(9, 6, generator=torch.Generator().manual_seed(1))
+    np.testing.assert_allclose(acted(file, states), made.eval()(states).clamp(-2, 2).detach().numpy(), atol=1e-5)
 
 
 def test_actions_are_cut_to_their_limits() -> None:

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 from uavrl.config import compose, resolve, validate
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import make_actor, saved_sizes
-from uavrl.export.export import as_text, export_policy
+from uavrl.export.export import export_policy
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.policy.policy import Policy
 
@@ -43,7 +43,7 @@ def exported(folder: Path, *overrides: str) -> Path:
 def edit_contract(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
     terms = json.loads((folder / "contract.json").read_text())
     change(terms)
-    (folder / "contract.json").write_text(as_text(terms))
+    (folder / "contract.json").write_text(json.dumps(terms))
 
 
 def refusal(folder: Path, terms: dict[str, Any], change: Callable[[dict[str, Any]], Any]) -> str:

@@ -139,6 +139,6 @@ def test_foundations_are_left_out_and_nothing_else() -> None:
 
 def test_without_plotly_the_page_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    with pytest.raises(UavrlError, match=r"pip install 'uavrl\[report\]'"):
+    with pytest.raises(UavrlError, match=r"pip install 'uavrl-onboard\[pages\]'"):
         write_page(small_recording(), tmp_path / "page.html")
     assert not list(tmp_path.iterdir())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import Any
@@ -18,7 +18,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.errors import UavrlError
 
-OPSET = 18
+OPSET = 18  # that PyTorch exports to; the file names the oldest that defines the same operators
+FUNCTIONS = 8  # the oldest IR version in which a model may hold functions of its own
 INPUT, OUTPUT = "state", "action"
 TRIED, TOLERANCE = 32, 1e-5  # states in which what was exported must act as the policy does
 LEFT_OUT = "policy.onnx is left out"
@@ -27,7 +28,7 @@ LEFT_OUT = "policy.onnx is left out"
 class _MeanAction(nn.Module):
     """States ``[N, S]`` to a policy's actions without noise ``[N, A]``, cut to their limits."""
 
-    def __init__(self, actor: TensorDictModuleBase, low: list[float], high: list[float]) -> None:
+    def __init__(self, actor: TensorDictModuleBase, low: Sequence[float], high: Sequence[float]) -> None:
         super().__init__()
         self.actor = actor
         self.register_buffer("low", torch.tensor(low, dtype=torch.float32))
@@ -38,8 +39,17 @@ class _MeanAction(nn.Module):
         return acted["action"].clamp(self.low, self.high)
 
 
-def policy_onnx(actor: TensorDictModuleBase, terms: dict[str, Any]) -> bytes:
-    """The file of a policy with this contract: no path and no date is in it, so that the same policy is the same file.
+def policy_onnx(actor: TensorDictModuleBase, size: int, low: Sequence[float], high: Sequence[float]) -> bytes:
+    """Return the file of a policy: no path and no date is in it, so that the same policy is the same file.
+
+    The file names the oldest opset and IR version that define its operators, so that old versions of ONNX Runtime open
+    it.
+
+    Args:
+        actor: the policy.
+        size: numbers in a state.
+        low: the lower limits of an action.
+        high: its upper limits.
 
     Raises:
         UavrlError: where the extra ``export`` is not installed, PyTorch cannot export the policy's network, or the
@@ -53,8 +63,8 @@ def policy_onnx(actor: TensorDictModuleBase, terms: dict[str, Any]) -> bytes:
             f"{LEFT_OUT}, which lets the policy act without PyTorch: it needs {error.name}. To have it, pip install "
             f"'uavrl[export]' and export again to another folder."
         ) from error
-    acts = _MeanAction(actor, terms["action"]["low"], terms["action"]["high"])
-    states = torch.randn(TRIED, terms["state"]["size"], generator=torch.Generator().manual_seed(0), dtype=torch.float32)
+    acts = _MeanAction(actor, low, high)
+    states = torch.randn(TRIED, size, generator=torch.Generator().manual_seed(0), dtype=torch.float32)
     training = {module: module.training for module in acts.modules()}
     acts.eval()
     try:
@@ -91,7 +101,43 @@ def _exported(acts: nn.Module, states: Tensor) -> bytes:
     )
     assert program is not None, "no file was named"
     ClearMetadataAndDocStringPass()(program.model)  # where the code lay that was traced
-    return program.model_proto.SerializeToString(deterministic=True)
+    return _for_old_runtimes(program.model_proto).SerializeToString(deterministic=True)
+
+
+def _for_old_runtimes(model: Any) -> Any:
+    """Name the oldest opset and IR version that hold a model, and leave out metadata that older ones do not know.
+
+    An operator is the same in all opsets from the one that last changed it to the next one that does.
+    """
+    import onnx
+
+    for values in (model.graph.input, model.graph.output, model.graph.value_info, model.graph.initializer):
+        for value in values:
+            value.ClearField("metadata_props")
+    (opset,) = (each for each in model.opset_import if each.domain == "")
+    nodes = list(_nodes(model.graph))
+    if not model.functions and all(node.domain == "" for node in nodes):
+        opset.version = max(onnx.defs.get_schema(node.op_type, opset.version).since_version for node in nodes)
+    oldest = onnx.helper.find_min_ir_version_for([opset], ignore_unknown=True)
+    model.ir_version = max(oldest, FUNCTIONS) if model.functions else oldest
+    onnx.checker.check_model(model, full_check=True)
+    return model
+
+
+def _nodes(graph: Any) -> Iterator[Any]:
+    """Return the operators of a graph and of the graphs in it."""
+    for node in graph.node:
+        yield node
+        for attribute in node.attribute:
+            for inner in (attribute.g, *attribute.graphs):
+                yield from _nodes(inner)
+
+
+def opset_of(content: bytes) -> int:
+    """Return the version of ONNX's operators that a file asks for."""
+    import onnx
+
+    return next(int(each.version) for each in onnx.load_from_string(content).opset_import if each.domain == "")
 
 
 def _acted(content: bytes, states: Tensor) -> np.ndarray:

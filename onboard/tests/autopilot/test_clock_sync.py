@@ -6,8 +6,8 @@ import logging
 from collections.abc import Iterable
 
 import pytest
-
 from tests.helpers.autopilot_peer import Peer
+
 from uavrl_onboard.autopilot.clock_sync import SenderClock
 from uavrl_onboard.ros2.dds import Arrived
 from uavrl_onboard.ros2.vehicle import Stamps

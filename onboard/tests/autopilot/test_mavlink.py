@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import builtins
 import math
 import random
-from typing import Any
+import sys
 
 import pytest
-
 from tests.helpers.autopilot_peer import ARDUPILOT, GUIDED, LOITER, OFFBOARD, POSCTL, PX4, Peer, garbage
+
 from uavrl_onboard.autopilot.frames import to_goal
 from uavrl_onboard.autopilot.mavlink import Autopilot
 from uavrl_onboard.autopilot.vehicle_state import Control
@@ -369,13 +368,6 @@ def test_a_port_that_is_taken_is_named() -> None:
 
 
 def test_without_pymavlink_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    imported = builtins.__import__
-
-    def missing(name: str, *arguments: Any, **more: Any) -> Any:
-        if name.startswith("pymavlink"):
-            raise ModuleNotFoundError(name)
-        return imported(name, *arguments, **more)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(UavrlError, match=r"pip install 'uavrl\[deploy\]'"):
+    monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20.common", None)
+    with pytest.raises(UavrlError, match=r"pymavlink: pip install 'uavrl-onboard\[mavlink\]'"):
         Autopilot()

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common
-
 from tests.helpers.autopilot_peer import ARDUPILOT, OFFBOARD, POSCTL, PX4, Peer
+
 from uavrl_onboard.autopilot.signing import read_key
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError

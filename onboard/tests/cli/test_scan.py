@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tests.deploy.test_senders import capture
 from tests.helpers.captures import KINDS
 from tests.helpers.commands import in_process
@@ -17,6 +16,7 @@ from tests.helpers.flights import unpack
 from tests.helpers.packets import RECORDED, turns
 from tests.helpers.pages import Page
 from tests.helpers.recordings import CLOUD, cloud_message, store, write_bag
+
 from uavrl_onboard.cli import scan
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import ScanSource, read_bare

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from tests.helpers.ports import free_ports
+
 from uavrl_onboard.autopilot.dry_run import DryRun
 from uavrl_onboard.autopilot.frames import Pose, Vector
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import gzip
 import pickle
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tests.helpers.captures import KINDS, PACKETS, captured, recorded
-from uavrl_onboard import libraries
+
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.sources import ScanSource
 
@@ -84,10 +84,7 @@ def test_what_a_file_says_of_its_types_is_never_compiled(tmp_path: Path, monkeyp
 
 
 def test_without_rosbags_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        raise ImportError(name)
-
     path = recorded("db3")(tmp_path)
-    monkeypatch.setattr(libraries, "import_module", missing)
-    with pytest.raises(UavrlError, match="pip install rosbags"):
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    with pytest.raises(UavrlError, match=r"^A recording of ROS needs rosbags: pip install 'uavrl-onboard\[lidar\]'\.$"):
         ScanSource(path, "VLP16")

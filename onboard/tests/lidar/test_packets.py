@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-
 from tests.helpers.lidar_scans import same_after, tilted_scans
+
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.packets import PACKET, PacketStream, decode_vlp16, encode_scan
 from uavrl_onboard.lidar.scans import ScanAssembler, make_decoder

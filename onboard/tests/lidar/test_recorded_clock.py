@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tests.helpers.captures import PACKETS
 from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, store, write_bag
+
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.lidar.summary import ScanSummary
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-
 from tests.helpers.packets import RECORDED
+
 from uavrl_onboard.geometry import is_return
 from uavrl_onboard.lidar.packets import PACKET, STRONGEST, decode_vlp16
 from uavrl_onboard.lidar.scans import make_decoder

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import tracemalloc
 
 import numpy as np
 import pytest
-
 from tests.helpers.packets import turns
+
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.lidar import scans
 from uavrl_onboard.lidar.packets import PACKET, PRODUCTS, encode_scan
 from uavrl_onboard.lidar.scans import Scan, ScanAssembler
 from uavrl_onboard.lidar.vlp16 import firing_directions
@@ -161,17 +161,17 @@ def test_a_last_turn_that_lacks_less_than_a_packet_counts() -> None:
 
 
 def test_without_the_library_single_returns_are_read_and_dual_ones_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        raise ImportError(name)
-
     with_library, _ = pushed(turns(2))
-    monkeypatch.setattr(scans, "import_module", missing)
+    monkeypatch.setitem(sys.modules, "velodyne_decoder", None)
     found, _ = pushed(turns(2))
     assert len(found) == len(with_library)
     np.testing.assert_allclose(found[0].points, with_library[0].points, atol=3 * np.radians(0.0125))
     _, assembler = pushed([packet[:-2] + b"\x39\x22" for packet in turns(2)])
-    assert assembler.skipped.dual == 152 and "pip install it" in assembler.trouble()
-    with pytest.raises(UavrlError, match="Packets of a HDL32E need velodyne-decoder"):
+    assert assembler.skipped.dual == 152 and "pip install 'uavrl-onboard[lidar]'" in assembler.trouble()
+    with pytest.raises(
+        UavrlError,
+        match=r"Decoding the packets of a HDL32E needs velodyne-decoder: pip install 'uavrl-onboard\[lidar\]'",
+    ):
         ScanAssembler("HDL32E")
 
 

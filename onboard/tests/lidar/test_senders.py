@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tests.helpers.ports import free_ports
+
 from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.pcap import read_datagrams, write_pcap

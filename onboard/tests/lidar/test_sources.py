@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import struct
 import sys
 import threading
 import time
@@ -12,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from tests.helpers.captures import KINDS, PACKETS, TIMES, captured
 from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, store, write_bag
+
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.geometry import is_return
 from uavrl_onboard.lidar import bags, sources
-from uavrl_onboard.lidar.pcap import read_pcap, udp_content
+from uavrl_onboard.lidar.pcap import read_pcap
 from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.udp import address, read_udp
 
@@ -81,31 +80,6 @@ def test_a_cloud_whose_fields_do_not_fit_its_data_is_counted(change: dict[str, A
     path = write_bag(tmp_path / "a", "db3", {"/a": (CLOUD, [message, cloud_message(store(), POINTS)])})
     source = ScanSource(path)
     assert len(list(source)) == 1 and source.skipped.malformed == 1
-
-
-def test_a_packet_s_way_through_other_headers_is_found() -> None:
-    ip = bytes([0x45, 0, 0, 33, 0, 0, 0x40, 0, 64, 17, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8]) + struct.pack(
-        ">HHHH", 1, 2, 13, 0
-    )
-    ip += b"hello"
-    ethernet = bytes(12) + b"\x08\x00" + ip + b"padding"
-    for frame, link in (
-        (ethernet, 1),
-        (bytes(12) + b"\x81\0\0\7" + ethernet[12:], 1),
-        (ip, 101),
-        (bytes(16) + ip, 113),
-    ):
-        assert udp_content(frame, link) == b"hello"
-    first_fragment = ethernet[:20] + b"\x20\0" + ethernet[22:]
-    for frame, link in (
-        (first_fragment, 1),
-        (ethernet[:40], 1),
-        (b"", 1),
-        (ethernet, 99),
-        (bytes(60), 1),
-        (ip[:9], 101),
-    ):
-        assert udp_content(frame, link) is None
 
 
 def test_a_sensor_is_heard_by_udp() -> None:

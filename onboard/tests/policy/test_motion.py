@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
+from tests.helpers.commands import VALLEY
+from tests.helpers.exported import edit_contract, exported, refusal
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from tests.helpers.commands import VALLEY
-from tests.helpers.exported import edit_contract, exported, refusal
 from uavrl.config import validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env

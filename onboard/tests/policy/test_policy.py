@@ -16,11 +16,11 @@ import torch
 from onnx import TensorProto, helper
 from safetensors.torch import load_file
 from tensordict import TensorDict, TensorDictBase
+from tests.helpers.exported import edit_contract, exported, put_network
+from tests.helpers.recorded import READ, SCANNED, SCANS, RecordedScans
 from torchrl.envs import InitTracker, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from tests.helpers.exported import edit_contract, exported, put_network
-from tests.helpers.recorded import READ, SCANNED, SCANS, RecordedScans
 from uavrl.config import validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import build
@@ -230,6 +230,11 @@ DAMAGES: dict[str, tuple[Callable[[Path], Any], str]] = {
     "turned cells": (changed("cells", "directions", 0, to=[0.0, 1.0, 0.0]), "cells are not those of range_image"),
     "another radius": (changed("cells", "radius", to=5.0), "is not that of a radius of 5 m"),
     "no radius": (changed("cells", "radius", to=-4.0), "cells.radius: Input should be greater than 0.05"),
+    "other middles": (changed("cells", "offsets", 0, to=3.0), "cells.offsets is not that of a radius of 4 m"),
+    "no grid": (
+        lambda folder: edit_contract(folder, lambda terms: terms["cells"].pop("columns")),
+        "cells are not those",
+    ),
     "another miss": (changed("cloud", "squared_range", to=[0.0, 16.0]), "is not that of a radius of 4 m"),
     "another width": (changed("state", "size", to=236), "state.size is not state.frames times"),
     "wide entry": (changed("observation", 1, "size", to=2), "observation has other quantities or scales"),
@@ -288,7 +293,7 @@ def test_a_folder_that_cannot_be_flown_is_refused_in_a_sentence(name: str, folde
 
 def test_one_without_onnx_runtime_says_what_to_install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(UavrlError, match=r"needs onnxruntime: pip install 'uavrl\[deploy\]'"):
+    with pytest.raises(UavrlError, match=r"needs onnxruntime: pip install 'uavrl-onboard\[onnx\]'"):
         Policy(folder)
 
 

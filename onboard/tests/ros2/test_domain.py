@@ -6,8 +6,8 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-
 from tests.helpers.ros2_peer import LOOPBACK, until
+
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.ros_messages import TWIST
 from uavrl_onboard.ros2.dds import Node, idl_type

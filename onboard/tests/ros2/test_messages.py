@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
 from tests.helpers.ros2_peer import same
+
 from uavrl_onboard.lidar.ros_messages import CLOUD, DEFINITIONS, PX4_CONTROL_MODE, PX4_SETPOINT
 from uavrl_onboard.ros2.dds import idl_type
 from uavrl_onboard.ros2.vehicle import twist_of

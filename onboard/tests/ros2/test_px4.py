@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, px4_mode, px4_odometry, until
+
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.lidar.ros_messages import PX4_CONTROL_MODE, PX4_ODOMETRY, PX4_OFFBOARD, PX4_SETPOINT

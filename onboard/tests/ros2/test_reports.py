@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from tests.helpers.logged import GOAL, contract, cycles
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, until
+
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.flight.limits import SafetyLimits

@@ -12,8 +12,8 @@ from contextlib import closing
 import numpy as np
 import pybullet
 import pytest
-
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, cloud, odometry, same, until
+
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError
@@ -101,7 +101,7 @@ def test_an_address_names_a_domain_and_a_topic(monkeypatch: pytest.MonkeyPatch) 
 
 def test_without_cyclonedds_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cyclonedds.core", None)
-    with pytest.raises(UavrlError, match=r"pip install 'uavrl\[ros2\]'"):
+    with pytest.raises(UavrlError, match=r"cyclonedds: pip install 'uavrl-onboard\[ros2\]', or build it"):
         Ros2Scans()
 
 

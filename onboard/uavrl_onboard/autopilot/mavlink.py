@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from types import ModuleType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from uavrl_onboard.autopilot.frames import Pose, to_command
 from uavrl_onboard.autopilot.signing import INVALID, keep_time, read_key, start_signing
 from uavrl_onboard.autopilot.vehicle_state import Control, Vehicle, VehicleStatus
-from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.udp import listen
 
 _logger = logging.getLogger(__name__)
@@ -39,10 +39,7 @@ _CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 def mavlink() -> ModuleType:
     """The messages of pymavlink that PX4 and ArduPilot have in common."""
-    try:
-        from pymavlink.dialects.v20 import common
-    except ImportError as error:
-        raise UavrlError("An autopilot is spoken to by pymavlink: pip install 'uavrl[deploy]'.") from error
+    common: ModuleType = needed("pymavlink.dialects.v20.common", "The link to an autopilot", "mavlink")
     return common
 
 
@@ -89,7 +86,7 @@ class Autopilot:
         self._due = dict.fromkeys(("heartbeat", "pose", "mode", "arm"), float("-inf"))
         self._stream: tuple[float, float] | None = None  # of its first and its latest set-point
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> Autopilot:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 from uavrl_onboard.autopilot.clock_sync import SenderClock
@@ -11,6 +10,7 @@ from uavrl_onboard.autopilot.firmware import FIRMWARES, MULTIROTORS, Firmware
 from uavrl_onboard.autopilot.frames import Pose, Vector, swap_attitude, swap_world
 from uavrl_onboard.autopilot.roster import Roster, Source
 from uavrl_onboard.autopilot.signing import is_signed
+from uavrl_onboard.enums import StrEnum
 
 HEARTBEAT_TIMEOUT = 3.0  # s; heartbeats come once a second
 _RESTART = 10_000  # ms by which an autopilot's clock goes back when it has restarted, and not for a late message

@@ -151,15 +151,14 @@ def _metres(summary: ScanSummary) -> str:
 
 
 def _draw(summary: ScanSummary, settings: ScanConfig, output: Path) -> bool:
-    """Writes the page; where plotly or SciPy is not installed, says so."""
+    """Write the page; say so if plotly is not installed."""
     try:
         from uavrl_onboard.pages.scan_page import write_scan_page
 
         statistic = settings.statistic or STATISTICS[settings.reduction]
         write_scan_page(summary, str(settings.source), settings.reduction, statistic, settings.radius, output)
-    except (ImportError, UavrlError) as error:
-        missing = f"it needs {error.name}" if isinstance(error, ImportError) else str(error)
-        print(f"uavrl: No page was drawn: {missing} (output=null asks for none).", file=sys.stderr)
+    except UavrlError as error:
+        print(f"uavrl: No page was drawn: {error} (output=null asks for none.)", file=sys.stderr)
         return False
     return True
 

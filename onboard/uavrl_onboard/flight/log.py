@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from queue import Empty, Full, Queue
 from threading import Thread
@@ -74,7 +74,7 @@ class FlightLog:
         about: dict[str, str] | None = None,
     ) -> None:
         sensor = sensor_position or contract.cloud.sensor_position
-        writer = needed("mcap.writer", "A flight's log")
+        writer = needed("mcap.writer", "A flight log", "log")
         clock = clock or (time.monotonic if live else time.time)
         offset = time.time_ns() - round(clock() * 1e9)
         self.messages = FlightMessages(offset, goal, sensor)
@@ -95,7 +95,7 @@ class FlightLog:
         self._writer = writer.Writer(self._file, _CHUNK, writer.CompressionType.ZSTD)
         facts = {
             "format": FORMAT,
-            "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "started": datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
             "clock_offset_ns": str(offset),
             "goal": json.dumps([float(number) for number in goal]),
             "radius": json.dumps(float(radius)),
@@ -173,7 +173,7 @@ class FlightLog:
         self._writer.start(profile="ros2")
         self._writer.add_metadata(ABOUT, facts)
         now = time.time_ns()
-        text = contract.model_dump_json(indent=2)
+        text = contract.to_text()
         self._writer.add_attachment(now, now, CONTRACT, "application/json", text.encode())
         schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}

@@ -53,7 +53,7 @@ class FlightMessages:
     """
 
     def __init__(self, offset: int, goal: Sequence[float], sensor_position: Sequence[float]) -> None:
-        types = needed("rosbags.typesys", "A flight's log")
+        types = needed("rosbags.typesys", "A flight log", "log")
         self._offset, self._goal, self._sensor = offset, tuple(goal), tuple(sensor_position)
         self._store = types.get_typestore(types.Stores.ROS2_HUMBLE)
         field = self._type("sensor_msgs/msg/PointField")

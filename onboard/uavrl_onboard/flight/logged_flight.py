@@ -16,7 +16,8 @@ from uavrl_onboard.flight.log import ABOUT, END, FORMAT
 from uavrl_onboard.flight.log_messages import STATUS, TOPICS, FlightMessages
 from uavrl_onboard.flight.safety import SafetyStatus
 from uavrl_onboard.lidar.mcap_file import MAGIC, McapFile
-from uavrl_onboard.policy.contract import CONTRACT, LARGEST, Contract, Three
+from uavrl_onboard.policy.contract import CONTRACT, LARGEST, Contract
+from uavrl_onboard.policy.contract_parts import Three
 from uavrl_onboard.ranges import Positive
 
 FARTHEST = 1e6  # m
@@ -46,7 +47,7 @@ class LoggedFlight:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self._file = path, McapFile(path)
+        self.path, self._file = path, McapFile(path, "log")
         self.left_out, self.whole = 0, False
         try:
             with path.open("rb") as file:

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from uavrl_onboard.enums import StrEnum
 from uavrl_onboard.flight.limits import SafetyLimits, distance_outside, limit
 from uavrl_onboard.vehicle import VEHICLE
 

@@ -202,7 +202,7 @@ def _messages(path: Path, topic: str, skipped: Skipped) -> Iterator[tuple[float,
 
 
 def _rosbags(module: str) -> Any:
-    return needed(f"rosbags.{module}", "A recording of ROS")
+    return needed(f"rosbags.{module}", "A recording of ROS", "lidar")
 
 
 @contextmanager

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.files import RecordFile
 from uavrl_onboard.libraries import needed
 
 WHAT = "A recording in MCAP"
@@ -25,60 +26,52 @@ class Channel(NamedTuple):
 
 
 class McapFile:
-    """Reads the records of a file in their order; what is damaged or not there any more ends it.
+    """Reads the records of a file in their order, and ends where the file is damaged or cut off.
 
     Args:
         path: the file.
+        extra: of `uavrl-onboard`, which installs the library.
 
     Attributes:
-        whole: whether the last reading came to the file's own end.
+        whole: whether the last reading reached the file's own end.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, extra: str = "lidar") -> None:
         self.path, self.whole = path, False
-        self._kinds = needed("mcap.records", WHAT)
-        self._opcodes = needed("mcap.opcode", WHAT).Opcode
+        self._kinds = needed("mcap.records", WHAT, extra)
+        self._reader = needed("mcap.stream_reader", WHAT, extra).StreamReader
 
     def records(self) -> Iterator[Any]:
-        """The library's records, those in chunks, too: schemas, channels, messages, metadata and attachments."""
+        """Yield the library's records, also those in chunks: schemas, channels, messages, metadata, attachments."""
         self.whole = False
         with self.path.open("rb") as file:
-            if file.read(len(MAGIC)) == MAGIC:
-                try:
-                    yield from self._records(file)
-                except UavrlError:
-                    raise
-                except Exception:  # what the library and its decompressors meet in damaged bytes is of many kinds
-                    return
-
-    def _records(self, file: BinaryIO, *, in_chunk: bool = False) -> Iterator[Any]:
-        codes, kinds = self._opcodes, self._kinds
-        read = {
-            codes.SCHEMA: kinds.Schema.read,
-            codes.CHANNEL: kinds.Channel.read,
-            codes.METADATA: kinds.Metadata.read,
-            codes.ATTACHMENT: kinds.Attachment.read,
-        }
-        stream = needed("mcap.data_stream", WHAT).ReadDataStream
-        while head := file.read(9):
-            opcode, length = struct.unpack("<BQ", head)
-            if length > LARGEST:
-                raise ValueError(f"a record of {length} bytes")
-            body = file.read(length)
-            if len(body) < length:
-                raise EOFError
-            if opcode == codes.MESSAGE:
-                yield kinds.Message.read(stream(BytesIO(body)), length)
-            elif opcode == codes.CHUNK:
-                if in_chunk:  # a few kilobytes could unpack to more than any memory holds
-                    raise ValueError("a chunk in a chunk")
-                content = unpacked(kinds.Chunk.read(stream(BytesIO(body))))
-                yield from self._records(BytesIO(content), in_chunk=True)
-            elif opcode == codes.DATA_END:
-                self.whole = True
+            try:
+                for record in self._records(file):
+                    if isinstance(record, self._kinds.DataEnd):
+                        self.whole = True
+                        return
+                    if isinstance(record, self._kinds.Chunk):
+                        yield from self._records_in(record)
+                    else:
+                        yield record
+            except UavrlError:
+                raise
+            except Exception:  # the library and its decompressors meet errors of many kinds in damaged bytes
                 return
-            elif opcode in read:
-                yield read[opcode](stream(BytesIO(body)))
+
+    def _records(self, file: BinaryIO, **options: bool) -> Iterator[Any]:
+        """Yield the records of a file, chunks as they are: the library unpacks them to any size."""
+        bounded = RecordFile(file, LARGEST)
+        for record in self._reader(bounded, emit_chunks=True, record_size_limit=LARGEST, **options).records:
+            bounded.next_record()
+            yield record
+
+    def _records_in(self, chunk: Any) -> Iterator[Any]:
+        with suppress(EOFError):  # the library reads on to a footer, which a chunk does not have
+            for record in self._records(BytesIO(unpacked(chunk)), skip_magic=True):
+                if isinstance(record, self._kinds.Chunk):  # a few kilobytes could unpack to more than any memory holds
+                    raise ValueError("a chunk in a chunk")
+                yield record
 
     # What `uavrl_onboard.lidar.bags` asks of a reader.
 
@@ -111,15 +104,18 @@ class McapFile:
 
 
 def unpacked(chunk: Any) -> bytes:
-    """What is in a chunk, and no more of it than the chunk says."""
+    """Return the content of a chunk, and no more of it than the chunk says.
+
+    The library's own function unpacks as much as the compressed data holds, which may be more than any memory.
+    """
     size = chunk.uncompressed_size
     if size > LARGEST:
         raise ValueError(f"a chunk of {size} bytes")
     if chunk.compression == "zstd":
-        decompressor = needed("zstandard", WHAT).ZstdDecompressor()
+        decompressor = needed("zstandard", WHAT, "lidar").ZstdDecompressor()
         data: bytes = decompressor.stream_reader(chunk.data).read(size)
     elif chunk.compression == "lz4":
-        data = needed("lz4.frame", WHAT).LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
+        data = needed("lz4.frame", WHAT, "lidar").LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
     else:
         data = chunk.data
     if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):

@@ -1,130 +1,168 @@
-"""Captures of network traffic, as tcpdump and Wireshark write them: what UDP carried, read and written."""
+"""Captures of network traffic, as tcpdump and Wireshark write them, read and written by `dpkt`."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator
+from functools import cache
 from ipaddress import ip_address
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, NamedTuple
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.files import replacing
+from uavrl_onboard.files import RecordFile, replacing
+from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.packets import PORT
 
-PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6)}  # byte order and unit of time
-PCAP |= {b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9)}
+PCAP = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d")  # how a file begins
 PCAPNG = b"\x0a\x0d\x0d\x0a"
 MOST_BYTES = 2**18  # of a captured packet, as tcpdump has it
 
-_ETHERNET, _IPV4, _UDP = 1, 0x0800, 17
-_LINK_HEADERS = {0: 4, _ETHERNET: 14, 12: 0, 101: 0, 113: 16, 228: 0, 229: 0, 276: 20}  # bytes before IP begins
-_VLANS = (0x8100, 0x88A8)
+_PACKET_HEADER = 32  # bytes at most, of a captured packet in the file
+_ORDERS = {b"\x1a\x2b\x3c\x4d": ">", b"\x4d\x3c\x2b\x1a": "<"}  # of a section of pcapng
+_INTERFACE, _PACKET = 1, 6  # kinds of its blocks
+_RESOLUTION, _OFFSET = 9, 14  # options of an interface about its time stamps
+_IP_LINKS = (12, 101, 228, 229)  # whose frames begin with IP
+_LINKS = {0: "loopback.Loopback", 1: "ethernet.Ethernet", 108: "loopback.Loopback", 113: "sll.SLL", 276: "sll2.SLL2"}
+
+
+@cache
+def _dpkt(name: str) -> Any:
+    """Return a class of `dpkt` by its name, such as ``"ip.IP"``."""
+    module, _, kind = name.partition(".")
+    return getattr(needed(f"dpkt.{module}", "A capture of network traffic", "lidar"), kind)
 
 
 def read_pcap(path: Path) -> Iterator[tuple[float, bytes]]:
-    """The time in seconds and the content of each UDP packet of a capture, as of `read_datagrams`."""
+    """Yield the time in seconds and the content of each UDP packet of a capture, as of :func:`read_datagrams`."""
     for stamp, content, _ in read_datagrams(path):
         yield stamp, content
 
 
 def read_datagrams(path: Path) -> Iterator[tuple[float, bytes, str]]:
-    """The time in seconds, the content and the sender of each UDP packet of a capture (pcap or pcapng).
+    """Yield the time in seconds, the content and the sender of each UDP packet of a capture.
 
-    They come one at a time. What is no whole UDP packet is left out. A capture that ends in the middle of a packet ends
-    before it. A sender is ``ADDRESS:PORT``.
+    Captures are pcap or pcapng; packets come one at a time.
+
+    Everything but whole UDP packets is left out. A capture that ends in the middle of a packet, or is damaged there,
+    ends before it. A sender is ``ADDRESS:PORT``.
+
+    Raises:
+        UavrlError: for a file that is no capture, and if `dpkt` is not installed.
     """
+    damage = (EOFError, ValueError, LookupError, struct.error, _dpkt("dpkt.Error"))
     with path.open("rb") as file:
         magic = file.read(4)
-        if magic == PCAPNG:
-            frames = _pcapng_frames(file)
-        elif magic in PCAP:
-            frames = _pcap_frames(file, *PCAP[magic])
-        else:
+        if magic != PCAPNG and magic not in PCAP:
             raise UavrlError(f"{path} is no capture of network traffic: give a pcap or pcapng file.")
-        for stamp, link, frame in frames:
+        file.seek(0)
+        read = _pcapng_frames if magic == PCAPNG else _pcap_frames
+        frames = read(RecordFile(file, MOST_BYTES + _PACKET_HEADER))
+        while True:
+            try:
+                stamp, link, frame = next(frames)
+            except (StopIteration, *damage):
+                return
             datagram = udp_datagram(frame, link)
             if datagram is not None:
                 yield stamp, *datagram
 
 
-def _pcap_frames(file: BinaryIO, order: str, unit: float) -> Iterator[tuple[float, int, bytes]]:
-    header = file.read(20)
-    if len(header) < 20:
-        return
-    link = struct.unpack(order + "HHiIII", header)[-1] & 0xFFFF
-    while len(head := file.read(16)) == 16:
-        seconds, fraction, length, _ = struct.unpack(order + "IIII", head)
-        if length > MOST_BYTES:
-            return
-        frame = file.read(length)
-        if len(frame) < length:
-            return
-        yield seconds + fraction * unit, link, frame
+def _pcap_frames(file: RecordFile) -> Iterator[tuple[float, int, bytes]]:
+    reader = _dpkt("pcap.Reader")(file)
+    link = reader.datalink() & 0xFFFF  # above it are flags
+    file.next_record()
+    for stamp, frame in reader:
+        file.next_record()
+        yield float(stamp), link, frame
 
 
-def _pcapng_frames(file: BinaryIO) -> Iterator[tuple[float, int, bytes]]:
-    order, interfaces = "<", list[tuple[int, float]]()
-    file.seek(0)
-    while len(head := file.read(8)) == 8:
+class _Interface(NamedTuple):
+    link: int
+    unit: float  # of its time stamps, s
+    offset: int  # s that are added to them
+
+
+def _pcapng_frames(file: RecordFile) -> Iterator[tuple[float, int, bytes]]:
+    """Yield the frames of all sections and interfaces.
+
+    `dpkt.pcapng` takes all packets for those of the first interface, and its time grows with the square of a block's
+    options: a file of 1 MB keeps it busy for ten seconds.
+    """
+    order, interfaces = "<", list[_Interface]()
+    while True:
+        file.next_record()
+        head = file.read(8)
         if head[:4] == PCAPNG:  # a section, which says its byte order after its length
-            magic = file.read(4)
-            order, interfaces = ("<" if magic == b"\x4d\x3c\x2b\x1a" else ">"), []
-            kind, length, read = 0, struct.unpack(order + "I", head[4:])[0], 12
-        else:
-            (kind, length), read = struct.unpack(order + "II", head), 8
-        if not 12 <= length <= MOST_BYTES or len(body := file.read(length - read)) < length - read:
-            return
-        if kind == 1 and len(body) >= 8:
-            interfaces.append((struct.unpack(order + "H", body[:2])[0], _time_unit(body[8:-4], order)))
-        elif kind == 6 and len(body) >= 20:
+            head += file.read(4)
+            order, interfaces = _ORDERS[head[8:]], []
+        kind, length = struct.unpack(order + "II", head[:8])
+        body = file.read(length - len(head))
+        if kind == _INTERFACE and len(body) >= 8:
+            interfaces.append(_interface(body, order))
+        elif kind == _PACKET and len(body) >= 20:
             number, high, low, captured, _ = struct.unpack(order + "IIIII", body[:20])
             if number < len(interfaces) and captured <= len(body) - 20:
-                link, unit = interfaces[number]
-                yield (high * 2**32 + low) * unit, link, body[20 : 20 + captured]
+                link, unit, offset = interfaces[number]
+                yield offset + (high * 2**32 + low) * unit, link, body[20 : 20 + captured]
 
 
-def _time_unit(options: bytes, order: str) -> float:
-    """Of an interface's time stamps in seconds; a microsecond unless it says something else."""
-    while len(options) >= 4:
-        code, length = struct.unpack(order + "HH", options[:4])
-        if code == 9 and length == 1 and len(options) > 4:
-            return 2.0 ** -(options[4] & 127) if options[4] & 128 else 10.0 ** -options[4]
-        options = options[4 + -(-length // 4) * 4 :]
-    return 1e-6
+def _interface(body: bytes, order: str) -> _Interface:
+    """Return an interface of a section; its time stamps are in microseconds unless an option says otherwise."""
+    unit, offset, at = 1e-6, 0, 8
+    while at + 4 <= len(body):
+        code, length = struct.unpack_from(order + "HH", body, at)
+        value = body[at + 4 : at + 4 + length]
+        if code == _RESOLUTION and length == len(value) == 1:
+            exponent = value[0] & 127
+            unit = 2.0**-exponent if value[0] & 128 else 10.0**-exponent
+        elif code == _OFFSET and length == len(value) == 8:
+            (offset,) = struct.unpack(order + "q", value)
+        at += 4 + -(-length // 4) * 4
+    return _Interface(struct.unpack(order + "H", body[:2])[0], unit, offset)
 
 
 def udp_content(frame: bytes, link: int) -> bytes | None:
-    """What the UDP packet in a captured frame carries; None where there is no whole one."""
+    """Return what the UDP packet in a captured frame carries, as :func:`udp_datagram`."""
     datagram = udp_datagram(frame, link)
     return None if datagram is None else datagram[0]
 
 
 def udp_datagram(frame: bytes, link: int) -> tuple[bytes, str] | None:
-    """What the UDP packet in a captured frame carries, and its sender; None where there is no whole one."""
-    start = _LINK_HEADERS.get(link)
-    if start is None or len(frame) < start + 20:
-        return None
-    if link == _ETHERNET:
-        while int.from_bytes(frame[start - 2 : start], "big") in _VLANS:
-            start += 4
-    version = frame[start] >> 4 if len(frame) > start else 0
-    if version == 4 and frame[start + 9 : start + 10] == bytes([_UDP]):
-        fragment = int.from_bytes(frame[start + 6 : start + 8], "big") & 0x3FFF
-        udp, source = start + 4 * (frame[start] & 15), frame[start + 12 : start + 16]
-    elif version == 6 and frame[start + 6 : start + 7] == bytes([_UDP]):
-        fragment, udp, source = 0, start + 40, frame[start + 8 : start + 24]
+    """Return what the UDP packet in a captured frame carries, and its sender; None unless there is a whole one.
+
+    Args:
+        frame: the captured bytes.
+        link: the type of the link, by https://www.tcpdump.org/linktypes.html: Ethernet with or without VLAN, raw IP,
+            Linux cooked (1 and 2) and loopback are known.
+    """
+    if link in _IP_LINKS:
+        layer = _parsed("ip6.IP6" if frame[:1] >= b"\x60" else "ip.IP", frame)
     else:
+        layer = _parsed(_LINKS[link], frame) if link in _LINKS else None
+    while layer is not None and not isinstance(layer, _dpkt("ip.IP") | _dpkt("ip6.IP6")):
+        layer = getattr(layer, "data", None)  # of bytes: None
+    udp = getattr(layer, "data", None)
+    if not isinstance(udp, _dpkt("udp.UDP")) or getattr(layer, "mf", False):  # more fragments follow
         return None
-    length = int.from_bytes(frame[udp + 4 : udp + 6], "big")
-    content = frame[udp + 8 : udp + length]
-    if fragment or length < 8 or len(content) != length - 8:
+    content = bytes(udp.data[: max(udp.ulen - 8, 0)])
+    if layer is None or len(content) != udp.ulen - 8:
         return None
-    return content, f"{ip_address(source)}:{int.from_bytes(frame[udp : udp + 2], 'big')}"
+    return content, f"{ip_address(bytes(layer.src))}:{udp.sport}"
+
+
+def _parsed(name: str, data: bytes) -> Any:
+    """Return what a class of `dpkt` reads; None for damaged data, which meets errors of many kinds in its parsers."""
+    try:
+        return _dpkt(name)(data)
+    except UavrlError:
+        raise
+    except Exception:
+        return None
 
 
 def write_pcap(path: Path, packets: Iterable[tuple[float, bytes]], port: int = PORT) -> None:
-    """Writes packets, each with its time in seconds, as a capture of UDP from a sensor at 192.168.1.201.
+    """Write packets, each with its time in seconds, as a capture of UDP from a sensor at 192.168.1.201.
 
     Examples:
         >>> import tempfile
@@ -133,21 +171,10 @@ def write_pcap(path: Path, packets: Iterable[tuple[float, bytes]], port: int = P
         >>> list(read_pcap(file))
         [(1.5, b'hello')]
     """
+    ethernet, ip, udp = _dpkt("ethernet.Ethernet"), _dpkt("ip.IP"), _dpkt("udp.UDP")
     with replacing(path) as partial, partial.open("wb") as file:
-        file.write(struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, MOST_BYTES, _ETHERNET))
+        writer = _dpkt("pcap.Writer")(file, snaplen=MOST_BYTES, nano=True)
         for stamp, packet in packets:
-            udp = struct.pack(">HHHH", port, port, len(packet) + 8, 0)  # 0: no checksum
-            ip = struct.pack(">BBHHHBBH", 0x45, 0, len(packet) + 28, 0, 0x4000, 64, _UDP, 0)
-            ip += bytes([192, 168, 1, 201, 255, 255, 255, 255])
-            ip = ip[:10] + struct.pack(">H", _checksum(ip)) + ip[12:]
-            frame = b"\xff" * 6 + bytes([0x60, 0x76, 0x88, 0, 0, 0]) + struct.pack(">H", _IPV4) + ip + udp + packet
-            seconds, nanoseconds = divmod(round(stamp * 1e9), 10**9)
-            file.write(struct.pack("<IIII", seconds, nanoseconds, len(frame), len(frame)) + frame)
-
-
-def _checksum(header: bytes) -> int:
-    """The Internet checksum of a header whose own checksum is 0 (RFC 1071)."""
-    total = sum(struct.unpack(f">{len(header) // 2}H", header))
-    while total >> 16:
-        total = (total & 0xFFFF) + (total >> 16)
-    return ~total & 0xFFFF
+            sent = udp(sport=port, dport=port, ulen=len(packet) + 8, data=packet)
+            routed = ip(src=bytes([192, 168, 1, 201]), dst=b"\xff" * 4, p=17, data=sent)
+            writer.writepkt(ethernet(dst=b"\xff" * 6, src=bytes([0x60, 0x76, 0x88, 0, 0, 0]), data=routed), stamp)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
-from importlib import import_module
 from typing import Any, cast
 
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.geometry import NEAREST_RETURN
+from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.packets import (
     DUAL,
     FLAG,
@@ -86,13 +86,11 @@ def check_model(model: str | None) -> str:
 def make_decoder(model: str) -> Callable[[list[bytes]], np.ndarray]:
     """What makes points of packets: `velodyne-decoder`, or ours where it is not installed and the model is a VLP-16."""
     try:
-        velodyne = import_module("velodyne_decoder")
-    except ImportError as error:
+        velodyne = needed("velodyne_decoder", f"Decoding the packets of a {model}", "lidar")
+    except UavrlError:
         if model == "VLP16":
             return decode_vlp16
-        raise UavrlError(
-            f"Packets of a {model} need velodyne-decoder, which is not installed: pip install velodyne-decoder."
-        ) from error
+        raise
     kind = velodyne.Model[model]
     # The bundled calibration of a VLP-16 lets all beams leave one point, as in the simulator.
     calibration = velodyne.get_bundled_calibration("VLP-16.yml") if model == "VLP16" else None
@@ -245,6 +243,9 @@ class ScanAssembler:
                 f"them, or if it is this one for sure give product={min(self.products)}."
             )
         if skipped["dual"]:
-            return "its packets hold two returns per ray, which only velodyne-decoder reads: pip install it."
+            return (
+                "its packets hold two returns per ray, which only velodyne-decoder reads: "
+                "pip install 'uavrl-onboard[lidar]'."
+            )
         left_out = "; ".join(self.skipped.sentences()) or "too few packets for one turn"
         return f"it holds no full turn of a {self.model} ({left_out})."

@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.libraries import needed
 
 
 def needs_plotly() -> str:
     """Returns plotly's JavaScript, which goes into the page."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise UavrlError("A page needs plotly, which is not installed: pip install 'uavrl[report]'.") from error
-    return get_plotlyjs()
+    script: str = needed("plotly.offline", "A page", "pages").get_plotlyjs()
+    return script
 
 
 def pack(values: np.ndarray, scale: float | None = None) -> dict[str, Any]:

@@ -1,31 +1,41 @@
-"""``contract.json`` as it is read: one that is incomplete, contradicts itself or means other cells is refused.
+"""``contract.json``: what another program must know to give a policy its inputs and to fly its actions.
 
-`uavrl.export.export` writes it.
+One model does all three: `uavrl.export.export` makes it with :meth:`Contract.of` and writes it, :func:`read_contract`
+validates it, and :meth:`Contract.contradiction` compares it with what this version of uavrl would have made. Its parts
+are in :mod:`uavrl_onboard.policy.contract_parts`, its sentences in :mod:`uavrl_onboard.policy.explanations`.
 """
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import NEAREST_RETURN
-from uavrl_onboard.guards.map import navigator
-from uavrl_onboard.perception.cells import (
-    LARGEST_RADIUS,
-    TOUCHING,
-    VLP16_GRID,
-    RangeGrid,
-    Statistic,
-    return_bounds,
-)
-from uavrl_onboard.perception.motion import OBJECT, rays, threats
+from uavrl_onboard.perception.motion import OBJECT, threats
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.observation import Angles
-from uavrl_onboard.perception.reductions import Reduction, directions
+from uavrl_onboard.policy import explanations as says
+from uavrl_onboard.policy.contract_parts import (
+    ACTION,
+    ANGLES,
+    Action,
+    Cells,
+    Cloud,
+    Entry,
+    MemoryTerms,
+    MotionTerms,
+    Network,
+    Part,
+    Quantity,
+    Scale,
+    State,
+    alike,
+)
 from uavrl_onboard.vehicle import Vehicle
 
 CONTRACT, NETWORK = "contract.json", "policy.onnx"  # the files of an exported policy
@@ -34,190 +44,87 @@ LARGEST = 2**20  # bytes of the file; ours have ten thousand
 REMEDY = "export the policy again with uavrl-export"
 EXPORT = "write one by uavrl-export policy=best output=FOLDER, or with run=RUN_FOLDER, and give that folder"
 
-Three = tuple[float, float, float]
-Four = tuple[float, float, float, float]
-Divisor = float | list[float]
-Scale = tuple[float, float | None, Divisor, float]  # shift, modulo, divisor, offset
-Size = Annotated[int, Field(ge=1, le=10_000)]
-Above0 = Annotated[float, Field(gt=0)]
-Quantity = Literal["cells", "altitude", "heading", "waypoint", "elevation", "moving_objects", "threats", "last_action"]
-# shift, modulo, divisor, offset of an angle in degrees
-ANGLES: dict[str, Scale] = {
-    "folded": (180.0, 360.0, 180.0, -1.0),
-    "turns": (0.0, None, 360.0, 0.0),
-    "raw": (0.0, None, 1.0, 0.0),
-}
-ACTION = {"l_x": "m/s, forward", "l_y": "m/s, left", "l_z": "m/s, up", "a_z": "rad/s, counter-clockwise from above"}
 
-
-class _Part(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Cloud(_Part):
-    """Which points of a scan count."""
-
-    squared_range: tuple[float, float]
-    sensor_position: Three  #: of the sensor in body axes, m
-    blind: bool  #: whether the policy was trained with misses alone
-
-
-class Cells(_Part):
-    """What the reduction reports."""
-
-    reduction: Reduction
-    count: Size
-    radius: Annotated[float, Field(gt=NEAREST_RETURN, le=LARGEST_RADIUS)]
-    statistic: Statistic
-    directions: Annotated[list[Three], Field(max_length=10_000)]
-    interval: tuple[float, float]
-    columns: Size | None = None  #: of a range image, as the next three
-    rows: Size | None = None
-    elevation: tuple[float, float] = VLP16_GRID.elevation
-    row_borders: Annotated[list[float], Field(max_length=10_000)] | None = None
-
-    @property
-    def grid(self) -> RangeGrid:
-        """Where the cells of a range image are."""
-        if self.columns is None or self.rows is None or self.row_borders is None:
-            return VLP16_GRID
-        return RangeGrid(self.columns, self.rows, self.elevation, tuple(self.row_borders))
-
-    @property
-    def options(self) -> dict[str, RangeGrid]:
-        """What the reduction is told beside radius and statistic."""
-        return {"grid": self.grid} if self.reduction == "range_image" else {}
-
-    @model_validator(mode="after")
-    def _sound(self) -> Cells:
-        """Refuses a grid that is none."""
-        _ = self.grid
-        return self
-
-
-class Entry(_Part):
-    """One of the quantities in an observation, and how it is scaled."""
-
-    name: Quantity
-    size: Size
-    shift: float
-    modulo: Above0 | None
-    divisor: Above0 | Annotated[list[Above0], Field(max_length=10_000)]  #: a list has one for each number
-    offset: float
-
-    @property
-    def scale(self) -> Scale:
-        """All but what it is."""
-        return self.shift, self.modulo, self.divisor, self.offset
-
-    @property
-    def number(self) -> float:
-        """The divisor where it is one number; 1 otherwise."""
-        return 1.0 if isinstance(self.divisor, list) else self.divisor
-
-
-class State(_Part):
-    """How many observations the policy reads."""
-
-    frames: Annotated[int, Field(ge=1, le=1000)]
-    padding: Literal[0]
-    size: Annotated[int, Field(ge=1, le=1_000_000)]
-    dtype: Literal["float32"]
-
-
-class Action(_Part):
-    """The limits of what the policy gives."""
-
-    order: tuple[str, str, str, str]
-    low: Four
-    high: Four
-
-
-class Rays(_Part):
-    """Which points of a scan are searched for motion, as in :mod:`uavrl_onboard.perception.motion.rays`."""
-
-    step: float  #: degrees from one firing cycle to the next
-    first: float
-    every: int
-
-
-class ThreatTerms(_Part):
-    """What threats are made with, as :mod:`uavrl_onboard.perception.motion.threats` has it."""
-
-    directions: Annotated[list[Three], Field(max_length=10_000)]
-    speed: Annotated[float, Field(gt=0, le=1000)]
-    steps: int
-    period: float
-    lag: float
-    wide: float
-    high: float
-
-
-class MotionTerms(_Part):
-    """How a policy sees what moves."""
-
-    max_range: Annotated[float, Field(gt=NEAREST_RETURN, le=1000)]
-    objects: Annotated[int, Field(ge=1, le=100)]
-    period: Annotated[float, Field(gt=0, le=1000)]
-    rays: Rays
-    threats: ThreatTerms
-
-    def contradiction(self, rate_hz: float) -> str | None:
-        """What is not as this version of uavrl does it; None for a sound part."""
-        found, ways = self.threats, np.shape(threats.DIRECTIONS)
-        same = np.shape(found.directions) == ways and np.allclose(found.directions, threats.DIRECTIONS, atol=1e-6)
-        numbers = [found.steps, found.period, found.lag, found.wide, found.high]
-        known = [threats.STEPS, threats.PERIOD, threats.LAG, threats.WIDE, threats.HIGH]
-        turns = [self.rays.step, self.rays.first, self.rays.every]
-        wrong: dict[str, bool] = {
-            "motion.period is not that of rate_hz": not np.isclose(self.period * rate_hz, 1.0),
-            "motion.rays are others": not np.allclose(turns, rays.TERMS, rtol=1e-6, atol=0),
-            "motion.threats are made otherwise": not same or not np.allclose(numbers, known, rtol=1e-6, atol=0),
-        }
-        return next((words for words, holds in wrong.items() if holds), None)
-
-
-class MemoryTerms(_Part):
-    """The map whose way a policy is led along, as :mod:`uavrl_onboard.guards.map` keeps it."""
-
-    sight: Annotated[float, Field(gt=0, le=40)]
-    reach: float
-    cell: float
-    level: float
-    every: int
-    ahead: float
-
-    def contradiction(self) -> str | None:
-        """What is not as this version of uavrl does it; None for a sound part."""
-        found = [self.reach, self.cell, self.level, self.every, self.ahead]
-        known = [navigator.REACH, navigator.CELL, navigator.LEVEL, navigator.EVERY, navigator.AHEAD]
-        return None if np.allclose(found, known, rtol=1e-6, atol=0) else "memory is another map"
-
-
-class Network(_Part):
-    """The file of the network."""
-
-    file: str
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-    input: str
-    output: str
-
-
-class Contract(_Part):
+class Contract(Part):
     """What a program needs to give a policy its inputs and to obey its actions."""
 
     format: str
     version: int
     weights_sha256: str
     rate_hz: Annotated[float, Field(gt=0, le=1000)]
+    moment: str = says.MOMENT
     cloud: Cloud
     cells: Cells
+    pose: dict[str, str] = says.POSE
     observation: Annotated[list[Entry], Field(min_length=4, max_length=7)]
+    scaling: str = says.SCALING
     state: State
     action: Action
-    motion: MotionTerms | None = None  #: None for a policy that is not told what moves
-    memory: MemoryTerms | None = None  #: None for a policy that is not led by a map
+    motion: MotionTerms | None = None  #: None for a policy that does not detect moving objects
+    memory: MemoryTerms | None = None  #: None for a policy that no map leads
+    versions: dict[str, str | None] = Field(default_factory=dict)
     network: Network | None = None  #: None where no policy.onnx was exported
+
+    @classmethod
+    def of(
+        cls,
+        cloud: Cloud,
+        cells: Cells,
+        *,
+        weights_sha256: str,
+        rate_hz: float,
+        flight_level: float,
+        angles: Angles,
+        frames: int,
+        action_limit: float,
+        last_action: bool = False,
+        motion: MotionTerms | None = None,
+        memory: MemoryTerms | None = None,
+        versions: dict[str, str | None] | None = None,
+    ) -> Contract:
+        """Return the contract of a policy.
+
+        Args:
+            cloud: which points count.
+            cells: what the reduction makes of them.
+            weights_sha256: the checksum of the file of the policy's weights.
+            rate_hz: how many actions a second.
+            flight_level: the altitude that is 0 in an observation, m.
+            angles: how the angles to the goal are scaled.
+            frames: observations in a state.
+            action_limit: the greatest velocity in m/s, and yaw rate in rad/s.
+            last_action: whether an observation holds the previous action.
+            motion: how moving objects are detected.
+            memory: the map that leads to waypoints.
+            versions: of the libraries that made the policy's files.
+
+        Examples:
+            >>> cells = Cells.of("truncated_icosahedron", 4.0, "face")
+            >>> terms = Contract.of(Cloud.of(4.0, (0.0, 0.0, 0.1)), cells, weights_sha256="", rate_hz=10.0,
+            ...     flight_level=3.5, angles="folded", frames=3, action_limit=2.0)
+            >>> terms.state.size, terms.contradiction()
+            (105, None)
+        """
+        observation = _entries(cells, flight_level, angles, motion, memory, action_limit if last_action else None)
+        size = frames * sum(entry.size for entry in observation)
+        more = (says.MOTION_POSE if motion is not None else {}) | (says.MEMORY_POSE if memory is not None else {})
+        low, high = ((sign * action_limit,) * 4 for sign in (-1.0, 1.0))
+        return cls(
+            format=FORMAT,
+            version=VERSION,
+            weights_sha256=weights_sha256,
+            rate_hz=rate_hz,
+            cloud=cloud,
+            cells=cells,
+            pose=says.POSE | more,
+            observation=observation,
+            scaling=says.SCALING + (says.DIVISORS if motion is not None else ""),
+            state=State(frames=frames, padding=0, size=size, dtype="float32"),
+            action=Action(order=tuple(ACTION), low=low, high=high),  # type: ignore[arg-type]  # there are four
+            motion=motion,
+            memory=memory,
+            versions=versions or {},
+        )
 
     @property
     def flight_level(self) -> float:
@@ -248,18 +155,20 @@ class Contract(_Part):
         return next((entry.number for entry in self.observation if entry.name == "last_action"), None)
 
     def contradiction(self) -> str | None:
-        """What does not hold together, or is not as this version of uavrl does it; None for a sound contract."""
-        cells, state, action = self.cells, self.state, self.action
-        towards = directions(cells.reduction, **cells.options)
-        same = np.shape(cells.directions) == towards.shape and np.allclose(cells.directions, towards, atol=1e-6)
-        bounds = [*return_bounds(cells.radius), TOUCHING * cells.radius, cells.radius]
-        found = [*self.cloud.squared_range, *cells.interval]
+        """Return what does not hold together, or is not as this version of uavrl does it; None for a sound contract."""
+        cells, cloud, state, action = self.cells, self.cloud, self.state, self.action
+        made = Cells.of(cells.reduction, cells.radius, cells.statistic, cells.grid)
+        ball = Cloud.of(cells.radius, cloud.sensor_position, cloud.blind)
+        entries = _entries(cells, self.flight_level, self.angles, self.motion, self.memory, self.action_limit)
         wrong: dict[str, bool] = {
-            f"cells are not those of {cells.reduction}": not same or cells.count != len(towards),
-            f"cloud.squared_range or cells.interval is not that of a radius of {cells.radius:g} m": not np.allclose(
-                found, bounds, rtol=1e-9, atol=0
+            f"cells are not those of {cells.reduction}": not alike(cells, made, "directions", atol=1e-6)
+            or not alike(cells, made, "count", "columns", "rows", "width", "elevation", "row_borders"),
+            f"cloud.squared_range, cells.interval or cells.offsets is not that of a radius of {cells.radius:g} m": (
+                not alike(cloud, ball, "squared_range", rtol=1e-9)
+                or not alike(cells, made, "interval", rtol=1e-9)
+                or not alike(cells, made, "offsets")
             ),
-            "observation has other quantities or scales": self._entries() != self.observation,
+            "observation has other quantities or scales": entries != self.observation,
             "state.size is not state.frames times the sizes in observation": state.size
             != state.frames * sum(entry.size for entry in self.observation),
             f"action.order is not {', '.join(ACTION)}": action.order != tuple(ACTION),
@@ -269,25 +178,39 @@ class Contract(_Part):
         led = None if self.memory is None else self.memory.contradiction()
         return next((words for words, holds in wrong.items() if holds), moving or led)
 
-    def _entries(self) -> list[Entry]:
-        """The observation that :mod:`uavrl_onboard.perception.observation` makes with what this one says."""
-        angle = ANGLES[self.angles]
-        scales_of: dict[Quantity, tuple[int, Scale]] = {
-            "cells": (self.cells.count, (0.0, None, self.cells.radius, 0.0)),
-            "altitude": (1, (0.0, None, self.flight_level, -1.0)),
-            "heading" if self.memory is None else "waypoint": (1, angle),
-            "elevation": (1, angle),
-        }
-        if self.motion is not None:
-            each = scales(self.motion.max_range) * self.motion.objects
-            scales_of["moving_objects"] = (len(OBJECT) * self.motion.objects, (0.0, None, [*each], 0.0))
-            scales_of["threats"] = (len(threats.DIRECTIONS) + 1, (0.0, None, threats.GREATEST, 0.0))
-        if self.action_limit is not None:
-            scales_of["last_action"] = (len(ACTION), (0.0, None, self.action_limit, 0.0))
-        return [
-            Entry(name=name, size=size, shift=shift, modulo=modulo, divisor=divisor, offset=offset)
-            for name, (size, (shift, modulo, divisor, offset)) in scales_of.items()
-        ]
+    def to_text(self) -> str:
+        """Return the contract as JSON. A list or mapping of plain values takes one line."""
+        text = json.dumps(self.model_dump(mode="json"), indent=1, ensure_ascii=False)
+        innermost = r"([\[{])\s+([^][{}]*?)\s+([\]}])"
+        return re.sub(innermost, lambda match: match[1] + " ".join(match[2].split()) + match[3], text) + "\n"
+
+
+def _entries(
+    cells: Cells,
+    flight_level: float,
+    angles: Angles,
+    motion: MotionTerms | None,
+    memory: MemoryTerms | None,
+    last_action: float | None,
+) -> list[Entry]:
+    """Return the observation that :mod:`uavrl_onboard.perception.observation` makes of these."""
+    angle = ANGLES[angles]
+    scales_of: dict[Quantity, tuple[int, Scale]] = {
+        "cells": (cells.count, (0.0, None, cells.radius, 0.0)),
+        "altitude": (1, (0.0, None, flight_level, -1.0)),
+        "heading" if memory is None else "waypoint": (1, angle),
+        "elevation": (1, angle),
+    }
+    if motion is not None:
+        each = [*map(float, scales(motion.max_range))] * motion.objects
+        scales_of["moving_objects"] = (len(OBJECT) * motion.objects, (0.0, None, each, 0.0))
+        scales_of["threats"] = (len(threats.DIRECTIONS) + 1, (0.0, None, threats.GREATEST, 0.0))
+    if last_action is not None:
+        scales_of["last_action"] = (len(ACTION), (0.0, None, last_action, 0.0))
+    return [
+        Entry(name=name, size=size, shift=shift, modulo=modulo, divisor=divisor, offset=offset)
+        for name, (size, (shift, modulo, divisor, offset)) in scales_of.items()
+    ]
 
 
 def read_contract(folder: Path) -> Contract:

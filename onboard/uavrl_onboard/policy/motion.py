@@ -15,7 +15,7 @@ from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.motion.threats import DIRECTIONS, GREATEST, greatest_threats, straight_on
 
 if TYPE_CHECKING:
-    from uavrl_onboard.policy.contract import MotionTerms
+    from uavrl_onboard.policy.contract_parts import MotionTerms
 
 
 class MotionReader:

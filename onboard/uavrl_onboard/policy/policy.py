@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.libraries import needed
 from uavrl_onboard.perception.observation import NavigationState, navigation_observation
 from uavrl_onboard.perception.reductions import REDUCTIONS
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, REMEDY, Contract, read_contract, read_file
@@ -160,10 +161,7 @@ class _Network:
             self(np.zeros((number, self._width), np.float32))
 
     def _opened(self, content: bytes) -> Any:
-        try:
-            import onnxruntime
-        except ImportError as error:
-            raise UavrlError(f"{self._path} needs onnxruntime: pip install 'uavrl[deploy]'.") from error
+        onnxruntime = needed("onnxruntime", str(self._path), "onnx")
         if OTHER_FILE.search(content):
             raise UavrlError(f"{self._path} has its numbers in another file: {REMEDY}.")
         options = onnxruntime.SessionOptions()

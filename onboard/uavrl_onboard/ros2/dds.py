@@ -13,7 +13,9 @@ import threading
 import time
 from contextlib import suppress
 from functools import cache
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
+
+from typing_extensions import Self
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.ros_messages import DEFINITIONS

@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pytest
-
 from onboard.tests.guards.map.test_wayfinder import ALTITUDE, STILL, scanned, wall
+
 from uavrl_onboard.guards.map import EpisodeMap, Navigator
 from uavrl_onboard.guards.map.navigator import ELSEWHERE, EVERY
 
