@@ -26,6 +26,7 @@ from uavrl.config.parts import PARTS, names_taken
 from uavrl.config.sentences import did_you_mean
 from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
+from uavrl.runs.shared_memory import shared_memory_explained
 
 SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
 LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings
@@ -77,7 +78,8 @@ def _explaining(name: str, begun: Callable[[], bool]) -> Iterator[None]:
         return
     os.environ[FULL_ERROR] = "1"
     try:
-        yield
+        with shared_memory_explained():
+            yield
     except (UavrlError, BrokenPipeError):
         raise
     except Exception as error:

@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import TextIO
 
 from uavrl.errors import Stopped, UavrlError, reason, was_interrupted
+from uavrl.runs.shared_memory import shared_memory_explained
 
 SAFE_PATH = "PYTHONSAFEPATH"  # with it set no Python that starts imports from the working folder
 PLAIN = "uavrl.plain"  # the name of :func:`_plain` among Python's handlers of what cannot be encoded
@@ -60,7 +61,8 @@ def one_sentence() -> Iterator[None]:
     Ctrl-C exits with 130, SIGTERM with 143, a terminal that was closed with 129.
     """
     try:
-        yield
+        with shared_memory_explained():
+            yield
     except SystemExit:  # told by one inside of this
         raise
     except (UavrlError, OSError) as error:
