@@ -25,6 +25,7 @@ from uavrl.config.command_line import readable
 from uavrl.config.parts import PARTS, names_taken
 from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
+from uavrl.runs.shared_memory import shared_memory_explained
 from uavrl_onboard.cli.process import command_process, one_sentence
 from uavrl_onboard.sentences import did_you_mean
 
@@ -45,7 +46,10 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
             nonlocal begun
             begun = True
             configure_logging()  # again: Hydra has silenced what was there, or a launcher has started this process
-            with one_sentence():  # also here: Hydra prints a line of its own about errors that it sees
+            with (
+                one_sentence(),
+                shared_memory_explained(),
+            ):  # also here: Hydra prints a line of its own about errors that it sees
                 choices = HydraConfig.get().runtime.choices
                 check_choices(choices, _command_line()[0])
                 return function(with_choices(config, choices) if "env" in config else config)
@@ -78,7 +82,8 @@ def _explaining(name: str, begun: Callable[[], bool]) -> Iterator[None]:
         return
     os.environ[FULL_ERROR] = "1"
     try:
-        yield
+        with shared_memory_explained():
+            yield
     except (UavrlError, BrokenPipeError):
         raise
     except Exception as error:

@@ -57,7 +57,9 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         env.close()  # another process makes its own
         source = with_matmul_backend(new_env)
     taken = options({**settings.algo, TARGET: STEPPER})
-    logger = make_logger(settings.logger, run_dir, settings.choices.get("logger", ""), settings.packages)
+    logger = make_logger(
+        settings.logger, run_dir, Path(settings.run_dir).name, settings.choices.get("logger", ""), settings.packages
+    )
     return EpisodeTrainer(
         loss=loss,
         stepper=ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution)),

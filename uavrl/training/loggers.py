@@ -3,13 +3,14 @@
 import importlib
 import os
 import re
+import shutil
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from torchrl.record.loggers import Logger, TensorboardLogger, WandbLogger
+from torchrl.record.loggers import CSVLogger, Logger, TensorboardLogger, WandbLogger
 
 from uavrl.config.build import build, find_class
 from uavrl.config.parts import Part
@@ -21,10 +22,13 @@ WANDB_SILENT = ("WANDB_SILENT", "true")
 _ROW = re.compile(r"\d+,\S+\n")  # step and value
 
 
-def make_logger(part: Part, run_dir: Path, choice: str, packages: Iterable[str] = ()) -> Logger | None:
-    """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``."""
+def make_logger(part: Part, run_dir: Path, name: str, choice: str, packages: Iterable[str] = ()) -> Logger | None:
+    """Makes the logger, which the user chose by ``logger=CHOICE``; its files go below ``run_dir/logs``.
+
+    ``name`` is what the run is called there, which does not change when its folder is renamed.
+    """
     with _wandb_errors(choice):
-        return build(part, Logger, packages=packages, exp_name=run_dir.name, log_dir=str(run_dir / LOGS))
+        return build(part, Logger, packages=packages, exp_name=name, log_dir=str(run_dir / LOGS))
 
 
 def require_login(part: Part, packages: Iterable[str] = ()) -> None:
@@ -55,9 +59,12 @@ def _wandb_errors(choice: str) -> Iterator[None]:
 
 
 class OneRunWandbLogger(WandbLogger):
-    """Logs each step once to one run of wandb, however often a process takes the training up again."""
+    """Logs to one run of wandb, however often a process is killed and another one resumes the training.
 
-    shown = 0  # steps that a process before this one has logged
+    wandb's own process writes with a delay of up to some 15 s, and what it holds is lost when the training is killed.
+    So each value is also written to a CSV file, at once, and a process that resumes sends all values again: its run has
+    the id of the one before, and replaces it.
+    """
 
     def __init__(self, project: str = "uavrl", offline: bool = True, *, exp_name: str, log_dir: str) -> None:
         os.environ.setdefault(*WANDB_SILENT)
@@ -68,11 +75,27 @@ class OneRunWandbLogger(WandbLogger):
                 partial.write_text(uuid.uuid4().hex[:8], encoding="utf-8")
         own = {"id": name.read_text(encoding="utf-8"), "mode": "offline" if offline else "online"}
         super().__init__(exp_name=exp_name, log_dir=log_dir, project=project, **own)
+        self._values = CSVLogger(exp_name=exp_name, log_dir=log_dir)
 
     def log_scalar(self, name: str, value: float, step: int | None = None, *args: Any, **kwargs: Any) -> None:
-        """Logs a value, unless its step is shown already: what is sent to wandb cannot be taken back."""
-        if step is None or step > self.shown:
-            super().log_scalar(name, value, step, *args, **kwargs)
+        """Logs a value, and keeps it for a process that resumes."""
+        if step is not None:
+            self._values.log_scalar(name, value, step)
+        super().log_scalar(name, value, step, *args, **kwargs)
+
+    def send_again(self) -> None:
+        """Sends what is kept, and removes the offline runs of earlier processes, which this one replaces."""
+        rows = (
+            (step, path.stem, value)
+            for path in Path(self._values.experiment.log_dir).glob("scalars/*.csv")
+            for step, value in _rows(path)
+        )
+        for step, name, value in sorted(rows):
+            super().log_scalar(name, value, step)
+        own = Path(self.experiment.dir).parent.name
+        for folder in Path(self.log_dir).glob("wandb/offline-run-*"):
+            if folder.name != own and not folder.is_symlink():
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 class IntervalLog:
@@ -91,6 +114,11 @@ class IntervalLog:
                 if self.logger is not None:
                     self.logger.log_scalar(name, float(value), step=step)
 
+    def flush(self) -> None:
+        """Has TensorBoard write what it holds back: a checkpoint follows, after which it would not be logged again."""
+        if isinstance(self.logger, TensorboardLogger):
+            self.logger.experiment.flush()
+
     def state_dict(self) -> dict[str, Any]:
         """The steps at which each name was last logged."""
         return {"logged_at": self._logged_at}
@@ -106,19 +134,31 @@ def close(logger: Logger | None) -> None:
         logger.experiment.finish()
 
 
-def truncate_logs(logger: Logger, run_dir: Path, steps: int, reached: int) -> None:
-    """Drops what a process that went on until ``reached`` logged after a checkpoint's steps: it is logged again."""
+def truncate_logs(logger: Logger | None, run_dir: Path, steps: int) -> None:
+    """Drops what was logged after a checkpoint's steps: it is logged again."""
+    for path in (run_dir / LOGS).glob("*/scalars/*.csv"):
+        _truncate(path, steps)
     if isinstance(logger, OneRunWandbLogger):
-        logger.shown = reached
+        logger.send_again()
     if isinstance(logger, TensorboardLogger):
         logger.experiment.close()
         logger.experiment.purge_step = steps + 1  # the next value opens a file that begins with it
-    for path in (run_dir / LOGS).glob("*/scalars/*.csv"):
-        rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
-        whole = [row for row in rows if row.endswith("\n")]
-        if not all(_ROW.fullmatch(row) for row in whole):
-            continue  # it is not the CSV logger's
-        kept = [row for row in whole if int(row.partition(",")[0]) <= steps]
-        if len(kept) < len(rows):
-            with replacing(path) as partial:
-                partial.write_text("".join(kept), encoding="utf-8")
+
+
+def _truncate(path: Path, steps: int) -> None:
+    rows = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    whole = [row for row in rows if row.endswith("\n")]
+    if not all(_ROW.fullmatch(row) for row in whole):
+        return  # it is not the CSV logger's
+    kept = [row for row in whole if int(row.partition(",")[0]) <= steps]
+    if len(kept) < len(rows):
+        with replacing(path) as partial:
+            partial.write_text("".join(kept), encoding="utf-8")
+
+
+def _rows(path: Path) -> Iterator[tuple[int, float]]:
+    """Steps and values of a file of the CSV logger."""
+    for row in path.read_text(encoding="utf-8").splitlines(keepends=True):
+        if _ROW.fullmatch(row):
+            step, _, value = row.partition(",")
+            yield int(step), float(value)

@@ -21,11 +21,11 @@ from uavrl.config.settings import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import checkpoint_to_resume, has_no_checkpoint, how_to_go_on, restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
-from uavrl.runs.episodes import read_episodes
 from uavrl.runs.interrupts import Stop, stoppable
 from uavrl.runs.lock import run_lock
 from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
 from uavrl.runs.provenance import processor, versions
+from uavrl.runs.shared_memory import hint_of_shared_memory, shared_memory_explained
 from uavrl.runs.trust import check_links
 from uavrl.training.build import build_trainer
 from uavrl.training.compiled import chosen_execution
@@ -88,13 +88,19 @@ def train(
     if resume:
         check_links(run_dir, TRAINING)
     backend, threads = config.trainer.matmul, config.trainer.threads
-    with run_lock(run_dir), denormals_flushed(), matmul_backend(backend, threads), stoppable() as stop:
+    with (
+        run_lock(run_dir),
+        denormals_flushed(),
+        matmul_backend(backend, threads),
+        shared_memory_explained(),
+        stoppable() as stop,
+    ):
         try:
             return _train(config, run_dir, stop, begun, resume=resume)
         except BaseException as error:
             if stop.signal is None and not was_interrupted(error):
                 if isinstance(error, FlyingEnded):
-                    raise FlyingEnded(error.reason, how_to_go_on(run_dir)) from error
+                    raise FlyingEnded(error.reason, how_to_go_on(run_dir) + hint_of_shared_memory()) from error
                 raise
             raise Stopped(how_to_go_on(run_dir), stop.signal or signal.SIGINT) from None
 
@@ -181,10 +187,9 @@ def seed_everything(seed: int) -> None:
 
 def _restore_run(trainer: EpisodeTrainer, checkpoint: Path, config: DictConfig, run_dir: Path) -> None:
     """Makes trainer and run folder what they were after the barrier of a checkpoint."""
-    flown = read_episodes(run_dir / EPISODES)
     _restore(trainer, checkpoint)
     trainer.seconds_before = Checkpoint.manifest(checkpoint)["metadata"]["seconds"]
-    truncate_logs(trainer.log.logger, run_dir, trainer.collected_frames, flown[-1].total_steps if flown else 0)
+    truncate_logs(trainer.log.logger, run_dir, trainer.collected_frames)
     done = f"{pluralize(trainer.episode_log.count, 'episode')}, {pluralize(trainer.collected_frames, 'step')}"
     log.info("Resumed %s after %s.", run_dir, done)
     trainer.barrier()
@@ -237,6 +242,8 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
         )
     chosen = OmegaConf.select(overrides, "choices") or {}
     for key in changed:
+        if key == "run_dir":  # it keeps the name that it was given, by which loggers know it
+            continue
         if key in chosen and config.choices.get(key) == chosen[key]:  # the same part, which is the run's own
             continue
         OmegaConf.update(config, key, OmegaConf.select(overrides, key), merge=False)

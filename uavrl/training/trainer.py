@@ -225,6 +225,7 @@ class EpisodeTrainer:
             "collected_frames": self.collected_frames,
         }
         with naming(self.rotation.directory):
+            self.log.flush()
             require_room(self.rotation.directory.parent, 2 * self._checkpoint_size())  # files, then the archive of them
             self.rotation.save(self.checkpoint, step=self.collected_frames, metadata=self.metadata | progress)
 
