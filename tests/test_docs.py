@@ -101,18 +101,18 @@ def test_the_site_shows_what_the_tutorials_import() -> None:
 
 
 def test_what_the_best_policy_reads_is_what_its_contract_says() -> None:
-    contract, page = "uavrl/policies/best/contract.json", (ROOT / "docs/policies.md").read_text(encoding="utf-8")
+    contract, page = "uavrl/policies/data/best/contract.json", (ROOT / "docs/policies.md").read_text(encoding="utf-8")
     told = runpy.run_path(str(ROOT / "examples/inputs_table.py"))["table"](ROOT / contract)
     assert told.startswith("237 numbers") and told in page, f"python examples/inputs_table.py {contract}"
     counted = [int(last or first) for first, last in re.findall(r"^\| (\d+)(?:–(\d+))? \|", told, re.MULTILINE)]
     assert counted == [71, 72, 73, 74, 78], "72 cells, altitude, two angles and the last action, without a gap"
     with pytest.raises(UavrlError, match=r"Expected a contract\.json, as uavrl-export writes it, in .*suite\.json"):
-        runpy.run_path(str(ROOT / "examples/inputs_table.py"))["table"](ROOT / "uavrl/policies/best/suite.json")
+        runpy.run_path(str(ROOT / "examples/inputs_table.py"))["table"](ROOT / "uavrl/policies/data/best/suite.json")
 
 
 def test_what_a_policy_may_be_trusted_with_is_what_its_suite_found() -> None:
     example = runpy.run_path(str(ROOT / "examples/suite_table.py"))
-    rows = example["table"](ROOT / "uavrl/policies/best/suite.json")
+    rows = example["table"](ROOT / "uavrl/policies/data/best/suite.json")
     again = "python examples/suite_table.py uavrl/policies/best/suite.json --page docs/deploy.md"
     assert example["BEGIN"] + rows + example["END"] in (ROOT / "docs/deploy.md").read_text(encoding="utf-8"), again
 
