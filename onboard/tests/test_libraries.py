@@ -53,8 +53,10 @@ def test_a_library_that_cannot_be_imported_says_why(tmp_path: Path, monkeypatch:
     """A wheel for another NumPy raises ImportError, and one whose own library is missing names that one."""
     (tmp_path / "broken_wheel.py").write_text("raise ImportError('numpy is\\ntoo new')")
     (tmp_path / "lacking.py").write_text("import not_there")
+    (tmp_path / "older.py").write_text("raise SystemError('an exception set')")
     monkeypatch.syspath_prepend(tmp_path)
-    for module, told in (("broken_wheel", "numpy is too new"), ("lacking", "No module named 'not_there'")):
+    causes = {"broken_wheel": "numpy is too new", "lacking": "No module named 'not_there'", "older": "an exception set"}
+    for module, told in causes.items():
         name = module.replace("_", "-")
         with pytest.raises(UavrlError) as caught:
             needed(module, "This", "onnx")

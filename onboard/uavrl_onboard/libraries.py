@@ -27,7 +27,7 @@ def needed(module: str, what: str, extra: str, otherwise: str = "") -> Any:
     library = module.partition(".")[0]
     try:
         return import_module(module)
-    except ImportError as error:
+    except Exception as error:  # a wheel that was built for another NumPy also raises SystemError or AttributeError
         name = library.replace("_", "-")
         remedy = f"pip install 'uavrl-onboard[{extra}]'{otherwise}."
         if isinstance(error, ModuleNotFoundError) and (error.name or library).partition(".")[0] == library:

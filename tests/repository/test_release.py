@@ -97,8 +97,3 @@ def test_on_pypi_each_link_of_the_readme_leads_to_the_files_of_the_tag() -> None
 def test_an_sdist_holds_what_is_there() -> None:
     for name in PYPROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]:
         assert (ROOT / name.lstrip("/")).exists(), name
-
-
-def test_the_newest_changes_fit_on_a_page() -> None:
-    newest = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")[1]
-    assert len(newest.strip().splitlines()) <= 60

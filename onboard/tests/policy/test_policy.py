@@ -297,6 +297,19 @@ def test_one_without_onnx_runtime_says_what_to_install(folder: Path, monkeypatch
         Policy(folder)
 
 
+@pytest.mark.parametrize(("runtime", "library", "refused"), [("1.18.1", "2.0.0", True), ("1.18.1", "1.26.4", False)])
+def test_an_onnx_runtime_of_numpy_1_is_refused_with_numpy_2(
+    runtime: str, library: str, refused: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("onnxruntime.__version__", runtime)
+    monkeypatch.setattr(np, "__version__", library)
+    if not refused:
+        Policy(folder)
+        return
+    with pytest.raises(UavrlError, match=rf"ONNX Runtime {runtime} does not work with NumPy {library}: pip install"):
+        Policy(folder)
+
+
 def test_the_simulator_flies_at_its_own_rate_alone(folder: Path) -> None:
     edit_contract(folder, lambda terms: terms.update(rate_hz=20))
     with pytest.raises(UavrlError, match="acts 20 times a second, and the simulator asks 10 times"):

@@ -162,6 +162,7 @@ class _Network:
 
     def _opened(self, content: bytes) -> Any:
         onnxruntime = needed("onnxruntime", str(self._path), "onnx")
+        _check_numpy(onnxruntime.__version__)
         if OTHER_FILE.search(content):
             raise UavrlError(f"{self._path} has its numbers in another file: {REMEDY}.")
         options = onnxruntime.SessionOptions()
@@ -189,6 +190,21 @@ class _Network:
         if not np.isfinite(actions).all():
             raise UavrlError(f"{self._path} answers with numbers that are not finite: do not fly it.")
         return actions.clip(*self._limits)
+
+
+def _check_numpy(runtime: str) -> None:
+    """Refuse versions of ONNX Runtime that were built for NumPy 1: with NumPy 2 they crash, and Python with them."""
+    if _numbers(runtime) < (1, 19) and _numbers(np.__version__) >= (2, 0):
+        raise UavrlError(
+            f"ONNX Runtime {runtime} does not work with NumPy {np.__version__}: pip install 'numpy<2', or a newer "
+            "onnxruntime."
+        )
+
+
+def _numbers(version: str) -> tuple[int, int]:
+    """Return the first two numbers of a version."""
+    major, minor = re.findall(r"\d+", version)[:2]
+    return int(major), int(minor)
 
 
 def _ends(session: Any) -> tuple[Any, Any]:
