@@ -14,7 +14,7 @@ from uavrl.envs.lidar_flaws import add_noise, hide_sector
 from uavrl.envs.limits import OrMapping, require_finite, settings
 from uavrl.envs.randomization import Plant
 from uavrl.envs.ray_culling import RayCuller
-from uavrl.errors import MissingSimulator
+from uavrl.errors import extras
 from uavrl_onboard.lidar.vlp16 import (
     AZIMUTH_STEP,
     AZIMUTH_STEPS,
@@ -26,11 +26,9 @@ from uavrl_onboard.lidar.vlp16 import (
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.cells import FAR_EVERY
 
-try:
+with extras():
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
-except ModuleNotFoundError as error:
-    raise MissingSimulator(error.name or "embreex") from error
 
 __all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
 
