@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from uavrl.errors import FlyingEnded, MissingSimulator, OtherFormat, UavrlError
+from uavrl.errors import FlyingEnded, MissingExtra, OtherFormat, UavrlError
 from uavrl.runs.checkpoint import DamagedCheckpoint
 
 ERRORS = [
     UavrlError("seed must be a number."),
-    MissingSimulator("pybullet"),
+    MissingExtra("pybullet", "sim"),
     OtherFormat("a.csv", "column"),
     FlyingEnded("killed"),
     DamagedCheckpoint(Path("a"), "it is empty"),

@@ -110,13 +110,21 @@ def test_the_makefile_asks_for_what_the_package_asks_for() -> None:
     assert os.access(ROOT / ".ci/check_python", os.X_OK)
 
 
+def requirements(*extras: str) -> list[Requirement]:
+    """What ``pip install 'uavrl[EXTRAS]'`` asks for, extras of extras included."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = [*map(Requirement, project["dependencies"])]
+    for extra in extras:
+        for found in map(Requirement, project["optional-dependencies"][extra]):
+            asked += requirements(*found.extras) if found.name == "uavrl" else [found]
+    return asked
+
+
 def test_all_but_the_simulator_installs_where_it_has_no_wheels() -> None:
-    requirements = [
-        Requirement(r) for r in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    ]
+    train = requirements("train")
 
     def installed(**environment: str) -> set[str]:
-        return {r.name for r in requirements if r.marker is None or r.marker.evaluate(environment)}
+        return {r.name for r in train if r.marker is None or r.marker.evaluate(environment)}
 
     simulators = {"pybullet", "pybullet-arm64", "embreex"}
     linux, mac = {"sys_platform": "linux"}, {"sys_platform": "darwin", "platform_machine": "arm64"}
@@ -127,3 +135,15 @@ def test_all_but_the_simulator_installs_where_it_has_no_wheels() -> None:
         jetson = installed(**linux, platform_machine="aarch64", python_version=version)
         assert not jetson & simulators
         assert {"torch", "torchrl", "hydra-core"} <= jetson
+
+
+def test_the_light_install_brings_neither_simulator_nor_trainer() -> None:
+    light = {r.name for r in requirements()}
+    assert light == {
+        *("uavrl-onboard", "torch", "torchrl", "tensordict"),
+        *("numpy", "scipy", "safetensors", "sortedcontainers"),
+    }
+    sim = {r.name for r in requirements("sim")} - light
+    assert sim == {"pybullet", "pybullet-arm64", "embreex", "gymnasium"}
+    train = {r.name for r in requirements("train")} - light - sim
+    assert train == {"scikit-learn", "threadpoolctl", "kneed", "hydra-core", "tqdm", "filelock"}

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any, TypeVar, get_type_hints
 
 from uavrl.config.context import refuse_context, to_networks
-from uavrl.errors import UavrlError
+from uavrl.errors import MissingExtra, UavrlError
 from uavrl_onboard.sentences import below, did_you_mean
 
 T = TypeVar("T")
@@ -44,6 +44,8 @@ def find_class(target: str, kind: type[T], packages: Iterable[str] = (), key: st
     try:
         holder = import_module(module)
         found = getattr(holder, name)
+    except MissingExtra:
+        raise
     except ImportError as error:
         reason = "check the name, and that its folder is on PYTHONPATH or its package installed"
         raise UavrlError(f"{key}: there is no class {target} ({error}): {reason}.") from error

@@ -4,13 +4,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hydra import compose as hydra_compose
-from hydra import initialize_config_dir
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from uavrl.config.command_line import readable
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, extras
 
 NONE = "none"  # the choice that leaves a part out
 
@@ -41,6 +38,9 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
         >>> compose("algo=sac", "reward=traditional").choices.algo
         'sac'
     """
+    with extras():  # imported where it is needed: a packaged policy loads without Hydra
+        from hydra import initialize_config_dir
+
     register_run_name()
     if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
         overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
@@ -50,6 +50,8 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
 
 def compose_again(*overrides: str, name: str) -> DictConfig:
     """The same where Hydra is at work: it finds what it found before, in the user's ``--config-dir`` too."""
+    from hydra import compose as hydra_compose
+
     config = hydra_compose(name, list(overrides), return_hydra_config=True)
     choices = config.hydra.runtime.choices
     with open_dict(config):
@@ -88,6 +90,8 @@ def learner_name(choices: Mapping[str, str]) -> str:
 
 
 def _run_name(*, _root_: DictConfig) -> str:
+    from hydra.core.hydra_config import HydraConfig
+
     chosen = OmegaConf.select(_root_, "choices")
     choices = HydraConfig.get().runtime.choices if chosen is None else chosen
     return f"{choices['env']}_{learner_name(choices)}_{choices['reward']}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from uavrl.envs.mesh import cut_up, edge_lengths
 from uavrl.envs.quadrotor import Airframe
-from uavrl.errors import MissingSimulator
+from uavrl.errors import extras
 from uavrl_onboard.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -49,11 +49,8 @@ def silenced() -> Iterator[None]:
             os.close(descriptor)
 
 
-with silenced():
-    try:
-        import pybullet
-    except ModuleNotFoundError as error:
-        raise MissingSimulator(error.name or "pybullet") from error
+with silenced(), extras():
+    import pybullet
 
 
 def connect() -> int:

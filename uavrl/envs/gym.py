@@ -2,10 +2,8 @@
 
 from typing import Any, Literal
 
-import gymnasium
 import numpy as np
 import torch
-from gymnasium.spaces import Box
 from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
 
@@ -14,9 +12,13 @@ from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.limits import OrMapping, settings, whole
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, extras
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.state import ACTION_LIMIT, Reduction
+
+with extras():
+    import gymnasium
+    from gymnasium.spaces import Box
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_RATE}
 _REWARDS = {"navigation": NavigationReward, "traditional": TraditionalReward}

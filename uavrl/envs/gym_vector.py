@@ -3,13 +3,15 @@
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
 from uavrl.envs.gym import METADATA, ValleyFlights
 from uavrl.envs.limits import whole
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, extras
+
+with extras():
+    from gymnasium.envs.registration import EnvSpec
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
 
 
 class ValleyVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):

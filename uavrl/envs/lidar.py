@@ -14,7 +14,7 @@ from uavrl.envs.lidar_flaws import add_noise, hide_sector
 from uavrl.envs.limits import OrMapping, require_finite, settings
 from uavrl.envs.ray_culling import RayCuller
 from uavrl.envs.vehicle_params import VehicleParams
-from uavrl.errors import MissingSimulator
+from uavrl.errors import extras
 from uavrl_onboard.geometry import turn_about, yaw_rotation
 from uavrl_onboard.lidar.vlp16 import (
     AZIMUTH_STEP,
@@ -27,11 +27,9 @@ from uavrl_onboard.lidar.vlp16 import (
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.cells import FAR_EVERY
 
-try:
+with extras():
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
-except ModuleNotFoundError as error:
-    raise MissingSimulator(error.name or "embreex") from error
 
 __all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
 

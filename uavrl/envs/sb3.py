@@ -5,10 +5,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 
 from uavrl.envs.gym_vector import ValleyVectorEnv
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, extras
+
+with extras():
+    from gymnasium.vector import AutoresetMode
 
 try:
     from stable_baselines3.common.vec_env import VecEnv

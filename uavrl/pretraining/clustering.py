@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, extras
 from uavrl.runs.progress_line import ProgressLine
 
 log = logging.getLogger(__name__)
@@ -44,8 +44,9 @@ def standardization(features: Tensor) -> tuple[Tensor, Tensor]:
 
 def cluster(features: Tensor, k: int, *, batch_size: int = 4096, iterations: int = 30, seed: int = 0) -> Clusters:
     """k-means by scikit-learn's ``MiniBatchKMeans``, the same for every k so that the errors compare."""
-    from sklearn.cluster import MiniBatchKMeans
-    from sklearn.exceptions import ConvergenceWarning
+    with extras():
+        from sklearn.cluster import MiniBatchKMeans
+        from sklearn.exceptions import ConvergenceWarning
 
     x = np.ascontiguousarray(features.numpy(), np.float32)
     means = MiniBatchKMeans(
@@ -70,7 +71,8 @@ def cluster_each(features: Tensor, ks: Sequence[int], *, progress: bool = False,
 
 def elbow(ks: Sequence[int], sse: Sequence[float]) -> int:
     """The k at which the error stops to fall steeply, by Kneedle (Satopää et al. 2011)."""
-    from kneed import KneeLocator
+    with extras():
+        from kneed import KneeLocator
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the error below says the same

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from threadpoolctl import threadpool_limits
 from torch import Tensor
 
-from uavrl.errors import UavrlError
+from uavrl.errors import UavrlError, extras
 from uavrl.models import PSAE, OneShotClassifier, TrajectoryClassifier
 from uavrl.pretraining.clustering import Clusters, cluster, cluster_each, draw, elbow, standardization
 from uavrl.pretraining.networks import predict, train_classifier, train_psae
@@ -26,6 +25,9 @@ from uavrl.runs.names import PRETRAINED
 from uavrl.runs.weights import ARTIFACT
 from uavrl_onboard.files import writable
 from uavrl_onboard.pluralize import pluralize
+
+with extras():
+    from threadpoolctl import threadpool_limits
 
 log = logging.getLogger(__name__)
 

@@ -8,11 +8,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
 
-from filelock import FileLock, Timeout
-
-from uavrl.errors import FolderTaken, UavrlError
+from uavrl.errors import FolderTaken, UavrlError, extras
 from uavrl.runs.names import HOLDER, LOCK
 from uavrl.runs.trust import check_links
+
+with extras():
+    from filelock import FileLock, Timeout
 
 BEAT = 15.0  # s between two signs of life
 GONE = 120.0  # s without one after which a holder on another machine is taken for dead

@@ -4,8 +4,11 @@ import sys
 import time
 from contextlib import ExitStack
 
-from tqdm import tqdm
-from tqdm.contrib.logging import logging_redirect_tqdm
+from uavrl.errors import extras
+
+with extras():
+    from tqdm import tqdm
+    from tqdm.contrib.logging import logging_redirect_tqdm
 
 EVERY = 10.0  # s between two lines where no bar is drawn
 

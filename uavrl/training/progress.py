@@ -6,11 +6,13 @@ import time
 from collections import deque
 from collections.abc import Mapping
 
-from tqdm import tqdm
-
 from uavrl.config.settings import TrainConfig
+from uavrl.errors import extras
 from uavrl.runs.progress_line import ProgressLine
 from uavrl_onboard.pluralize import pluralize
+
+with extras():
+    from tqdm import tqdm
 
 log = logging.getLogger(__name__)
 SPAN = 60.0  # s that the speed is measured over
