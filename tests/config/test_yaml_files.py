@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir, version
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from tests.helpers.configs import composed
 from uavrl.config import EvaluateConfig, TrainConfig, compose, conf_dir, learner_name, resolve, validate
 from uavrl.config.parts import PARTS
 from uavrl.errors import UavrlError
+from uavrl.evaluation.policies import load_policy
 from uavrl_onboard.values import to_plain
 
 FILES = sorted((path.parent.name, path.stem) for path in conf_dir().glob("*/*.yaml"))
@@ -26,6 +33,50 @@ def settings(*overrides: str) -> TrainConfig:
 
 def part(group: str, *overrides: str) -> dict[str, Any]:
     return to_plain(getattr(settings(*overrides), group))  # type: ignore[no-any-return]
+
+
+# ---------------------------------------------------------------------- in a program that uses Hydra itself
+
+
+@pytest.fixture
+def their_hydra(tmp_path: Path) -> Iterator[Callable[[], tuple[object, ...]]]:
+    """Hydra as ``@hydra.main`` sets it up; gives all that it is made of."""
+    (tmp_path / "theirs.yaml").write_text("env: their own\n")
+    with initialize_config_dir(str(tmp_path), version_base="1.2"):
+        HydraConfig.instance().set_config(hydra_compose("theirs", return_hydra_config=True))
+        OmegaConf.register_new_resolver("run_name", lambda: "theirs", replace=True)
+        yield lambda: (
+            GlobalHydra.instance(),
+            GlobalHydra.instance().hydra,
+            HydraConfig.instance().cfg,
+            version.getbase(),
+            OmegaConf.create({"a": "${run_name:}"}).a,
+            hydra_compose("theirs").env,
+        )
+    HydraConfig.instance().cfg = None
+    OmegaConf.clear_resolver("run_name")
+
+
+def test_it_composes_in_a_program_of_hydra_s_and_leaves_it_as_it_was(
+    their_hydra: Callable[[], tuple[object, ...]],
+) -> None:
+    before = their_hydra()
+    config = compose("algo=sac", "env=dynamic")
+    assert "dynamic_sac_" in config.run_dir
+    assert config.choices.algo == "sac"
+    with pytest.raises(HydraException):
+        compose("algo=none_of_these")
+    with pytest.raises(UavrlError, match="make_env cannot take env=none_of_these"):
+        load_policy("best").make_env("env=none_of_these")
+    for was, now in zip(before, their_hydra(), strict=True):
+        assert now is was or now == was
+
+
+def test_it_leaves_no_hydra_behind_where_there_was_none() -> None:
+    compose("algo=sac")
+    assert not GlobalHydra.instance().is_initialized()
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        assert hydra_compose("config").algo
 
 
 # ---------------------------------------------------------------------- composing
@@ -182,9 +233,9 @@ def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
 
 
 def test_only_the_runs_name_is_worked_out_by_code_of_ours() -> None:
-    ours = r"\$\{(?!now:)(?!\w+:\w+\})\w+:"  # a call: ${run_name:}, ${where:a,b}
+    ours = r"\$\{(?!now:)(?!\w+:\w+\})\w+:"  # a call: ${uavrl_run_name:}, ${where:a,b}
     called = {call for path in YAML_FILES for call in re.findall(ours, path.read_text())}
-    assert called == {"${run_name:"}
+    assert called == {"${uavrl_run_name:"}
 
 
 # ---------------------------------------------------------------------- randomized vehicles

@@ -1,6 +1,7 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,12 @@ def conf_dir() -> Path:
 
 
 def register_run_name() -> None:
-    """Teaches OmegaConf what ``${run_name:}`` is in our yaml files: environment, what learns, reward."""
-    OmegaConf.register_new_resolver("run_name", _run_name, replace=True)
+    """Teaches OmegaConf what ``${uavrl_run_name:}`` is in our yaml files: environment, what learns, reward."""
+    OmegaConf.register_new_resolver("uavrl_run_name", _run_name, replace=True)
 
 
 def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> DictConfig:
-    """What ``uavrl-train OVERRIDES`` composes, for use in Python.
+    """What ``uavrl-train OVERRIDES`` composes, for use in Python, also in a program that uses Hydra itself.
 
     Args:
         *overrides: as on the command line.
@@ -44,8 +45,25 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
     register_run_name()
     if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
         overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
-    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+    with _hydra_of_our_own(), initialize_config_dir(str(conf_dir()), version_base="1.3"):
         return compose_again(*map(readable, overrides), name=name)
+
+
+@contextmanager
+def _hydra_of_our_own() -> Iterator[None]:
+    """Puts the Hydra of the calling program aside, such as that of ``@hydra.main``, and back again at the end."""
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.version import VersionBase
+
+    theirs, version, chosen = GlobalHydra.instance(), VersionBase.instance(), HydraConfig.instance()
+    hydra, base, config = theirs.hydra, version.version_base, chosen.cfg
+    theirs.hydra = chosen.cfg = None
+    try:
+        yield
+    finally:
+        GlobalHydra.set_instance(theirs)  # Hydra would leave a copy of it
+        theirs.hydra, version.version_base, chosen.cfg = hydra, base, config
 
 
 def compose_again(*overrides: str, name: str) -> DictConfig:
