@@ -8,7 +8,7 @@ import typing
 from collections.abc import Callable
 from typing import Annotated, Any, Union
 
-from uavrl import ranges
+from uavrl_onboard import ranges
 from uavrl_onboard.ranges import Rule, bounds, words
 
 

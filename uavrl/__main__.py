@@ -5,7 +5,7 @@ import sys
 try:
     from uavrl.cli.main import main
 except ModuleNotFoundError as error:
-    if (error.name or "uavrl").startswith("uavrl"):
+    if (error.name or "uavrl").partition(".")[0] == "uavrl":
         raise
     sys.exit(
         f"uavrl needs the package {error.name!r}, which {sys.executable} does not have: activate the environment that "

@@ -65,7 +65,7 @@ def test_a_command_that_is_ended_says_so_and_cleans_up(
 
 def test_nothing_of_a_torch_that_is_half_loaded_is_told() -> None:
     code = (
-        "import logging; from uavrl_onboard.cli.process import configure_logging; configure_logging()\n"
+        "import logging; from uavrl.cli.logs import configure_logging; configure_logging()\n"
         "logging.getLogger('torch._subclasses.fake_tensor').info('of caches')\n"
         "logging.getLogger('uavrl.training').info('of a run')"
     )

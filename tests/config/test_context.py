@@ -163,7 +163,7 @@ def test_the_list_is_what_a_run_hands_over(
     build_module.make_loss(settings, actor, sizes, cpu)
     build_module.make_backward_reward(settings, sizes, tmp_path / "artifact")
     build_module.make_buffer(settings, Env(), sizes, cpu)  # type: ignore[arg-type]
-    loggers.make_logger(settings.logger, tmp_path / "run", "csv")
+    loggers.make_logger(settings.logger, tmp_path / "run", "run", "csv")
     groups = [group for group in PARTS if group not in ("algo", "collector")]
     assert {group: handed_over[settings_part(settings, group)] for group in groups} == {
         group: set(CONTEXT.get(group, ())) for group in groups

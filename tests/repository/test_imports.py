@@ -30,14 +30,15 @@ TRAINS = [
 FLIES = [
     {"cli"},
     {"pages"},
+    {"ros2"},
     {"flight"},
-    {"ros2", "policy"},
+    {"policy"},
     {"autopilot", "guards"},
     {"lidar"},
     {"perception"},
     {"geometry", "mesh", "values", "files", "libraries", "provenance"},
     {"sentences", "vehicle", "pluralize"},
-    {"ranges"},
+    {"ranges", "enums"},
     {"errors"},
 ]
 HEAVY = ("torch", "torchrl", "tensordict", "hydra", "pybullet", "embreex", "gymnasium", "sklearn", "uavrl")

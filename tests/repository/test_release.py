@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 import uavrl
+import uavrl_onboard
 
 ROOT = Path(__file__).resolve().parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -28,9 +29,11 @@ def citation() -> dict[str, Any]:
 
 
 def test_all_places_name_one_version(citation: dict[str, Any]) -> None:
-    assert citation["version"] == uavrl.__version__
+    assert uavrl.__version__ == uavrl_onboard.__version__
+    assert f'"uavrl-onboard=={uavrl.__version__}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     released = re.search(r"^## (\d\S*) \((\S+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert released is not None and released.groups() == (uavrl.__version__, str(citation["date-released"]))
+    assert released is not None and released.groups() == (citation["version"], str(citation["date-released"]))
+    assert uavrl.__version__ == citation["version"] or ".dev" in uavrl.__version__
 
 
 def test_how_to_cite_says_what_the_citation_file_says(citation: dict[str, Any]) -> None:

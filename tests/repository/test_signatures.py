@@ -73,7 +73,7 @@ def test_what_has_no_range_stays_a_type(shown: Any) -> None:
         (ABR, "(multiplier: 'float ≥ 0' = 0.2, threshold: 'float in (0, 1]' = 0.98, max_classes: 'int ≥ 1' = 20000, "),
         (PrioritizedBuffer, "(capacity: 'int ≥ 1' = 1000000, alpha: 'float in [0, 1]' = 0.6, "),
         (EpisodeBuffer, "(capacity: 'int ≥ 1' = 1000000, *, frames: int = 1, "),
-        (Imitation, "(base: uavrl.losses.actor_critic.ActorCriticLoss, *, limit: 'float > 0' = 1.0, weight: 'float ≥"),
+        (Imitation, "(base: torchrl.objectives.common.LossModule, *, limit: 'float > 0' = 1.0, weight: 'float ≥"),
     ],
 )
 def test_a_class_is_shown_by_its_own_constructor(kind: type, begins: str, shown: Any) -> None:

@@ -32,7 +32,7 @@ def test_an_error_of_shared_memory_names_it_and_the_remedy(
 ) -> None:
     with pytest.raises(SharedMemoryError, match=r"/dev/shm.*--shm-size"), shared_memory_explained():
         raised_in(module, error)
-    with pytest.raises(SystemExit), one_sentence():
+    with pytest.raises(SystemExit), one_sentence(), shared_memory_explained():
         raised_in(module, error)
     assert "--shm-size" in capsys.readouterr().err
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -12,11 +11,10 @@ from omegaconf import OmegaConf
 
 from tests.helpers.runs import small_config
 from uavrl.errors import UavrlError
-from uavrl.runs.checkpoint import rotation
 from uavrl.training import matmul as arithmetic
 from uavrl.training import run as run_module
 from uavrl.training.matmul import chosen_matmul, matmul_backend
-from uavrl.training.run import create_run, resume_config, train
+from uavrl.training.run import create_run
 
 
 def test_another_name_is_refused() -> None:
@@ -56,23 +54,3 @@ def test_a_run_keeps_what_auto_chose(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(run_module, "chosen_matmul", lambda name, threads: {"auto": "onednn"}[name])
     run_dir = create_run(small_config(tmp_path / "run", "trainer.matmul=auto"))
     assert OmegaConf.load(run_dir / "config.yaml").trainer.matmul == "onednn"
-
-
-def test_a_run_older_than_the_choice_goes_on_with_mkl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-
-    def noted(name: str, threads: int) -> Any:
-        asked.append(name)
-        return matmul_backend("mkl")
-
-    monkeypatch.setattr(run_module, "matmul_backend", noted)
-    config = small_config(tmp_path / "run", "trainer.episodes=2")
-    run_dir = create_run(config)
-    del config.trainer.matmul
-    (run_dir / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
-    train(config, run_dir)
-    more = OmegaConf.create({"packages": [], "trainer": {"episodes": 4}})
-    summary = train(resume_config(run_dir, more, ["trainer.episodes"]), run_dir, resume=True)
-    assert summary["episodes"] >= 4
-    assert asked == ["mkl", "mkl"]
-    assert rotation(run_dir).latest() is not None

@@ -112,7 +112,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> Contract | None:
         rate_hz=CONTROL_RATE,
         flight_level=scaled.flight_level,
         angles=scaled.angles,
-        frames=parts[CatFrames].N,
+        frames=next(part.N for part in parts.values() if isinstance(part, CatFrames)),
         action_limit=ACTION_LIMIT,
         last_action=LastAction in parts,
         motion=motion,

@@ -36,7 +36,7 @@ def adapted(loss: LossModule) -> ActorCriticLoss | TorchRLLoss:
         >>> network = QValueActor(nn.Linear(3, 2), in_keys=["observation"], action_space="one-hot")
         >>> adapted(DQNLoss(network, action_space="one-hot"))
         Traceback (most recent call last):
-        uavrl.errors.UavrlError: An actor penalty needs a loss that has an actor and a critic of the ...
+        uavrl_onboard.errors.UavrlError: An actor penalty needs a loss that has an actor and a critic of the ...
     """
     return loss if isinstance(loss, ActorCriticLoss) else TorchRLLoss(loss)
 
