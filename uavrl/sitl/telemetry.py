@@ -152,7 +152,7 @@ def euler(rotation: np.ndarray) -> tuple[float, float, float]:
     """Roll, pitch and yaw in rad, from north to the right, of a rotation ``[3, 3]`` from the body to the world.
 
     Examples:
-        >>> [round(each, 6) for each in euler(np.eye(3))]  # it faces east
+        >>> [round(each, 6) + 0.0 for each in euler(np.eye(3))]  # it faces east
         [0.0, 0.0, 1.570796]
     """
     roll, pitch, yaw = attitude_of(_TO_NED @ rotation @ _TO_FRD).tolist()
