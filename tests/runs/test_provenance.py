@@ -11,7 +11,9 @@ import torch
 
 import uavrl
 from uavrl.runs import provenance
-from uavrl.runs.provenance import commit, commit_of, processor, versions
+from uavrl.runs.provenance import commit, processor, versions
+from uavrl_onboard import provenance as on_board
+from uavrl_onboard.provenance import commit_of
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -65,7 +67,7 @@ def test_the_fork_of_pybullet_is_told_where_it_is_what_is_installed(monkeypatch:
             raise PackageNotFoundError(package)
         return "3.2.8" if package == "pybullet-arm64" else "1"
 
-    monkeypatch.setattr(provenance, "version", installed)
+    monkeypatch.setattr(on_board, "version", installed)
     assert versions()["pybullet-arm64"] == "3.2.8" and "pybullet" not in versions()
 
 

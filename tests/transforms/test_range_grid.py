@@ -20,8 +20,8 @@ from uavrl.errors import UavrlError
 from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.transforms import Mirror, NavigationState, RangeImage, TruncatedIcosahedron
 from uavrl.transforms.range_image import range_image, range_image_directions
-from uavrl.viewer.flight_shapes import shell
 from uavrl_onboard.lidar.vlp16 import firing_directions
+from uavrl_onboard.pages.shapes import shell
 from uavrl_onboard.perception import reductions as in_numpy
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid, grid_directions
 

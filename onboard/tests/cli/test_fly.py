@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.deploy.test_senders import capture
+from onboard.tests.lidar.test_senders import capture
 from tests.helpers.commands import in_process
 from tests.helpers.exported import exported
 from tests.helpers.measured import measured

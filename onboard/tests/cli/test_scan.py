@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.deploy.test_senders import capture
+from onboard.tests.lidar.test_senders import capture
 from tests.helpers.captures import KINDS
 from tests.helpers.commands import in_process
 from tests.helpers.flights import unpack

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.deploy.test_flight import Rig
+from onboard.tests.flight.test_loop import Rig
 
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.flight.interfaces import FlightCycle

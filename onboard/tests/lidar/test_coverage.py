@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
-from tests.deploy.test_flight import Rig
+from onboard.tests.flight.test_loop import Rig
 
 from uavrl_onboard.flight.safety import Reason, State
 from uavrl_onboard.lidar.coverage import EMPTY, WATCHED, Coverage, Doubt
