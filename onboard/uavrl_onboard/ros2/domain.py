@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import threading
-from importlib import import_module
 from typing import Any
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.libraries import needed
 
 FAST_DDS = "1.15"  # eProsima's vendor number
 _SETTINGS = (
@@ -26,13 +26,8 @@ def cyclonedds(module: str) -> Any:
     Raises:
         UavrlError: where it is not installed.
     """
-    try:
-        return import_module(f"cyclonedds.{module}")
-    except ImportError as error:
-        raise UavrlError(
-            "ROS 2 is spoken by cyclonedds, which is not installed: pip install 'uavrl[ros2]', or build it where there "
-            "is no wheel (Linux on ARM)."
-        ) from error
+    otherwise = ", or build it on Linux for ARM, where there is no wheel"
+    return needed(f"cyclonedds.{module}", "ROS 2", "ros2", otherwise)
 
 
 def configuration(users: str) -> str:

@@ -14,6 +14,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from tests.helpers.folders import ROOT
 from uavrl.config import compose, validate
 from uavrl.config.settings import EvaluateConfig
+from uavrl_onboard.cli import fly, scan
+from uavrl_onboard.cli.command import settings
 
 YAML = {
     "train": "config",
@@ -22,10 +24,9 @@ YAML = {
     "pretrain": "pretrain",
     "report": "report",
     "export": "export",
-    "scan": "scan",
-    "fly": "fly",
     "sitl": "sitl",
 }
+ON_BOARD = {"scan": (scan.ABOUT, scan.ScanConfig), "fly": (fly.ABOUT, fly.FlyConfig)}
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
@@ -35,7 +36,7 @@ def commands(page: Path) -> Iterator[str]:
         if re.search(r"git checkout|\bat [0-9a-f]{7}\b", block):
             continue
         for line in block.replace("\\\n", " ").splitlines():
-            yield from re.findall(rf"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:{'|'.join(YAML)}) .*)", line)
+            yield from re.findall(rf"(?:^|&& )(?:PYTHONPATH=\S+ )?(uavrl-(?:{'|'.join([*YAML, *ON_BOARD])}) .*)", line)
 
 
 NOT_OURS = ("my_conf", "<TAB>", " -sc ")  # the reader's own parts, and the shell's completion
@@ -52,10 +53,14 @@ def test_a_command_of_the_docs_composes(page: str, line: str, monkeypatch: pytes
     monkeypatch.syspath_prepend(ROOT / "studies/lost_parts")
     words = [word for word in shlex.split(line, comments=True) if word != "…"]
     own = [ROOT / after for word, after in pairwise(words) if word == "--config-dir"]
+    command = words[0].removeprefix("uavrl-")
+    if command in ON_BOARD:
+        settings(*ON_BOARD[command], words[1:])
+        return
     overrides = [word for word in words[1:] if "=" in word and not word.startswith("-")]
     sweep = [word for word in overrides if OverridesParser.create().parse_override(word).is_sweep_override()]
     first = [word.partition(",")[0] if word in sweep else word for word in overrides]
-    name = YAML[words[0].removeprefix("uavrl-")]
+    name = YAML[command]
     config = compose(*first, name=name, own=own)
     if name == "config" and config.resume is None:
         validate(config)
