@@ -287,5 +287,5 @@ def test_a_far_range_that_is_no_farther_changes_nothing() -> None:
 
 @pytest.mark.parametrize("far", [0.0, -1.0, float("nan"), float("inf")])
 def test_the_far_range_is_none_or_a_length(far: float) -> None:
-    with pytest.raises(ValueError, match="far_range must be a (positive length in metres|finite number)"):
+    with pytest.raises(ValueError, match=r"far_range must be a (positive length in metres|finite number)"):
         LidarConfig(max_range=4.0, far_range=far)
