@@ -9,16 +9,16 @@ from collections.abc import Collection, Iterable, Mapping
 from uavrl.errors import UavrlError
 
 _NETWORK = ("observations", "actions", "limit", "stacked")
-_ENHANCER = ("base", "gamma", *_NETWORK)
+_PENALTY = ("base", "gamma", *_NETWORK)
 # By the part's name; what each name means stands in docs/own_parts.md.
 CONTEXT: Mapping[str, tuple[str, ...]] = {
     "env": ("seed", "measure_clearance", "tasks"),
     "perception": ("sensor_position",),
     "algo": ("actor_network", "qvalue_network", "num_qvalue_nets", "value_network", "action_spec"),
-    "fork": _ENHANCER,
-    "lifeguard": _ENHANCER,
-    "actor_penalty": _ENHANCER,
-    "smoothness": _ENHANCER,
+    "fork": _PENALTY,
+    "lifeguard": _PENALTY,
+    "actor_penalty": _PENALTY,
+    "smoothness": _PENALTY,
     "buffer": ("frames", "seed", "transform"),
     "backward_reward": ("stacked", "observations", "perception", "kept"),
     "collector": (

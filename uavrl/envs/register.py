@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
@@ -34,7 +33,7 @@ def _register(registration: ModuleType) -> None:
         )
 
 
-class _WhenLoaded(MetaPathFinder):
+class _WhenLoaded:  # not a MetaPathFinder, whose module takes 30 ms to import
     """Registers the environment right after Gymnasium's registry has been loaded, once."""
 
     def find_spec(self, fullname: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:

@@ -126,7 +126,7 @@ class Imitation(ActorPenalty):
     @property
     def in_keys(self) -> list[NestedKey]:
         """What :meth:`forward` reads."""
-        return [*super().in_keys, self.tensor_keys.demonstrator_action]
+        return [*self._inner.in_keys, self.tensor_keys.demonstrator_action]
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The base's action, and the scripted controller's if the batch has it."""

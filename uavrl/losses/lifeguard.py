@@ -313,7 +313,7 @@ class LifeGuard(ActorPenalty):
     def in_keys(self) -> list[NestedKey]:
         """What :meth:`forward` reads."""
         keys = self.tensor_keys
-        return list(dict.fromkeys([*super().in_keys, keys.observation, keys.action, ("next", keys.collided)]))
+        return list(dict.fromkeys([*self._inner.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
 
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """The classifier's loss."""
