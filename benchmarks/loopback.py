@@ -34,11 +34,11 @@ PATIENCE = 60.0  # s for the simulator to begin
 LONGEST = 120.0  # s of one flight
 
 
-def started(command: str, *arguments: str, folder: Path) -> subprocess.Popen[str]:
-    """One of our commands in a process of its own, which writes what it prints to COMMAND.log."""
-    with (folder / f"{command}.log").open("w", encoding="utf-8") as log:
+def started(module: str, *arguments: str, folder: Path) -> subprocess.Popen[str]:
+    """One of our commands in a process of its own, which writes what it prints to NAME.log."""
+    with (folder / f"{module.rpartition('.')[2]}.log").open("w", encoding="utf-8") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", f"uavrl.cli.{command}", *arguments],
+            [sys.executable, "-m", module, *arguments],
             stdout=log,
             stderr=subprocess.STDOUT,
             cwd=folder,
@@ -53,7 +53,7 @@ def flown(
     folder.mkdir(parents=True)
     lidar, autopilot = (f"udp://127.0.0.1:{port}" for port in ports)
     both = (f"lidar={lidar}", f"autopilot={autopilot}")
-    vehicle = started("sitl", f"task={task}", "json=task.json", *both, *sitl, folder=folder)
+    vehicle = started("uavrl.cli.sitl", f"task={task}", "json=task.json", *both, *sitl, folder=folder)
     try:
         begun = time.monotonic()
         while not (folder / "task.json").exists():
@@ -63,7 +63,7 @@ def flown(
         goal = json.loads((folder / "task.json").read_text(encoding="utf-8"))["goal"]
         where = f"goal=[{','.join(map(str, goal))}]"
         often = ("model=VLP16", "set_mode=true", "hold=0.5", f"seconds={LONGEST - 20:g}", "json=flight.json")
-        pilot = started("fly", f"policy={policy}", where, *often, *both, *fly, folder=folder)
+        pilot = started("uavrl_onboard.cli.fly", f"policy={policy}", where, *often, *both, *fly, folder=folder)
         try:
             vehicle.wait(LONGEST)
             pilot.wait(5.0)

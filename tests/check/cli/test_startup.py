@@ -11,7 +11,7 @@ import pytest
 HEAVY = ("torch", "torchrl", "tensordict", "pybullet", "sklearn", "matplotlib")
 RUN = """
 import sys
-from uavrl.cli.{command} import main
+from {package}.cli.{command} import main
 for argument in {arguments!r}:
     sys.argv = ["uavrl-{command}", argument]
     code = 0
@@ -36,6 +36,7 @@ LIGHT = {
     "scan": {"source=none.bin": "There is no none.bin: give udp://:PORT, a capture"},
     "export": {"output=null": "output must be a folder to write the policy to"},
 }
+PACKAGE = {"fly": "uavrl_onboard", "scan": "uavrl_onboard"}
 SLOW = {
     "algo.gamma=1.5": "algo.gamma must be in [0, 1), got 1.5",
     "+reward.arived_reward=1": "did you mean reward.arrived_reward?",
@@ -47,7 +48,7 @@ SECONDS = 12.0  # of a processor; an idle one takes 5, one that others load up t
 def test_help_and_mistakes_are_told_before_anything_heavy_loads(command: str) -> None:
     """One process for all: what one of them loads, the last one shows."""
     told = LIGHT[command]
-    code = RUN.format(command=command, arguments=[*told, "--help"], heavy=HEAVY)
+    code = RUN.format(package=PACKAGE.get(command, "uavrl"), command=command, arguments=[*told, "--help"], heavy=HEAVY)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "Traceback" not in done.stderr
     for said, line in zip(told.values(), done.stderr.splitlines(), strict=True):

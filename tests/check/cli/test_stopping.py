@@ -190,6 +190,7 @@ def test_a_suite_that_is_ended_leaves_nothing_behind(
 
 ON_A_TERMINAL = """
 import fcntl, sys, termios
+from uavrl_onboard.cli.process import command_process
 
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 with command_process():

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tests.helpers.folders import ROOT
-from uavrl_onboard.lidar.bags import read_packets
+from uavrl_onboard.lidar.bags import RecordedClock, read_packets
 from uavrl_onboard.lidar.packets import PACKET
 from uavrl_onboard.lidar.scans import Skipped
 from uavrl_onboard.lidar.sources import ScanSource
@@ -65,7 +65,7 @@ def test_nebula_s_recording_gives_the_points_of_its_cloud(recording: Path) -> No
     lasers = np.degrees(np.arcsin(points[:, 2] / ranges))
     assert np.abs(lasers - lasers.round()).max() < 0.01
     ours = np.stack([lasers.round(), ranges, np.degrees(np.arctan2(-points[:, 1], points[:, 0])) % 360], -1)
-    packets = [packet for _, packet in read_packets(recording, "/velodyne_packets", Skipped())][-150:]
+    packets = [packet for _, packet in read_packets(recording, "/velodyne_packets", Skipped(), RecordedClock())][-150:]
     last = np.frombuffer(b"".join(packets), PACKET)["blocks"][:, 10:]
     written = np.broadcast_to(last["azimuth"][..., None] / 100, (*last.shape, 32)).reshape(-1)
     fired = np.tile(LASER_ELEVATIONS, written.size // 16)
