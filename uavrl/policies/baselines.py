@@ -11,12 +11,13 @@ from torch import Tensor
 from uavrl.errors import UavrlError
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction, cell_directions
+from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
+from uavrl_onboard.perception.reductions import Reduction
 from uavrl_onboard.vehicle import VEHICLE
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
