@@ -10,11 +10,10 @@ from torchrl.envs import EnvBase, step_mdp
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.evaluation.smoothness import action_change, yaw_reversals
+from uavrl.policy_protocol import Acts
 from uavrl.runs.episodes import outcome
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms.state import ACTION_LIMIT
-
-Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class EpisodeResult:
 
 
 @torch.no_grad()
-def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[TensorDictBase]:
+def rollout(env: EnvBase, policy: Acts, state: TensorDictBase) -> Iterator[TensorDictBase]:
     """Steps of an environment of any batch size from ``env.reset()``'s state on, each with its ``"next"``, without end.
 
     The policy reads the environment's output and writes ``action``, without exploration noise. A vehicle that is done
@@ -114,7 +113,7 @@ class EpisodeMeter:
 
 def rollout_episodes(
     env: EnvBase,
-    policy: Policy,
+    policy: Acts,
     episodes: int,
     *,
     watch: Callable[[np.ndarray], None] | None = None,
