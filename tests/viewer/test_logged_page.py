@@ -12,8 +12,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 from scipy.spatial.transform import Rotation
 
-from tests.helpers.flights import unpack
 from tests.helpers.logged import GOAL, SILENT, START, WALLS, contract, cycles, write_log
+from tests.helpers.pages import unpack
 from uavrl.envs.lidar import Lidar
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError

@@ -11,9 +11,9 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
-from tests.helpers.commands import in_process
 from torch.testing import assert_close
 
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import WorldConfig

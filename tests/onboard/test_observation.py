@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from tests.helpers.clouds import CloudEnv
 from torchrl.envs import CatFrames, TransformedEnv
 
+from tests.helpers.clouds import CloudEnv
 from uavrl.transforms import navigation_observation as in_torch
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.perception.goal import goal_elevation_deg, goal_heading_deg
