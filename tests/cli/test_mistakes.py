@@ -30,11 +30,11 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         (
             ["reward=bold", "reward.arrived_reward=100"],
-            "bold.yaml has no arrived_reward: add it there, or write +reward.arrived_reward=100",
+            "choose that one, or write +reward.arrived_reward=VALUE where the class of this one takes it.",
         ),
         (
             ["reward=traditional", "reward.boldness=2"],
-            "reward.boldness belongs to another choice of reward than the one made: choose reward=bold, or leave it",
+            "reward.boldness belongs to another choice of reward than the one made: choose that one",
         ),
         (["reward=traditional", "reward.boldnes=2"], "There is no key 'reward.boldnes': did you mean reward.boldness?"),
         (["reward=bald"], "got 'bald': did you mean bold?"),
@@ -58,12 +58,15 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["env.blind=true"], "static.yaml has no blind: write +env.blind=true"),
+        (
+            ["env.blind=true"],
+            "If the class of env takes it, write +env.blind=VALUE.",
+        ),
         (
             ["algo=sac", "algo.actor.log_scale=[1.0,2.0]"],
-            "sac.yaml has no actor.log_scale: write +algo.actor.log_scale",
+            "If the class of algo takes it, write +algo.actor.log_scale=VALUE.",
         ),
-        (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
+        (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),
         (["preset=bst"], "got 'bst': did you mean best?"),
         (["preset=fast"], "preset must be one of best, thesis, got 'fast'."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from onboard.tests.lidar.test_senders import capture
 from tests.helpers.commands import in_process
 from tests.helpers.exported import exported
@@ -21,7 +22,6 @@ from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
 from tests.helpers.recordings import CLOUD, cloud_message, store, write_bag
-
 from uavrl_onboard.cli import fly
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.logged_flight import LoggedFlight
