@@ -60,7 +60,7 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.evaluation.environment import make_device, make_env
     from uavrl.evaluation.position_stats import PositionStats
-    from uavrl.evaluation.rollout import fly
+    from uavrl.evaluation.rollout import rollout_episodes
     from uavrl.evaluation.summary import summarize
     from uavrl.training.matmul import matmul_backend
 
@@ -84,7 +84,7 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
             require_fit(chosen, env)
             places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
             watch = None if places is None else places.add
-            flights = fly(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
+            flights = rollout_episodes(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
         finally:
             env.close()
     result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})

@@ -25,6 +25,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import loss_class, make_actor, make_network, network_context, saved_sizes
 from uavrl.evaluation.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
 from uavrl.losses import ActorCriticLoss, ActorPenalty, LifeGuard
+from uavrl.policy_protocol import as_policy
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import EpisodeLog
@@ -144,13 +145,14 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
     parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
     callable_type: Any = Callable
-    demonstrator = build(settings.demonstrator, callable_type, packages=packages)
-    if demonstrator is None:
+    acts = build(settings.demonstrator, callable_type, packages=packages)
+    if acts is None:
         return make_env(*parts, packages=packages, seed=seed)
+    demonstrator = as_policy(acts)
     env = cast(DemonstratorEnv, make_env(*parts, packages=packages, seed=seed, kind=DemonstratorEnv))
-    require_keys(env, [(getattr(demonstrator, "in_keys", ()), ())], "demonstrator")
+    require_keys(env, [(demonstrator.in_keys, ())], "demonstrator")
     sizes = network_sizes(env)
-    env.append_transform(Demonstrator(demonstrator, getattr(demonstrator, "in_keys", ()), sizes.actions))
+    env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions))
     env.noise = make_noise(settings, sizes, torch.device("cpu"))
     return env
 

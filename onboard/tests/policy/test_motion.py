@@ -27,7 +27,7 @@ from uavrl_onboard.autopilot.dry_run import DryRun
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.loop import Flight
-from uavrl_onboard.flight.safety import SafetyLayer, State
+from uavrl_onboard.flight.safety import SafetyLayer, SafetyState
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.policy.policy import Policy
 
@@ -207,7 +207,7 @@ def test_it_does_not_take_off_by_what_tells_no_velocity(made: Path, caplog: pyte
         now = 100.0 + 0.1 * step
         link.receive(now)
         states.append(flight.step(now, Scan(now, np.ones((1, 3), np.float32), 1, 0)).status)
-    assert State.FLYING not in [status.state for status in states[:25]] and states[-1].state is State.FLYING
+    assert SafetyState.FLYING not in [status.state for status in states[:25]] and states[-1].state is SafetyState.FLYING
     told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert len(told) == 1 and told[0].startswith("The policy gives no action: This policy sees what moves"), told
 

@@ -17,7 +17,7 @@ from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
-from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, State
+from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Navigator
@@ -37,7 +37,7 @@ _LATE = 1.2  # of a cycle: after that it goes on without a scan
 _ARRIVING = 3  # cycles in a row at the goal, by plausible poses, after which the vehicle has arrived
 _FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
 _TICK = 0.005  # s between two looks at what the system cannot wait for
-_FLIES = (State.FLYING, State.FENCED)
+_FLIES = (SafetyState.FLYING, SafetyState.FENCED)
 
 
 def map_for(contract: Contract, sight: float | None = None) -> Navigator | None:
@@ -110,7 +110,7 @@ class Flight:
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
         self._turn: float | None = None  # of the latest scan, where a memory leads
         self._acted = -math.inf  # when the policy last gave one
-        self._state = State.SILENT
+        self._state = SafetyState.SILENT
         self._control: Control | None = None  # who flew in the cycle before
         self._told = ""
 
