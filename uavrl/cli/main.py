@@ -11,7 +11,9 @@ from uavrl_onboard.cli.process import command_process
 from uavrl_onboard.cli.scan import ABOUT as SCAN
 from uavrl_onboard.sentences import did_you_mean
 
-COMMANDS = {command.removeprefix("uavrl-"): about for command, about in [*ABOUT.values(), COMPARE[:2], SCAN[:2], FLY[:2]]}
+COMMANDS = {
+    command.removeprefix("uavrl-"): about for command, about in [*ABOUT.values(), COMPARE[:2], SCAN[:2], FLY[:2]]
+}
 ON_BOARD = ("scan", "fly")  # commands of uavrl-onboard
 
 
