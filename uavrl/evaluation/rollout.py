@@ -111,6 +111,32 @@ class EpisodeMeter:
         )
 
 
+def episodes_as_they_end(
+    env: EnvBase, policy: Acts, episodes: int, *, watch: Callable[[np.ndarray], None] | None = None
+) -> Iterator[EpisodeResult]:
+    """Roll out tasks 0 to ``episodes - 1`` of the environment's seed, each once, and yield each when it ends.
+
+    Args:
+        env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
+        policy: reads the environment's output, writes ``action``.
+        episodes: number of tasks.
+        watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
+    """
+    meter, left = EpisodeMeter(env.batch_size.numel()), episodes
+    state = env.reset()
+    if state["task"].min() != 0:
+        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
+    for stepped in rollout(env, policy, state):
+        if watch is not None:
+            after = stepped["next"]
+            watch(after["position"][after["task"][:, 0] < episodes].numpy())
+        ended = [each for each in meter.step(stepped) if each.task < episodes]
+        yield from ended
+        left -= len(ended)
+        if not left:
+            return
+
+
 def rollout_episodes(
     env: EnvBase,
     policy: Acts,
@@ -119,7 +145,7 @@ def rollout_episodes(
     watch: Callable[[np.ndarray], None] | None = None,
     progress: bool = False,
 ) -> list[EpisodeResult]:
-    """Rolls out tasks 0 to ``episodes - 1`` of the environment's seed, each once, to its end, and in this order.
+    """Roll out as :func:`episodes_as_they_end` does, and return the episodes in the order of their tasks.
 
     Args:
         env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
@@ -128,18 +154,9 @@ def rollout_episodes(
         watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
         progress: show a progress line.
     """
-    meter, results = EpisodeMeter(env.batch_size.numel()), dict[int, EpisodeResult]()
-    state = env.reset()
-    if state["task"].min() != 0:
-        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
+    results = dict[int, EpisodeResult]()
     with ProgressLine(episodes, "episodes", enabled=progress) as line:
-        for stepped in rollout(env, policy, state):
-            if watch is not None:
-                after = stepped["next"]
-                watch(after["position"][after["task"][:, 0] < episodes].numpy())
-            ended = [result for result in meter.step(stepped) if result.task < episodes]
-            results |= {result.task: result for result in ended}
-            line.add(len(ended))
-            if len(results) == episodes:
-                break
+        for each in episodes_as_they_end(env, policy, episodes, watch=watch):
+            results[each.task] = each
+            line.add(1)
     return [results[task] for task in range(episodes)]

@@ -1,7 +1,9 @@
 """The rates of some episodes, as numbers and as a table, and those of the scenarios of ``uavrl-evaluate suite=…``."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -9,11 +11,13 @@ import yaml
 from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
 from uavrl.evaluation.position_stats import position_lines
-from uavrl.evaluation.rollout import EpisodeResult
 from uavrl.evaluation.smoothness import smoothness_lines, summarize_smoothness
 from uavrl.runs.episodes import LETTERS, RATES, wilson
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.sentences import did_you_mean
+
+if TYPE_CHECKING:
+    from uavrl.evaluation.rollout import EpisodeResult
 
 LABELS = {
     "path_efficiency": "path efficiency (straight / flown, successes)",
