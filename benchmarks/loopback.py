@@ -28,6 +28,7 @@ from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.flight.safety import State
 
+PACKAGES = {"sitl": "uavrl", "fly": "uavrl_onboard"}
 PORTS = (23_680, 24_540)  # of LiDAR and autopilot
 LETTERS = {"success": "S", "collision": "C", "time_out": "T"}
 PATIENCE = 60.0  # s for the simulator to begin
@@ -38,7 +39,7 @@ def started(command: str, *arguments: str, folder: Path) -> subprocess.Popen[str
     """One of our commands in a process of its own, which writes what it prints to COMMAND.log."""
     with (folder / f"{command}.log").open("w", encoding="utf-8") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", f"uavrl.cli.{command}", *arguments],
+            [sys.executable, "-m", f"{PACKAGES[command]}.cli.{command}", *arguments],
             stdout=log,
             stderr=subprocess.STDOUT,
             cwd=folder,
