@@ -124,6 +124,8 @@ def explained(error: Exception, name: str) -> str:
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         return _no_such_key(first.split("'")[-2].split("@")[0], name)
+    if first.startswith("Ambiguous value for argument '"):
+        return _several_values(first.split("'")[1], name)
     deleted = [override[1:] for override in _command_line()[1] if override.startswith("~")]
     if first.startswith("Error resolving interpolation") and deleted:
         return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
@@ -183,7 +185,19 @@ def _no_such_key(key: str, name: str) -> str:
     if key in known:
         having = f"{group}={' or '.join(choices_with(key, folders))}"
         return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."
-    return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys.")
+    place = key.rpartition(".")[0]
+    beside = sorted(
+        {each.removeprefix(f"{place}.").partition(".")[0] for each in known if each.startswith(f"{place}.")}
+    )
+    otherwise = f"{place} has {', '.join(beside)}." if place and beside else "--help=all lists all keys."
+    return f"There is no key {key!r}" + did_you_mean(key, known, ": ", otherwise)
+
+
+def _several_values(override: str, name: str) -> str:
+    """Why one key cannot have several values, and what to write."""
+    key, _, values = override.partition("=")
+    each = "or add -m to train with each of them" if ABOUT[name][0] == "uavrl-train" else "and start the command once for each of them"
+    return f"{key} got several values, {values}: give one, {each}. A list is written {key}=[{values}]."
 
 
 def _choice_that_takes(key: str, name: str, folders: list[Path], overrides: list[str]) -> str | None:

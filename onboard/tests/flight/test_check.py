@@ -171,6 +171,9 @@ def test_a_second_sensor_and_another_model(policy: Policy) -> None:
     assert levels(told) == {"packets": "warn"}
     left_out = "Left out: 300 packets of a second sender."
     assert told["packets"].sentence == f"Two senders: only 192.168.1.201:2368 is read. {left_out}"
+    found = evidence(policy, Come(), Feed())
+    found.warnings.append(("uavrl_onboard.ros2.dds", "Two nodes publish on /points: only the first is read."))
+    assert levels({item.name: item for item in judge(found)}) == {"packets": "warn"}
     feed = Feed()
     feed.skipped.lost, feed.skipped.position = 1, 9
     assert levels(items(policy, feed=feed)) == {}, "one of hundreds of packets"

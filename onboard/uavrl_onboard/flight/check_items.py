@@ -51,6 +51,7 @@ _POSES = (
     Reason.POSE_RESET,
     Reason.VELOCITY_DISAGREES,
 )
+_TOPICS = "uavrl_onboard.ros2.dds"  # the logger that tells of two nodes on one topic
 _CLOCKS = "uavrl_onboard.autopilot.clock_sync"  # the logger that tells of clocks that have stepped
 
 
@@ -88,7 +89,8 @@ def check_scans(evidence: Evidence) -> Item:
 
 def check_packets(evidence: Evidence) -> Item | None:
     """What comes from the sensor is whole, of its model and of one sender."""
-    skipped, remarks = evidence.setup.feed.skipped, evidence.setup.feed.remarks()
+    shared = [sentence for name, sentence in evidence.warnings if name == _TOPICS]
+    skipped, remarks = evidence.setup.feed.skipped, [*evidence.setup.feed.remarks(), *shared]
     if not evidence.scans:
         return None
     rays = sum(cycle.scan.rays for cycle in evidence.scans if cycle.scan is not None)
