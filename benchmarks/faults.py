@@ -16,6 +16,7 @@ import math
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -76,7 +77,7 @@ class Answer(NamedTuple):
 
     verdict: str  #: goes on, holds, ends, or never begins
     zeros_after: float | None  #: s from the fault to the first cycle without a velocity; None: there was none
-    reason: str  #: of that cycle
+    reason: str  #: of that cycle; of a flight that never begins, of most cycles
 
 
 def answer(cycles: Iterable[tuple[float, FlightCycle]], fault: float | None) -> Answer:
@@ -88,13 +89,15 @@ def answer(cycles: Iterable[tuple[float, FlightCycle]], fault: float | None) -> 
     """
     flew, zeros = False, None
     last: FlightCycle | None = None
+    reasons = Counter[str]()
     for time, cycle in cycles:
         flies = cycle.status.state in _FLIES
         if zeros is None and flew and not flies and (fault is None or time >= fault):
             zeros = (None if fault is None else time - fault), str(cycle.status.reason)
         flew, last = flew or flies, cycle
+        reasons[str(cycle.status.reason)] += 1
     if last is None or not flew:
-        return Answer("never begins", None, "" if last is None else str(last.status.reason))
+        return Answer("never begins", None, next((reason for reason, _ in reasons.most_common(1)), ""))
     if zeros is None:
         return Answer("goes on", None, "")
     return Answer("holds" if last.status.state in _FLIES else "ends", *zeros)
