@@ -68,9 +68,7 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
     """What came of a flight into nothing."""
     assert settings.goal is not None
     stages, stamped = make_guards(settings, policy), settings.lidar.startswith(ROS2)
-    sights = {"the map": stages["memory"] and stages["memory"].sight}
-    sights["evasion"] = stages["evasion"] and stages["evasion"].max_range
-    sights["the policy's motion detection"] = policy.contract.motion and policy.contract.motion.max_range
+    sights = _sights(stages, policy)
     setup = Setup(
         policy.contract,
         settings.goal,
@@ -79,8 +77,8 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
         feed,
         stamped,
         None if settings.autopilot is None else link,
-        {name: sight for name, sight in sights.items() if sight},
-        uses_motion=any(sights.values()) or stages["shield"] is not None,
+        sights,
+        uses_motion=bool(sights) or stages["shield"] is not None,
         log=None if settings.log is None else Path(settings.log),
         seconds=settings.seconds,
     )
@@ -91,6 +89,14 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
     evidence = Evidence(setup, flight, doubts)
     observe(evidence, listener)
     return evidence
+
+
+def _sights(stages: dict[str, Any], policy: Policy) -> dict[str, float]:
+    """How far guards and policy look, m, where that is farther than the policy's cells."""
+    memory, evasion, motion = stages["memory"], stages["evasion"], policy.contract.motion
+    found = {"the map": memory and memory.sight, "evasion": evasion and evasion.max_range}
+    found["the policy's motion detection"] = motion and motion.max_range
+    return {name: sight for name, sight in found.items() if sight}
 
 
 def _of_policy(policy: Policy) -> Item:
