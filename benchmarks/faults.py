@@ -132,7 +132,8 @@ def row(
     sitl, fly = (tuple(_put(each, words) for each in keys) for keys in ((*fault.keys, *_QUICK), fault.fly))
     vehicle, told = flown(policy, task, folder, sitl, ("seconds=40", *fly), ports)
     began = vehicle.get("began_at")
-    found = answer(until_arrival(folder), None if None in (began, fault.begins) else began + fault.begins)
+    begins = None if began is None or fault.begins is None else began + fault.begins
+    found = answer(until_arrival(folder), begins)
     told_arrived = told["arrived_after_s"]
     return {
         "fault": fault.name,

@@ -39,11 +39,11 @@ def flight(policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any
 
 
 def test_a_pose_that_jumps_to_the_goal_for_a_moment_is_no_arrival(flight: Any) -> None:
-    unhurt, printed = flight("none")
-    assert (unhurt["verdict"], unhurt["outcome"]) == ("goes on", "success"), printed
+    unhurt, _ = flight("none")
     jumped, printed = flight("position at the goal for 0.3 s", unhurt)
     assert (jumped["verdict"], jumped["reason"], jumped["outcome"]) == ("holds", "position_jumped", "success"), printed
-    assert jumped["zeros_after"] <= 0.25 and jumped["arrived_after_s"] >= unhurt["arrived_after_s"] - 1.0
+    assert jumped["zeros_after"] <= 0.25
+    assert jumped["arrived_after_s"] > 10.0, "28 m of the way were left"
     assert "the position jumped by" in printed and "holding (position_jumped)" in printed
 
 
