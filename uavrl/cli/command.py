@@ -196,7 +196,11 @@ def _no_such_key(key: str, name: str) -> str:
 def _several_values(override: str, name: str) -> str:
     """Why one key cannot have several values, and what to write."""
     key, _, values = override.partition("=")
-    each = "or add -m to train with each of them" if ABOUT[name][0] == "uavrl-train" else "and start the command once for each of them"
+    each = (
+        "or add -m to train with each of them"
+        if ABOUT[name][0] == "uavrl-train"
+        else "and start the command once for each of them"
+    )
     return f"{key} got several values, {values}: give one, {each}. A list is written {key}=[{values}]."
 
 
