@@ -66,7 +66,16 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             ["algo=sac", "algo.actor.log_scale=[1.0,2.0]"],
             "If the class of algo takes it, write +algo.actor.log_scale=VALUE.",
         ),
-        (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),
+        (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
+        (
+            ["perception.lidar.channels=32"],
+            "There is no key 'perception.lidar.channels': perception.lidar has dropout, ",
+        ),
+        (["perception.lidar.max_rang=3"], "did you mean perception.lidar.max_range?"),
+        (
+            ["algo.gamma=0.9,0.8"],
+            "algo.gamma got several values, 0.9,0.8: give one, or add -m to train with each of them",
+        ),
         (["preset=bst"], "got 'bst': did you mean best?"),
         (["preset=fast"], "preset must be one of best, thesis, got 'fast'."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
@@ -94,6 +103,10 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
             ["policy=bst"],
             "policy must be one of straight, vfh, vfh_star, mppi, potential_field, rrt_connect, rrt_map, "
             "best, best_dynamic, got 'bst': did you mean best?",
+        ),
+        (
+            ["policy=best,vfh"],
+            "policy got several values, best,vfh: give one, and start the command once for each of them",
         ),
         (["policy=???"], "policy must be given, and is not: add policy=VALUE."),
         (["policy='${oc.env:NOWHERE}'"], "The configuration does not hold together at policy"),

@@ -119,6 +119,8 @@ def explained(error: Exception, name: str) -> str:
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         return _no_such_key(first.split("'")[-2].split("@")[0], known_keys(name, folders))
+    if first.startswith("Ambiguous value for argument '"):
+        return _several_values(first.split("'")[1], name)
     deleted = [override[1:] for override in overrides if override.startswith("~")]
     if first.startswith("Error resolving interpolation") and deleted:
         return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
@@ -136,7 +138,11 @@ def _no_such_key(key: str, known: list[str]) -> str:
     if key in known:
         other = f"choose that one, or write +{key}=VALUE where the class of this one takes it."
         return f"{key} belongs to another choice of {group} than the one made: {other}"
-    told = f"There is no key {key!r}{did_you_mean(key, known, ': ', '--help=all lists all keys.')}"
+    place = key.rpartition(".")[0]
+    beside = {each[len(place) + 1 :].partition(".")[0] for each in known if each.startswith(f"{place}.")}
+    nested = place != group and beside
+    otherwise = f"{place} has {', '.join(sorted(beside))}." if nested else "--help=all lists all keys."
+    told = f"There is no key {key!r}{did_you_mean(key, known, ': ', otherwise)}"
     is_slip = did_you_mean(key, known, cutoff=SLIP) != "."
     return told if is_slip or group not in known else f"{told} If the class of {group} takes it, write +{key}=VALUE."
 
@@ -161,6 +167,17 @@ def _read_texts() -> None:
     """Has Hydra read the overrides whose values it could not read as texts."""
     overrides = get_args_parser().parse_args(sys.argv[1:]).overrides
     sys.argv[1:] = [readable(each) if each in overrides else each for each in sys.argv[1:]]
+
+
+def _several_values(override: str, name: str) -> str:
+    """Why one key cannot have several values, and what to write."""
+    key, _, values = override.partition("=")
+    each = (
+        "or add -m to train with each of them"
+        if ABOUT[name][0] == "uavrl-train"
+        else "and start the command once for each of them"
+    )
+    return f"{key} got several values, {values}: give one, {each}. A list is written {key}=[{values}]."
 
 
 def _command_line() -> tuple[list[Path], list[str]]:

@@ -125,7 +125,7 @@ def compare(settings: CompareConfig) -> tuple[Comparison, dict[str, str]]:
     with _flights(flying, tasks) as flown, ProgressLine(tasks, "tasks", enabled=bool(flying)) as line:
         for end in [*range(settings.block, tasks, settings.block), tasks]:
             outcomes = {name: known[name][:end] if name in known else flown[name].first(end) for name in SIDES}
-            found = Comparison.of(*(outcomes[name] for name in SIDES), settings.error)
+            found = Comparison.of(outcomes["first"], outcomes["second"], settings.error)
             line.set(end)
             if found.better:
                 break

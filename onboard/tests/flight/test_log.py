@@ -316,7 +316,14 @@ def test_what_is_no_log_ends_in_one_sentence(tmp_path: Path, logged: tuple[Path,
         writer.add_metadata("uavrl.flight", {"format": "uavrl.flight 1", "goal": "[1,2]"})
         writer.add_attachment(0, 0, "contract.json", "application/json", b"{}")
 
+    def earlier(writer: Any) -> None:
+        terms = json.loads(contract().to_text())
+        del terms["cells"]["offsets"]
+        writer.add_metadata("uavrl.flight", {"format": "uavrl.flight 1", "goal": "[1,2,3]"})
+        writer.add_attachment(0, 0, "contract.json", "application/json", json.dumps(terms).encode())
+
     for name, write, said in (
+        ("earlier", earlier, "was written by an earlier uavrl: its contract has no cells.offsets, and what it saw"),
         ("nowhere", None, "nowhere.mcap cannot be read"),
         ("text", None, "text.mcap is no MCAP file"),
         ("head", None, "is an MCAP file, and not the log of a flight"),

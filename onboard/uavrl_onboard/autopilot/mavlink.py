@@ -160,6 +160,11 @@ class Autopilot:
         return self.vehicle.status(now)
 
     @property
+    def signs(self) -> bool:
+        """Whether what is sent bears a signature."""
+        return bool(self._writer.signing.sign_outgoing)
+
+    @property
     def answer(self) -> str:
         """What the autopilot last answered to a request for its mode or for arming."""
         return self._answer
