@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uavrl.config import conf_dir
+from uavrl.runs.cache import FOLDER, MOST_BYTES, valley_folder
 
 ABOUT = {
     "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),
@@ -38,6 +39,7 @@ MOST_USED = {
     "sitl": "task seed valleys lidar autopilot firmware armed speed patience linger pilot_takes_over json",
     "pretrain": "run output seed",
 }
+BUILDS_VALLEYS = ("config", "evaluate", "replay", "sitl")
 LONGEST = 24  # characters of a name beside its meaning
 _KEY = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>.*?)(?:\s+#\s*(?P<meaning>.*))?$")
 
@@ -77,6 +79,9 @@ def help_text(name: str, *, every_key: bool = False) -> str:
         most_used = {key: known[key].meaning for key in MOST_USED[name].split()}
         lines += ["", "Keys that are used most", *_table(most_used)]
         lines += ["", f"All keys: {command} --help=all    What a command line comes to: {command} … --cfg job"]
+    if name in BUILDS_VALLEYS:
+        kept = f"Built valleys are kept in {valley_folder()}, at most {MOST_BYTES / 1e6:.0f} MB"
+        lines += ["", f"{kept}; the environment variable {FOLDER} names another folder."]
     return "\n".join(lines)
 
 
