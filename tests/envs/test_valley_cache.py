@@ -110,6 +110,15 @@ def good(**changed: np.ndarray) -> bytes:
     return archive(**{"candidates": np.ones((4, 2)), **nothing, **changed})
 
 
+def encrypted(content: bytes) -> bytes:
+    """An archive whose entries say that they need a password."""
+    local, central = b"PK\x03\x04", b"PK\x01\x02"
+    for mark, flags in ((local, 6), (central, 8)):
+        parts = content.split(mark)
+        content = mark.join([parts[0], *(part[: flags - 4] + b"\x01" + part[flags - 3 :] for part in parts[1:])])
+    return content
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -125,8 +134,27 @@ def good(**changed: np.ndarray) -> bytes:
         good(trapped=np.array([[0, 4]]), traps=np.array([1])),
         good(trapped=np.array([[0, 1]]), traps=np.array([2])),
         good(lanes=np.full((1, 6, 3), np.inf)),
+        good().replace(b"(4, 2)", b"(9, 2)"),
+        good().replace(b"(4, 2), }             ", b"(99999999999999, 2), }"),
+        encrypted(good()),
     ],
-    ids=["empty", "text", "cut", "cut early", "names", "objects", "nan", "none", "shape", "index", "count", "infinite"],
+    ids=[
+        "empty",
+        "text",
+        "cut",
+        "cut early",
+        "names",
+        "objects",
+        "nan",
+        "none",
+        "shape",
+        "index",
+        "count",
+        "infinite",
+        "long",
+        "huge",
+        "encrypted",
+    ],
 )
 def test_a_damaged_file_is_warned_of_and_replaced(
     content: bytes, folder: Path, mapped: list[int], caplog: pytest.LogCaptureFixture

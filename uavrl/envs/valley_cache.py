@@ -29,7 +29,9 @@ _FORMAT = 1  # of a file
 # The code that a map depends on, beside what it imports from NumPy and SciPy.
 _CODE = ("lanes", "mesh", "obstacles", "tasks", "terrain", "traps", "world")
 _ONBOARD = ("geometry", "mesh", "guards.map.grid")
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, IndexError, NotImplementedError, zipfile.BadZipFile, zlib.error)
+# What reading a damaged archive raises: a flipped bit may say that it is encrypted, or that an array is huge.
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, IndexError, TypeError, RuntimeError, MemoryError)
+_DAMAGED += (zipfile.BadZipFile, zlib.error)
 _MOST_ENTRY = 50_000_000  # bytes of one array: a damaged length must not fill the memory
 
 
