@@ -24,8 +24,8 @@ run = folder / "run"
 # %% [markdown]
 # ## Train
 #
-# `preset=best` chooses what `make train` trains: a scripted controller flies the first `algo.learning_starts` steps, and the policy, which learns
-# from all flights, is kept near it. The words after it make valley, networks and training small. Every word is a key of a yaml file;
+# `preset=best` chooses what `make train` trains: a scripted controller flies the first `algo.learning_starts` steps, then the policy flies and
+# learns what the controller would do in each state that it reaches. The words after it make valley, networks and training small. Every word is a key of a yaml file;
 # `uavrl-train --help` shows the ones used most.
 
 # %%
@@ -33,7 +33,7 @@ sh(
     f"uavrl-train preset=best collector=sync randomize=none run_dir={run} trainer.episodes={FLIGHTS} "
     "trainer.progress=false env.num_uavs=8 env.world.seeds=[0] env.world.size=[20,16] env.world.obstacles=8 "
     "env.world.min_goal_distance=5 env.max_steps=100 algo.hidden=[128,128] algo.learning_starts=800 "
-    "trainer.updates_per_step=2 trainer.execution=captured trainer.window=50"
+    "cloning.steps=6000 cloning.updates_per_step=1 cloning.batch_size=128 trainer.execution=captured trainer.window=50"
 )
 
 # %% [markdown]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from uavrl.config import conf_dir
 from uavrl_onboard.cli.command import table
+from uavrl.runs.cache import FOLDER, MOST_BYTES, valley_folder
 
 ABOUT = {
     "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),
@@ -36,6 +37,7 @@ MOST_USED = {
     "sitl": "task seed valleys lidar autopilot firmware armed speed patience linger pilot_takes_over json",
     "pretrain": "run output seed",
 }
+BUILDS_VALLEYS = ("config", "evaluate", "replay", "sitl")
 _KEY = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>.*?)(?:\s+#\s*(?P<meaning>.*))?$")
 
 
@@ -74,6 +76,9 @@ def help_text(name: str, *, every_key: bool = False) -> str:
         most_used = {key: known[key].meaning for key in MOST_USED[name].split()}
         lines += ["", "Keys that are used most", *table(most_used)]
         lines += ["", f"All keys: {command} --help=all    The resolved configuration: {command} … --cfg job"]
+    if name in BUILDS_VALLEYS:
+        kept = f"Built valleys are kept in {valley_folder()}, at most {MOST_BYTES / 1e6:.0f} MB"
+        lines += ["", f"{kept}; the environment variable {FOLDER} names another folder."]
     return "\n".join(lines)
 
 

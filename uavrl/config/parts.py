@@ -20,6 +20,7 @@ PARTS = (
     "lifeguard",
     "actor_penalty",
     "smoothness",
+    "cloning",
     "buffer",
     "backward_reward",
     "demonstrator",

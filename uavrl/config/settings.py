@@ -57,6 +57,7 @@ class TrainConfig:
     trainer: TrainerConfig
     demonstrator: Part = field(default_factory=lambda: Part(_target_=None))
     smoothness: Part = field(default_factory=lambda: Part(_target_=None))
+    cloning: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()
     seed: Seed = 0
