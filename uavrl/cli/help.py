@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from uavrl.config import conf_dir
-from uavrl_onboard.cli.command import table
 from uavrl.runs.cache import FOLDER, MOST_BYTES, valley_folder
+from uavrl_onboard.cli.command import table
 
 ABOUT = {
     "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),

@@ -30,8 +30,10 @@ _FORMAT = 1  # of a file
 _CODE = ("lanes", "mesh", "obstacles", "tasks", "terrain", "traps", "world")
 _ONBOARD = ("geometry", "mesh", "guards.map.grid")
 # What reading a damaged archive raises: a flipped bit may say that it is encrypted, or that an array is huge.
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, IndexError, TypeError, RuntimeError, MemoryError)
-_DAMAGED += (zipfile.BadZipFile, zlib.error)
+_DAMAGED = (
+    *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, RuntimeError, MemoryError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 _MOST_ENTRY = 50_000_000  # bytes of one array: a damaged length must not fill the memory
 
 
