@@ -27,6 +27,8 @@ from uavrl.config.yaml_files import compose, register_run_name, with_choices
 from uavrl.errors import UavrlError
 from uavrl.runs.shared_memory import shared_memory_explained
 from uavrl_onboard.cli.process import command_process, one_sentence
+from uavrl_onboard.guards.command_line import KEY as GUARDS
+from uavrl_onboard.guards.command_line import join_guards
 from uavrl_onboard.sentences import did_you_mean
 
 SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
@@ -159,7 +161,8 @@ def _refuse_options(name: str) -> None:
 def _read_texts() -> None:
     """Has Hydra read the overrides whose values it could not read as texts."""
     overrides = get_args_parser().parse_args(sys.argv[1:]).overrides
-    sys.argv[1:] = [readable(each) if each in overrides else each for each in sys.argv[1:]]
+    options = [each for each in sys.argv[1:] if each not in overrides]
+    sys.argv[1:] = [*options, *map(readable, join_guards(overrides))]
 
 
 def _hint(given: str, name: str) -> str:
@@ -171,6 +174,10 @@ def _hint(given: str, name: str) -> str:
 
 def _no_such_key(key: str, name: str) -> str:
     """Why a key cannot be changed: another choice has it, the yaml of this one leaves it out, or there is none."""
+    if key == GUARDS:
+        return (
+            f"{ABOUT[name][0]} has no key 'guards': give it to uavrl-evaluate, uavrl-replay, uavrl-export or uavrl-fly."
+        )
     folders, overrides = _command_line()
     group, _, below = key.partition(".")
     known = known_keys(name, folders)

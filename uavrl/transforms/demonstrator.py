@@ -10,7 +10,6 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from uavrl.entries import Shown, entry
-from uavrl.transforms.waypoint import heading_to_waypoint
 
 DEMONSTRATOR_ACTION = "demonstrator_action"
 
@@ -18,7 +17,7 @@ Acts = Callable[[TensorDictBase], TensorDictBase]
 
 
 class Demonstrator(Shown, Transform):
-    """A transform that writes the demonstrator's action beside each observation, with the waypoint as its goal.
+    """A transform that writes the demonstrator's action beside each observation.
 
     Args:
         demonstrator: writes ``action`` into a TensorDict with the environment's observations.
@@ -33,9 +32,7 @@ class Demonstrator(Shown, Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.in_keys:
             entry(next_tensordict, key, self)
-        return next_tensordict.set(
-            DEMONSTRATOR_ACTION, self.demonstrator(heading_to_waypoint(next_tensordict.copy()))["action"]
-        )
+        return next_tensordict.set(DEMONSTRATOR_ACTION, self.demonstrator(next_tensordict.copy())["action"])
 
     forward = _call
 
