@@ -25,7 +25,7 @@ from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
 from uavrl.runs.episodes import wilson
 from uavrl_onboard.cli.process import one_sentence
-from uavrl_onboard.guards.protocol import Guards
+from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.policy.contract import read_contract
 

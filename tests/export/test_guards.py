@@ -19,7 +19,7 @@ from uavrl.export.export import contract
 from uavrl_onboard.autopilot.dry_run import DryRun
 from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.flight.safety import SafetyLayer
-from uavrl_onboard.guards.protocol import Guards
+from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.policy.contract import read_contract

@@ -10,7 +10,8 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 
 from uavrl.entries import entry, entry_spec
 from uavrl.transforms.through_time import ThroughTime
-from uavrl_onboard.guards.protocol import Guards, Situation
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
 

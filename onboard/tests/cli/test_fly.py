@@ -27,7 +27,7 @@ from uavrl_onboard.cli import fly
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.flight.loop import Flight
-from uavrl_onboard.guards.protocol import Guards
+from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.sources import ScanSource

@@ -22,7 +22,7 @@ from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.loop import Flight, fly, rehearse
 from uavrl_onboard.flight.safety import Reason, SafetyLayer, State
 from uavrl_onboard.flight.summary import FlightSummary
-from uavrl_onboard.guards.protocol import Guards
+from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.lidar.feeds import UdpScans

@@ -15,8 +15,8 @@ from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import Reason, State
 from uavrl_onboard.flight.summary import FlightSummary
+from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.map import Wayfinder
-from uavrl_onboard.guards.protocol import Guards
 from uavrl_onboard.guards.settings import guard_settings
 
 STILL = (0.0, 0.0, 0.0)

@@ -8,9 +8,10 @@ import torch
 
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import body_to_level, body_to_world
+from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.evasion import Evasion
-from uavrl_onboard.guards.protocol import Guards, Situation
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings
 from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
 from uavrl_onboard.vehicle import Vehicle

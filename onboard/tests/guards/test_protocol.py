@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.guards.chain import GUARDS, Guards
 from uavrl_onboard.guards.map import Wayfinder
-from uavrl_onboard.guards.protocol import GUARDS, Guards, Situation
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.guards.settings import (
     EvasionSettings,
     GuardSettings,

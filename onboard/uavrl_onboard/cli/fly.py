@@ -31,7 +31,7 @@ from uavrl_onboard.flight.log import FlightLog
 from uavrl_onboard.flight.loop import Flight, fly, rehearse
 from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.flight.summary import FlightSummary
-from uavrl_onboard.guards.protocol import Guards
+from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.sources import ScanSource

@@ -18,7 +18,8 @@ from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, State
-from uavrl_onboard.guards.protocol import Guards, Situation
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.lidar.coverage import Coverage, Doubt
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import without_vehicle

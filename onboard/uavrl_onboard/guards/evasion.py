@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from uavrl_onboard.geometry import body_to_level, is_inside, world_to_yaw
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.histogram import polar_histogram
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.perception.motion.occlusion import find_returns
 from uavrl_onboard.perception.motion.threats import greatest_threats, straight_on
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
-
-if TYPE_CHECKING:
-    from uavrl_onboard.guards.protocol import Situation
 
 STANDING = 4.0  # m, up to which obstacles that stand count
 
@@ -24,7 +20,7 @@ class Evasion:
 
     Where a velocity would meet a moving object within two seconds, if that flies straight on,
     :func:`uavrl_onboard.guards.evade.evaded` chooses another velocity, away from obstacles that stand. Motion detection
-    belongs to :class:`~uavrl_onboard.guards.protocol.Guards`, which serves all guards.
+    belongs to :class:`~uavrl_onboard.guards.chain.Guards`, which serves all guards.
 
     Args:
         vehicle: its hull, LiDAR, velocity limit and altitudes.
@@ -32,8 +28,9 @@ class Evasion:
     Examples:
         A ball of 0.3 m comes at 3 m/s, straight ahead, to a vehicle that stands. Asked to fly on, it gives way:
 
-        >>> from uavrl_onboard.guards.protocol import Guards, GuardSettings, Situation
-        >>> from uavrl_onboard.guards.settings import EvasionSettings
+        >>> from uavrl_onboard.guards.chain import Guards
+        >>> from uavrl_onboard.guards.protocol import Situation
+        >>> from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings
         >>> guards, ring = Guards(GuardSettings(evasion=EvasionSettings())), np.linspace(-0.15, 0.15, 5)
         >>> ball = np.stack(np.broadcast_arrays(8.0, ring[:, None], ring), -1).reshape(1, -1, 3)
         >>> still, asked = (np.zeros((1, 3)), np.zeros((1, 3)), np.full(1, 3.5), np.zeros(1)), np.array([[2.0, 0, 0]])

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.geometry import body_to_level, is_inside, is_return, within, world_to_yaw
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
-
-if TYPE_CHECKING:
-    from uavrl_onboard.guards.protocol import Situation
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
 SWEEPS = 20  # most corrections of a velocity

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from uavrl_onboard.geometry import heading_vector
 from uavrl_onboard.guards.map.goal_finder import GoalFinder
 from uavrl_onboard.guards.map.navigator import Navigator
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.vehicle import VEHICLE
-
-if TYPE_CHECKING:
-    from uavrl_onboard.guards.protocol import Situation
 
 
 class Wayfinder:
