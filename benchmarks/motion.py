@@ -1,4 +1,4 @@
-"""What it costs an environment step to look for what moves, and to keep a map of the episode.
+"""What it costs an environment step to look for moving objects, and to fly with guards.
 
 Run `python benchmarks/motion.py [--json FILE]`. All rows fly the default's eight vehicles among ten planes, with the
 same random actions, on one thread and up to what the policy reads; an episode that ends begins anew. Rows are
@@ -18,20 +18,26 @@ from flights import Row, measure
 
 from uavrl.evaluation.environment import make_env
 from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.guards.settings import guard_settings
 
 ROWS = {
     "neither": [],
     "perception.motion=12": ["perception.motion=12"],
     "perception.motion=8": ["perception.motion=8"],
-    "perception.memory=12": ["perception.memory=12"],
+    "guards=[map]": ["map"],
+    "guards=[evasion]": ["evasion"],
+    "guards=[shield]": ["shield"],
+    "guards=all": ["all"],
 }
 SEEN = ["env=dynamic", "perception=range_image", "perception.last_action=true"]
 
 
 def flying(steps: int, uavs: int, overrides: list[str]) -> Row:
     """Flies so many steps at a time; returns milliseconds per vehicle step."""
-    settings = experiment(*SEEN, *overrides)
-    env = make_env(settings.env, settings.perception, settings.reward, seed=settings.seed, num_uavs=uavs)
+    guards = guard_settings([each for each in overrides if "=" not in each])
+    settings = experiment(*SEEN, *(each for each in overrides if "=" in each))
+    parts = (settings.env, settings.perception, settings.reward)
+    env = make_env(*parts, seed=settings.seed, num_uavs=uavs, guards=guards)
     generator, state = torch.Generator().manual_seed(0), env.reset()
 
     def fly() -> float:

@@ -1,10 +1,11 @@
-"""How does an exported policy do that knows its vehicle by packets and MAVLink alone, with a map, or evasion?
+"""How does an exported policy do that knows its vehicle by packets and MAVLink alone?
 
     uavrl-export policy=best output=FOLDER
-    PYTHONPATH=. python studies/over_mavlink.py FOLDER --tasks 60 --memory 12
-    PYTHONPATH=. python studies/over_mavlink.py FOLDER --row dynamic --tasks 60 --evade 12
+    PYTHONPATH=. python studies/over_mavlink.py FOLDER --tasks 60
+    PYTHONPATH=. python studies/over_mavlink.py FOLDER --row dynamic --tasks 60 --guards evasion
 
-The tasks are those of the suite's row `traps`, or `dynamic`. In each the simulator stands still until a set-point has
+The guards are those of the policy's contract, or those that are named. The tasks are those of the suite's row `traps`,
+or `dynamic`. In each the simulator stands still until a set-point has
 come: whole scans as VLP-16 packets, the pose as MAVLink, `uavrl_onboard.flight.loop.Flight` as in `uavrl-fly`. One
 letter a task tells how it ended: S for success, C for collision, T for time-out.
 """
@@ -24,8 +25,8 @@ from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
 from uavrl.runs.episodes import wilson
 from uavrl_onboard.cli.process import one_sentence
-from uavrl_onboard.guards.evasion import Evasion
-from uavrl_onboard.guards.map import Navigator
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.policy.contract import read_contract
 
 SENSES = ["perception=range_image", "perception.last_action=true", "perception.lidar.max_range=14"]
@@ -36,18 +37,14 @@ ROWS = {
 SEED = 20_000  # of the suite's tasks
 
 
-def flights(
-    folder: Path, world: list[str], tasks: range, memory: float | None, evade: float | None
-) -> Iterator[tuple[str, int]]:
+def flights(folder: Path, world: list[str], tasks: range, names: list[str] | None) -> Iterator[tuple[str, int]]:
     """How each of the tasks ended, and after how many steps."""
     contract, settings = read_contract(folder), validate(compose("run_dir=here", *world))
     env = make_env(settings.env, settings.perception, tasks=tasks, seed=SEED, num_uavs=1, keep_cloud=True)
-    told = {"flight_level": contract.flight_level, "sensor_position": contract.cloud.sensor_position}
+    chosen = guard_settings(names, contract.guard_settings)
     for task in tasks:
         state, steps = env.reset(task=task), 0
-        led = None if memory is None else Navigator(memory, **told)
-        evasion = None if evade is None else Evasion(max_range=evade)
-        with closing(Wire(folder, env, task, memory=led, evasion=evasion)) as wire:
+        with closing(Wire(folder, env, task, guards=Guards(chosen, 1, contract.vehicle))) as wire:
             wire.hand_over(state["point_cloud"][0].numpy())
             while not state["done"].any():
                 wire.cycle(state["point_cloud"][0].numpy())
@@ -62,21 +59,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="what uavrl-export wrote")
     parser.add_argument("--tasks", type=int, default=60)
-    parser.add_argument("--memory", type=float, help="how far a map looks, m; none by default")
-    parser.add_argument("--evade", type=float, help="how far moving objects are looked for, m; not at all by default")
+    parser.add_argument("--guards", nargs="+", help="names, all or none; by default those of the policy's contract")
     parser.add_argument("--row", choices=ROWS, default="traps", help="of the suite")
     parser.add_argument("--world", nargs="+", help="overrides in place of those of the row")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     torch.set_num_threads(1)
     outcomes, world = "", [*(args.world or ROWS[args.row]), *SENSES]
-    for outcome, steps in flights(args.folder, world, range(args.tasks), args.memory, args.evade):
+    for outcome, steps in flights(args.folder, world, range(args.tasks), args.guards):
         outcomes += outcome
         print(f"task {len(outcomes) - 1}: {outcome} after {steps} steps", flush=True)
     found = wilson(outcomes.count("S"), len(outcomes))
     print(f"{found['rate']:.1%} ({found['low']:.1%}-{found['high']:.1%}) of {len(outcomes)} tasks")
     if args.json:
-        content = {"row": args.row, "memory": args.memory, "evade": args.evade, "outcomes": outcomes, "success": found}
+        content = {"row": args.row, "guards": args.guards, "outcomes": outcomes, "success": found}
         args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

@@ -1,7 +1,7 @@
 """Makes a packaged policy, ``uavrl/policies/data/NAME``, of a run and of what the suite found of it.
 
     uavrl-evaluate run=RUN_FOLDER suite=all                # writes RUN_FOLDER/suite, an hour or more
-    python -m tools.package_policy best RUN_FOLDER         # from the root of the repository, all changes committed
+    python -m tools.package_policy best RUN_FOLDER --guards all   # from the root, all changes committed
 
 The folder then holds the weights with ``policy.json``, which names the versions that trained them, the configuration,
 ``contract.json``, ``suite.json`` with the outcome of each task, and states with their actions, by which the policy is
@@ -26,6 +26,7 @@ from uavrl.evaluation.summary import scenarios
 from uavrl.export.export import export_policy
 from uavrl.runs.provenance import commit
 from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.guards.settings import guard_settings
 
 TASKS = 500  # of each scenario
 
@@ -51,13 +52,13 @@ def rows(suite: Path, about: dict[str, Any]) -> dict[str, Any]:
     return {name: {key: value for key, value in found[name].items() if key != "run"} for name in scenarios("all")}
 
 
-def package(name: str, run: Path, suite: Path, checkpoint: str | None = None) -> Path:
-    """Makes the folder of a policy, and returns it."""
+def package(name: str, run: Path, suite: Path, checkpoint: str | None = None, guards: Any = None) -> Path:
+    """Makes the folder of a policy that flies with these guards by default, and returns it."""
     if "dirty" in (commit() or "dirty"):
         raise UavrlError("Expected a checkout without changes, whose commit the contract names: commit them first.")
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / name
-        about = export_policy(run, checkpoint, folder, network=False)
+        about = export_policy(run, checkpoint, folder, network=False, guards=guard_settings(guards))
         lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(row)}" for key, row in rows(suite, about).items())
         (folder / "suite.json").write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
         shutil.rmtree(PACKAGED / name, ignore_errors=True)
@@ -73,9 +74,13 @@ def main() -> None:
     parser.add_argument("run", type=Path, help="the run's folder")
     parser.add_argument("--suite", type=Path, help="the folder that uavrl-evaluate suite=all wrote; RUN_FOLDER/suite")
     parser.add_argument("--checkpoint", help="file of a checkpoint; the newest of the run")
+    parser.add_argument(
+        "--guards", nargs="+", default=["none"], help="that it flies with by default; those of best: all"
+    )
     args = parser.parse_args()
     torch.set_num_threads(1)
-    folder = package(args.name, args.run, (args.suite or args.run / "suite") / "suite.json", args.checkpoint)
+    suite = (args.suite or args.run / "suite") / "suite.json"
+    folder = package(args.name, args.run, suite, args.checkpoint, args.guards)
     size = sum(file.stat().st_size for file in folder.iterdir())
     print(f"{folder}: {', '.join(sorted(file.name for file in folder.iterdir()))}; {size / 1e6:.1f} MB")
 

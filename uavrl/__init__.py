@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from uavrl.losses import ActionRate, DDPGLoss, Fork, Imitation, LifeGuard, SACLoss, TD3Loss
     from uavrl.models import Actor, Critic, GaussianActor
     from uavrl.transforms import (
+        Guarded,
         Mirror,
         MovingObjects,
         NavigationReward,
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
         Threats,
         TraditionalReward,
         TruncatedIcosahedron,
-        Waypoint,
     )
 
 __version__ = "0.2.0.dev0"
@@ -38,6 +38,7 @@ __all__ = [
     "EpisodeBuffer",
     "Fork",
     "GaussianActor",
+    "Guarded",
     "Imitation",
     "LidarConfig",
     "LifeGuard",
@@ -57,7 +58,6 @@ __all__ = [
     "TraditionalReward",
     "TruncatedIcosahedron",
     "UavrlError",
-    "Waypoint",
     "WorldConfig",
     "load_policy",
 ]
@@ -70,8 +70,8 @@ _ROOMS = {
     "losses": ("ActionRate", "DDPGLoss", "Fork", "Imitation", "LifeGuard", "SACLoss", "TD3Loss"),
     "models": ("Actor", "Critic", "GaussianActor"),
     "transforms": (
-        *("Mirror", "MovingObjects", "NavigationReward", "NavigationState", "RangeGrid", "RangeImage"),
-        *("Threats", "TraditionalReward", "TruncatedIcosahedron", "Waypoint"),
+        *("Guarded", "Mirror", "MovingObjects", "NavigationReward", "NavigationState", "RangeGrid", "RangeImage"),
+        *("Threats", "TraditionalReward", "TruncatedIcosahedron"),
     ),
 }
 _MODULES = {name: room for room, names in _ROOMS.items() for name in names}

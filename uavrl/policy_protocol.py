@@ -7,6 +7,8 @@ import numpy as np
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from uavrl_onboard.guards.settings import GuardSettings
+
 Acts = Callable[[TensorDictBase], TensorDictBase]
 """The least that a policy must be: it is called with an environment's output and writes ``action``."""
 
@@ -20,6 +22,7 @@ class TensorDictPolicy(Protocol):
         out_keys: the entries that it writes.
         has_map: whether it plans on a map of its own, and so needs the heading to the goal itself.
         overrides: the keys of a configuration that it was made for, with their values; None: it was made for none.
+        guards: the guards that it flies with by default.
     """
 
     @property
@@ -34,6 +37,9 @@ class TensorDictPolicy(Protocol):
     @property
     def overrides(self) -> Mapping[str, Any] | None: ...  # noqa: D102
 
+    @property
+    def guards(self) -> GuardSettings: ...  # noqa: D102
+
     def flown(self, actions: np.ndarray) -> None:
         """Take the actions ``[N, 4]`` that the vehicles fly instead of those that it wrote."""
 
@@ -46,6 +52,7 @@ class PolicyModule(TensorDictModuleBase):
 
     has_map: bool = False
     overrides: Mapping[str, Any] | None = None
+    guards: GuardSettings = GuardSettings()
 
     def flown(self, actions: np.ndarray) -> None:
         """Take the actions that the vehicles fly; a policy that does not remember its own ignores them."""
@@ -60,6 +67,7 @@ class AdaptedPolicy:
         self.out_keys: Sequence[NestedKey] = list(getattr(act, "out_keys", ("action",)))
         self.has_map: bool = getattr(act, "has_map", False)
         self.overrides: Mapping[str, Any] | None = getattr(act, "overrides", None)
+        self.guards: GuardSettings = getattr(act, "guards", GuardSettings())
         self.flown: Callable[[np.ndarray], None] = getattr(act, "flown", lambda actions: None)
 
     def __call__(self, tensordict: TensorDictBase, /) -> TensorDictBase:

@@ -52,9 +52,9 @@ def test_variants_of_the_controller_are_flown_in_both_worlds(said: Said, tmp_pat
 def test_an_exported_policy_flies_by_packets_and_mavlink(said: Said, tmp_path: Path) -> None:
     folder, file = tmp_path / "best", tmp_path / "found.json"
     assert in_process(export, "policy=best", f"output={folder}") == 0
-    told = said("over_mavlink", folder, "--tasks", 1, "--memory", 6, "--evade", 8, "--json", file, "--world", *VALLEY)
+    told = said("over_mavlink", folder, "--tasks", 1, "--guards", "map", "evasion", "--json", file, "--world", *VALLEY)
     found = json.loads(file.read_text())
-    assert (found["memory"], found["evade"], len(found["outcomes"])) == (6, 8, 1)
+    assert (found["guards"], len(found["outcomes"])) == (["map", "evasion"], 1)
     assert f"task 0: {found['outcomes']} after" in told
 
 

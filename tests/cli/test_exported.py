@@ -19,6 +19,7 @@ from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.evaluation.policies import choose
 from uavrl.evaluation.recording import load_recording
+from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.guards.shield import Shield
 
 Refused = Callable[..., str]
@@ -38,12 +39,12 @@ def evaluation(output: Path, *arguments: str) -> dict[str, Any]:
     return json.loads(output.read_text())
 
 
-@pytest.mark.parametrize("shield", ["false", "true"])
-def test_it_flies_as_its_weights_do(shield: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("guards", ["none", "shield"])
+def test_it_flies_as_its_weights_do(guards: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind a shield, too, where its last action is not what it gave."""
     monkeypatch.setattr(Shield, "__call__", lambda _, asked, *__: np.asarray(asked) / 2)
-    ours = evaluation(tmp_path / "policy.json", f"policy={folder}", f"shield={shield}")
-    theirs = evaluation(tmp_path / "run.json", f"run={folder}", f"shield={shield}")
+    ours = evaluation(tmp_path / "policy.json", f"policy={folder}", f"guards={guards}")
+    theirs = evaluation(tmp_path / "run.json", f"run={folder}", f"guards={guards}")
     assert ours["policy"] == str(folder) and ours["outcomes"] == theirs["outcomes"]
     for flown, expected in zip(ours["flights"], theirs["flights"], strict=True):
         assert (flown["task"], flown["outcome"], flown["steps"]) == tuple(
@@ -71,7 +72,7 @@ def test_environment_and_perception_are_the_contracts_unless_the_sensor_is_said_
     assert setup.perception["reduction"] == "range_image" and setup.perception["radius"] == 6.0
     assert setup.perception["lidar"].max_range == 6.0, "what the policy sees, the sensor reports"
     assert list(setup.env["airframe"].lidar_position) == [0.0, 0.0, 0.2]
-    assert setup.env_options == {"keep_cloud": True, "mark_resets": True}
+    assert setup.env_options == {"keep_cloud": True, "mark_resets": True, "guards": GuardSettings()}
     other = chosen(folder, "env.airframe.lidar_position=[0,0,0.1]", "perception.lidar.max_range=50", "env=dynamic")
     assert list(other.env["airframe"].lidar_position) == [0.0, 0.0, 0.1] and other.env["world"].planes > 0
     assert other.perception["lidar"].max_range == 50.0 and other.perception["radius"] == 6.0

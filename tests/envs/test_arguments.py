@@ -19,7 +19,6 @@ from uavrl.envs.randomization import Randomization
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.planners.vfh_star import VFHStar
 
 SMALL = WorldConfig(size=(14.0, 12.0), obstacles=3, min_goal_distance=5.0)
@@ -162,7 +161,6 @@ def test_all_that_take_a_configuration_take_a_dict() -> None:
     simulation = Simulation([], 1, airframe={"mass": 1.6}, aerodynamics={"wind": (1.0, 0.0, 0.0)})
     assert (simulation.airframe.mass, simulation.aerodynamics.wind) == (1.6, (1.0, 0.0, 0.0))
     simulation.close()
-    assert GuardedPolicy(lambda state: state, airframe={"collision_radius": 0.4}).vehicle.hull[0] == 0.4
     assert VFHStar(airframe={"collision_radius": 0.4}).vehicle.hull[0] == 0.4
     gym = ValleyEnv(world=GIVEN["world"][1], lidar={"max_range": 5.0}, randomize={"mass": (0.9, 1.1)})
     assert gym._base._lidar_config.max_range == 5.0 and gym._base.randomize == Randomization(mass=(0.9, 1.1))

@@ -122,7 +122,7 @@ def test_a_transformed_environment_is_copied_with_its_frames(
 @both_ways
 def test_the_environment_of_a_policy_is_copied(copied: Copy) -> None:
     policy = load_policy("best")
-    env = policy.make_env("env.world.obstacles=5", "perception.memory=12", num_uavs=2)
+    env = policy.make_env("env.world.obstacles=5", num_uavs=2, guards="all")
     other = copied(env)
     assert torch.equal(env.reset()["position"], other.reset()["position"])
     state = env.step(policy(env.reset()))["next"]

@@ -28,7 +28,7 @@ from uavrl.models import (
     SystemNet,
     TrajectoryClassifier,
 )
-from uavrl.transforms import Mirror, NavigationReward, NavigationState, PointCloudReduction
+from uavrl.transforms import Guarded, Mirror, NavigationReward, NavigationState, PointCloudReduction
 
 
 @pytest.fixture
@@ -91,8 +91,8 @@ def test_a_planner_acts(name: str) -> None:
 
 @pytest.mark.usefixtures("doubles")
 def test_the_specs_hold() -> None:
-    full = NavigationState(reduction="range_image", memory=12.0, motion=12.0, last_action=True)
-    check_env_specs(TransformedEnv(small(far_range=12.0), Compose(full, NavigationReward())))
+    full = NavigationState(reduction="range_image", motion=12.0, last_action=True)
+    check_env_specs(TransformedEnv(small(far_range=12.0), Compose(Guarded(), full, NavigationReward())))
 
 
 @pytest.mark.usefixtures("doubles")

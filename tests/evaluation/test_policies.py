@@ -17,7 +17,7 @@ from tests.helpers.recorded import LARGEST, SCANS, as_evaluated, evaluation, rec
 from uavrl.config import compose, validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.policies import PACKAGED, packaged_policies, with_overrides
+from uavrl.evaluation.policies import PACKAGED, default_guards, packaged_policies, with_overrides
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import scenarios
 from uavrl.export.export import contract
@@ -58,7 +58,7 @@ def test_its_contract_is_of_these_weights_and_this_configuration(name: str) -> N
     weights = (PACKAGED / name / "policy.safetensors").read_bytes()
     checksum = hashlib.sha256(weights).hexdigest()
     assert terms["weights_sha256"] == about(name)["weights_sha256"] == checksum
-    again = contract(validate(load_config(PACKAGED / name / "config.yaml")), checksum)
+    again = contract(validate(load_config(PACKAGED / name / "config.yaml")), checksum, default_guards(PACKAGED / name))
     assert again is not None
     assert {**json.loads(again.to_text()), "versions": None} == {**terms, "versions": None}
     assert about(name)["shapes"]["module.net.0.weight"][1] == terms["state"]["size"]

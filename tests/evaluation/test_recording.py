@@ -23,6 +23,7 @@ from uavrl.evaluation.recording import load_recording, save_recording, thinned
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.policies.baselines import StraightPolicy
 from uavrl.transforms.icosahedron import truncated_icosahedron
+from uavrl_onboard.guards.settings import guard_settings
 
 
 def same(a: Any, b: Any) -> None:
@@ -107,9 +108,9 @@ def test_what_is_seen_to_move_is_kept_where_a_plane_flies() -> None:
     assert np.median((flies * seen[:, 3:6]).sum(-1)[moved] / lengths[moved]) > 0.8, "it is said to fly where it flies"
 
 
-def test_where_a_memory_leads_is_kept() -> None:
+def test_where_the_map_leads_is_kept() -> None:
     """Nothing is on the way yet at the beginning: it leads straight to the goal."""
-    env = flying_env(0, None, 1, 60, "perception.memory=12")
+    env = flying_env(0, None, 1, 60, guards=guard_settings("map"))
     try:
         flight = record_flight(env, lambda state: state.set("action", torch.zeros(1, 4)), 1, seed=SEED, max_points=50)
     finally:

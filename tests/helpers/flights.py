@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
@@ -13,6 +14,7 @@ from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.record import record_flights
 from uavrl.evaluation.recording import Recording
 from uavrl.policies.baselines import StraightPolicy
+from uavrl_onboard.guards.settings import GuardSettings
 
 STEPS = 12
 SEED = 20_000
@@ -33,12 +35,18 @@ def small_env(planes: int = 0, steps: int = STEPS) -> DictConfig:
 
 
 def flying_env(
-    planes: int = 0, reward: DictConfig | None = None, num_uavs: int = 1, steps: int = STEPS, *seen: str
+    planes: int = 0,
+    reward: DictConfig | None = None,
+    num_uavs: int = 1,
+    steps: int = STEPS,
+    *seen: str,
+    guards: GuardSettings | None = None,
 ) -> TransformedEnv:
     """What a flight is recorded in, with overrides of what is seen."""
     perception = validate(composed("config", *seen)).perception if seen else PERCEPTION
     env = small_env(planes, steps)
-    return make_env(env, perception, reward, num_uavs=num_uavs, measure_clearance=True, keep_cloud=True)
+    kept: dict[str, Any] = {"measure_clearance": True, "keep_cloud": True, "guards": guards}
+    return make_env(env, perception, reward, num_uavs=num_uavs, **kept)
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import socket
 import sys
 import threading
@@ -26,10 +27,13 @@ from uavrl_onboard.cli import flight_end, fly
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.flight.loop import Flight
-from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.lidar.vlp16 import firing_directions
+from uavrl_onboard.policy.contract_parts import GuardTerms
+from uavrl_onboard.vehicle import Vehicle
 
 RECORDING = (f"lidar={RECORDED}", "model=VLP16", "autopilot=null", "log=null")
 GOAL = "goal=[20,0,2.5]"
@@ -199,18 +203,16 @@ def test_how_a_flight_ended_is_told_before_its_numbers_are_written(
         (["policy=none", GOAL, "autopilot=ros2:///odom", "ros2.kind=px5"], "ros2.kind must be one of"),
         (["policy=none", GOAL, "system=0"], "system must be"),
         (["policy=none", GOAL, "autopilot=ros2:///odom", "signing_key_file=k"], "udp://:14540 with signing_key_file"),
-        (
-            ["policy=none", GOAL, "shield.height=1"],
-            "shield.radius must be the hull's in m with shield.height: ",
-        ),
-        (
-            ["policy=none", GOAL, "shield=true"],
-            "shield must be the settings of ShieldConfig (radius, height, sen",
-        ),
+        (["policy=none", GOAL, "hull.radius=0"], "hull.radius must be above 0, got 0"),
+        (["policy=none", GOAL, "shield=true"], "the shield is one of the guards, so write guards=[shield]."),
+        (["policy=none", GOAL, "guards=typo"], "There is no guard 'typo'; the guards are map, evasion, shield"),
+        (["policy=none", GOAL, "guards=[map,typo]"], "There is no guard 'typo'; the guards are map, evasion, shield"),
+        (["policy=none", GOAL, "guards.shield.margin=-1"], "guards.shield.margin must be at least 0, got -1"),
+        (["policy=none", GOAL, "guards.shield.margn=1"], "did you mean guards.shield.margin?"),
         (["policy=none", GOAL, "json=./flight.mcap"], "json must be another file than the log and the recording"),
         (["policy=none", GOAL, *RECORDING, f"json={RECORDED}"], "json must be another file than the log"),
         (["policy=none", GOAL, "safety.speed=1"], "There is no key 'safety.speed'"),
-        (["policy=none", GOAL, "evade=0"], "evade must be in (0, 100], got 0"),
+        (["policy=none", GOAL, "guards.evasion.sight=0"], "guards.evasion.sight must be in (0, 100], got 0"),
     ],
 )
 def test_what_a_user_may_get_wrong(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -233,25 +235,35 @@ def test_the_model_is_named(policy: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "model must be one of VLP16" in capsys.readouterr().err
 
 
-def test_evasion_knows_the_vehicle_as_the_shield_does(
-    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_guards_are_the_contracts_or_those_asked_for_and_know_the_vehicle(
+    policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made = list[Evasion]()
+    made = list[Guards]()
 
-    def kept(*arguments: Any, evasion: Evasion, **stages: Any) -> Flight:
-        made.append(evasion)
-        return Flight(*arguments, evasion=evasion, **stages)
+    def kept(*arguments: Any, guards: Guards, **stages: Any) -> Flight:
+        made.append(guards)
+        return Flight(*arguments, guards=guards, **stages)
 
     monkeypatch.setattr(fly, "Flight", kept)
-    vehicle = ("shield.radius=0.3", "shield.height=0.2", "shield.sensor=0.15", "safety.velocity=1.5")
+    guarded = shutil.copytree(policy, tmp_path / "guarded")
+    contract = json.loads((guarded / "contract.json").read_text())
+    contract["guards"] = GuardTerms.of(GuardSettings.all(), Vehicle(radius=0.4)).model_dump(mode="json")  # type: ignore[union-attr]
+    (guarded / "contract.json").write_text(json.dumps(contract))
     recording = [*(each for each in RECORDING if each != "log=null"), f"log={tmp_path / 'flight.mcap'}"]
-    for told in (("evade=9", *vehicle), ("evade=12",), ("evade=12", "shield.sensor=0.2"), ()):
-        assert in_process(fly.main, f"policy={policy}", GOAL, *recording, *told) == 0
-    own, usual, higher, none = made
-    flown = [
-        (each.vehicle.hull, each.vehicle.lidar_above, each.vehicle.velocity_limit) for each in (own, usual, higher)
-    ]
-    assert flown == [((0.3, 0.1), 0.15, 1.5), ((0.35, 0.14), 0.1, 2.0), ((0.35, 0.14), 0.2, 2.0)]
-    assert (own.max_range, usual.max_range) == (9.0, 12.0)
-    assert none is None
-    assert LoggedFlight(tmp_path / "flight.mcap").about["evade"] == "9.0"
+    vehicle = ("hull.radius=0.3", "hull.height=0.2", "hull.sensor=0.15", "safety.velocity=1.5")
+    for folder, told in (
+        (guarded, ("guards.shield.margin=0.2", *vehicle)),
+        (guarded, ()),
+        (guarded, ("guards=none",)),
+        (policy, ("guards=[evasion]", "guards.evasion.sight=9")),
+        (policy, ()),
+    ):
+        assert in_process(fly.main, f"policy={folder}", GOAL, *recording, *told) == 0
+    assert [guards.settings.names for guards in made] == [("map", "evasion", "shield")] * 2 + [(), ("evasion",), ()]
+    own, usual, *_ = (guards.vehicle for guards in made)
+    assert (own.hull, own.lidar_above, own.velocity_limit) == ((0.3, 0.1), 0.15, 1.5)
+    assert (usual.hull, usual.lidar_above, usual.velocity_limit) == ((0.4, 0.14), 0.1, 2.0)
+    changed, far = made[0].settings.shield, made[3].settings.evasion
+    assert changed is not None and changed.margin == 0.2 and far is not None and far.sight == 9.0
+    assert "Guards: map, evasion, shield." in capsys.readouterr().out
+    assert json.loads(LoggedFlight(tmp_path / "flight.mcap").about["guards"])["shield"]["margin"] == 0.2

@@ -9,9 +9,6 @@ import pytest
 import torch
 
 from tests.planners.test_rivals import grid, scan, seen
-from uavrl.config import EvaluateConfig, compose, validate
-from uavrl.errors import UavrlError
-from uavrl.evaluation.policies import choose
 from uavrl.planners.rrt_connect import EVERY, RRTConnect
 from uavrl.planners.rrt_map import RRTMap
 from uavrl_onboard.perception.cells import LASERS
@@ -95,11 +92,3 @@ def test_the_map_does_not_turn_with_the_vehicle() -> None:
     assert np.abs(places[:, 1] - 2.0).max() < 0.2 and len(places) > 4
     goal = rival._goals[0].look(np.zeros(2), np.array([0.0, 1.0]))
     assert goal == pytest.approx([0.0, 15.0], abs=1e-3)
-
-
-@needs_ompl
-def test_a_map_of_the_perceptions_beside_its_own_is_refused() -> None:
-    told = ["policy=rrt_map", "perception.memory=12"]
-    config = compose(*told, name="evaluate")
-    with pytest.raises(UavrlError, match=r"policy=rrt_map has a map of its own.* leave perception\.memory out"):
-        choose(validate(config, EvaluateConfig), config, told, None, torch.device("cpu"))

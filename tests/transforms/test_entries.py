@@ -15,6 +15,7 @@ from uavrl.buffers import MultiStep
 from uavrl.entries import MissingEntry, require_whole
 from uavrl.errors import UavrlError
 from uavrl.transforms import (
+    Guarded,
     LastAction,
     Mirror,
     MovingObjects,
@@ -25,7 +26,6 @@ from uavrl.transforms import (
     Threats,
     TraditionalReward,
     TruncatedIcosahedron,
-    Waypoint,
 )
 from uavrl_onboard.perception.cells import RangeGrid
 
@@ -80,13 +80,12 @@ READERS: list[tuple[Callable[[], Transform], str, bool]] = [
     (NavigationObservation, "altitude", True),
     (NavigationState, "point_cloud", True),
     (NavigationState, "altitude", True),
-    (lambda: NavigationState(memory=12.0), "velocity", True),
     (lambda: NavigationState(motion=12.0), "attitude", True),
     (objects, "attitude", True),
     (Threats, "moving_objects", True),
     (Threats, "velocity", True),
-    (Waypoint, "heading_deg", True),
-    (Waypoint, "point_cloud", True),
+    (Guarded, "heading_deg", True),
+    (Guarded, "point_cloud", True),
     (TraditionalReward, "distance", False),
     (NavigationReward, "elevation_deg", False),
     (lambda: LastAction(in_keys=["command"]), "command", True),
@@ -104,7 +103,7 @@ def test_an_environment_without_a_key_is_told_which(make: Callable[[], Transform
         env.rollout(2)
 
 
-@pytest.mark.parametrize("make", [NavigationState, lambda: NavigationState(memory=12.0, motion=12.0), NavigationReward])
+@pytest.mark.parametrize("make", [NavigationState, lambda: NavigationState(motion=12.0), NavigationReward])
 def test_with_all_keys_the_same_environment_is_read(make: Callable[[], Transform]) -> None:
     assert TransformedEnv(Foreign(), make()).rollout(2).batch_size == (2, 2)
 
@@ -145,7 +144,7 @@ def test_multi_step_names_what_it_misses() -> None:
         (lambda: Mirror(probability=1.0), "Mirror(probability=1.0)"),
         (lambda: MovingObjects(8.0, every=5), "MovingObjects(max_range=8.0, every=5)"),
         (lambda: Threats(out_keys=["ways"]), "Threats(out_keys=['ways'])"),
-        (lambda: Waypoint(reach=20.0), "Waypoint(reach=20.0)"),
+        (lambda: Guarded("map"), "Guarded(guards='map')"),
         (lambda: TraditionalReward(arrived=("agent", "won")), "TraditionalReward(arrived=('agent', 'won'))"),
         (lambda: NavigationReward(arrived_reward=200.0), "NavigationReward(arrived_reward=200.0)"),
         (lambda: MultiStep(3, gamma=0.9), "MultiStep(n_steps=3, gamma=0.9)"),

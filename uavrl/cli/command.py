@@ -26,6 +26,8 @@ from uavrl.errors import UavrlError
 from uavrl.runs.shared_memory import shared_memory_explained
 from uavrl_onboard.cli.command import SLIP, refuse_option
 from uavrl_onboard.cli.process import command_process, one_sentence
+from uavrl_onboard.guards.command_line import KEY as GUARDS
+from uavrl_onboard.guards.command_line import join_guards
 from uavrl_onboard.sentences import did_you_mean
 
 LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings
@@ -118,7 +120,11 @@ def explained(error: Exception, name: str) -> str:
         near = did_you_mean(choice, error.options, ": ")
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
-        return _no_such_key(first.split("'")[-2].split("@")[0], known_keys(name, folders))
+        key = first.split("'")[-2].split("@")[0]
+        if key == GUARDS:
+            others = "give it to uavrl-evaluate, uavrl-replay, uavrl-export or uavrl-fly"
+            return f"{ABOUT[name][0]} has no key 'guards': {others}."
+        return _no_such_key(key, known_keys(name, folders))
     if first.startswith("Ambiguous value for argument '"):
         return _several_values(first.split("'")[1], name)
     deleted = [override[1:] for override in overrides if override.startswith("~")]
@@ -166,7 +172,8 @@ def _refuse_options(name: str) -> None:
 def _read_texts() -> None:
     """Has Hydra read the overrides whose values it could not read as texts."""
     overrides = get_args_parser().parse_args(sys.argv[1:]).overrides
-    sys.argv[1:] = [readable(each) if each in overrides else each for each in sys.argv[1:]]
+    options = [each for each in sys.argv[1:] if each not in overrides]
+    sys.argv[1:] = [*options, *map(readable, join_guards(overrides))]
 
 
 def _several_values(override: str, name: str) -> str:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig
 
@@ -9,7 +10,8 @@ from uavrl.cli.command import command
 from uavrl.config import validate
 from uavrl.config.command_line import command_line
 from uavrl.errors import UavrlError
-from uavrl.evaluation.policies import packaged_policies, policy_folder, unknown_policy
+from uavrl.evaluation.policies import default_guards, packaged_policies, policy_folder, unknown_policy
+from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.policy.contract import CONTRACT
 from uavrl_onboard.ranges import Folder, Text
@@ -23,10 +25,12 @@ class ExportConfig:
     run: Folder | None = None
     policy: str | None = None
     checkpoint: Folder | None = None
+    guards: Any = None
     output: Folder | None = None
 
     def __post_init__(self) -> None:
-        """Checks that there is a place to write to."""
+        """Checks the guards, and that there is a place to write to."""
+        guard_settings(self.guards, GuardSettings.all())
         if self.output is None:
             name = self.policy or "my_policy"
             raise UavrlError(f"output must be a folder to write the policy to, and none is given: add output={name}.")
@@ -42,7 +46,8 @@ def main(config: DictConfig) -> None:
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.export.export import export_policy
 
-    about = export_policy(folder, settings.checkpoint, output, settings.packages)
+    guards = guard_settings(settings.guards, default_guards(folder))
+    about = export_policy(folder, settings.checkpoint, output, settings.packages, guards=guards)
     steps = pluralize(about["training_steps"], "step") if "training_steps" in about else "its steps"
     then = command_line("uavrl-evaluate", run=output)
     terms = f"What another program needs to fly it: {output / CONTRACT}. " if (output / CONTRACT).is_file() else ""

@@ -42,6 +42,7 @@ class ReplayConfig(FlyingConfig):
 
     def __post_init__(self) -> None:
         """Checks what belongs together."""
+        super().__post_init__()
         keys = ("task", "tasks", "episodes", "valleys", "checkpoint")
         given = [key for key in keys if getattr(self, key) is not None]
         chosen = [key for key in given if key in keys[:3]]

@@ -1,11 +1,12 @@
 """Settings of a training, and of what flies without learning. Meanings and units stand in the yaml."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from uavrl.config.parts import Part
+from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.ranges import Count, Folder, Rule, Seed, Share, Text
 from uavrl_onboard.sentences import require
 
@@ -90,13 +91,16 @@ class FlyingConfig:
     checkpoint: Folder | None = None
     seed: Seed = 20_000
     valleys: Valleys | None = None
-    shield: bool = False
-    evade: Annotated[float, Field(gt=0, le=100)] | None = None
+    guards: Any = None
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1
     matmul: MatmulChoice = "mkl"
     progress: bool = True
+
+    def __post_init__(self) -> None:
+        """Checks the names and the settings of guards."""
+        guard_settings(self.guards, GuardSettings.all())
 
 
 @dataclass

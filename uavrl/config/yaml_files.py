@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from uavrl.config.command_line import readable
 from uavrl.errors import UavrlError, extras
+from uavrl_onboard.guards.command_line import join_guards
 
 NONE = "none"  # the choice that leaves a part out
 
@@ -46,7 +47,7 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
     if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
         overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
     with _hydra_of_our_own(), initialize_config_dir(str(conf_dir()), version_base="1.3"):
-        return compose_again(*map(readable, overrides), name=name)
+        return compose_again(*map(readable, join_guards(overrides)), name=name)
 
 
 @contextmanager

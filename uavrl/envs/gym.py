@@ -14,7 +14,9 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError, extras
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
+from uavrl.transforms.guarded import GOAL_HEADING, Guarded
 from uavrl.transforms.state import ACTION_LIMIT
+from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.perception.reductions import Reduction
 
 with extras():
@@ -30,7 +32,8 @@ class ValleyFlights:
 
     Args:
         num_envs: number of vehicles N.
-        reward, radius, frames, reduction, last_action, lidar, world, render_mode, kwargs: as in :class:`ValleyEnv`.
+        reward, radius, frames, reduction, last_action, lidar, world, guards, render_mode, kwargs: as in
+            :class:`ValleyEnv`.
     """
 
     def __init__(
@@ -44,9 +47,11 @@ class ValleyFlights:
         last_action: bool = False,
         lidar: OrMapping[LidarConfig] | None = None,
         world: OrMapping[WorldConfig] | None = None,
+        guards: Any = "none",
         render_mode: str | None = None,
         **kwargs: Any,
     ) -> None:
+        chosen = guard_settings(guards)
         if reward not in _REWARDS:
             raise ValueError(f"reward must be one of {', '.join(_REWARDS)}, got {reward!r}.")
         if render_mode not in (None, *METADATA["render_modes"]):
@@ -59,9 +64,16 @@ class ValleyFlights:
         state = NavigationState(
             radius, flight_level=valley.flight_level, frames=frames, reduction=reduction, last_action=last_action
         )
-        lidar = LidarConfig(max_range=radius) if lidar is None else lidar
+        lidar = LidarConfig(max_range=radius, far_range=chosen.sight) if lidar is None else lidar
         self.base = NavigationEnv(num_envs, world=valley, lidar=lidar, **kwargs)
-        self.env = TransformedEnv(self.base, Compose(state, _REWARDS[reward]()))
+        self.env = TransformedEnv(self.base, Compose())
+        heading = {}
+        if chosen.names:
+            vehicle = self.base.airframe.vehicle(valley.flight_level)
+            self.env.append_transform(guarded := Guarded(chosen, vehicle=vehicle))
+            heading = {"heading": GOAL_HEADING} if guarded.leads and reward == "navigation" else {}
+        self.env.append_transform(state)
+        self.env.append_transform(_REWARDS[reward](**heading))
         width = self.env.observation_spec["observation"].shape[-1]
         self.observation_space = Box(-np.inf, np.inf, (width,), np.float32)
         self.action_space = Box(-ACTION_LIMIT, ACTION_LIMIT, (4,), np.float32)
@@ -151,6 +163,10 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         reduction, last_action: as in :class:`uavrl.transforms.NavigationState`.
         lidar: the sensor; by default its range is cut at the ball, which leaves the faces identical.
         world: the valley; ``WorldConfig(planes=3)`` or ``{"planes": 3}`` gives the dynamic environment.
+        guards: filters around the action: ``"all"``, ``"none"`` or a list of names, as
+            :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. The map also turns the heading in the
+            observation; the reward reads the heading to the goal itself. A ``lidar`` of your own must reach as far as
+            the guards look, 12 m.
         render_mode: ``"rgb_array"``: :meth:`render` gives a picture from behind the UAV.
         **kwargs: as in :class:`uavrl.envs.NavigationEnv`.
 

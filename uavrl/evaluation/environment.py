@@ -8,10 +8,14 @@ import torch
 from torchrl.data import Bounded
 from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, Transform, TransformedEnv
 
-from uavrl.config.build import build
+from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
+from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
 from uavrl.transforms import PointCloudReduction
+from uavrl.transforms.guarded import GOAL_HEADING, Guarded
+from uavrl_onboard.guards.settings import GuardSettings
 
 
 @dataclass(frozen=True)
@@ -55,14 +59,16 @@ def make_env(
     num_uavs: int | None = None,
     keep_cloud: bool = False,
     mark_resets: bool = False,
+    guards: GuardSettings | None = None,
     kind: type[TransformedEnv] = TransformedEnv,
     **context: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read.
 
-    ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins.
+    ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins. ``guards`` are
+    put between the policy and the environment.
     """
-    perception = with_sight(perception)
+    perception = with_sight(perception, guards)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
@@ -70,6 +76,8 @@ def make_env(
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
+    if guards is not None and guards.names:
+        reward = _guard(made, env, perception, reward, guards, packages)
     position = getattr(env.get("airframe"), "lidar_position", None)  # somebody else's airframe may have none
     mounted = {} if position is None else {"sensor_position": position}
     state = build(perception, Transform, packages=packages, **mounted)
@@ -87,13 +95,40 @@ def make_env(
     return made
 
 
-def with_sight(perception: Mapping[str, Any], evade: float | None = None) -> Mapping[str, Any]:
-    """Lets the LiDAR reach as far as perception looks, and evasion; refuses one that is told otherwise.
+def _guard(
+    made: TransformedEnv,
+    env: Mapping[str, Any],
+    perception: Mapping[str, Any],
+    reward: Mapping[str, Any] | None,
+    guards: GuardSettings,
+    packages: Iterable[str],
+) -> Mapping[str, Any] | None:
+    """Put guards before all transforms; return the reward, which reads the heading to the goal itself."""
+    if not isinstance(made.base_env, NavigationEnv):
+        raise UavrlError(
+            f"Guards read the scans of a valley, and {type(made.base_env).__name__} is none: choose guards=none."
+        )
+    if guards.shield is not None and guards.shield.nearest is None:
+        nearest = float(getattr(perception.get("lidar"), "min_range", 0.0))
+        guards = replace(guards, shield=replace(guards.shield, nearest=nearest))
+    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level)
+    guarded = Guarded(guards, vehicle=vehicle)
+    made.append_transform(guarded)
+    if reward is None or reward[TARGET] is None or not guarded.leads:
+        return reward
+    taken = arguments(find_class(str(reward[TARGET]), Transform, packages))
+    return {"heading": GOAL_HEADING, **reward} if "heading" in taken else reward
+
+
+def with_sight(perception: Mapping[str, Any], guards: GuardSettings | None = None) -> Mapping[str, Any]:
+    """Lets the LiDAR reach as far as perception looks, and guards; refuses one that is told otherwise.
 
     What is not scanned would seem to be free.
     """
-    lidar, looked = perception.get("lidar"), {f"perception.{key}": perception.get(key) for key in ("motion", "memory")}
-    looked["evade"] = evade
+    lidar, looked = perception.get("lidar"), {"perception.motion": perception.get("motion")}
+    for name in () if guards is None else ("map", "evasion"):
+        each = getattr(guards, name)
+        looked[f"guards.{name}.sight"] = None if each is None else each.sight
     ranges = {key: value for key, value in looked.items() if isinstance(value, int | float)}
     if lidar is None or not ranges:  # nothing looks far, or somebody else's perception
         return perception

@@ -17,6 +17,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
 from uavrl.policy_protocol import PolicyModule
+from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 
 UNSEEN = 100  # the seed of a valley in which no policy here was trained
 _TAKEN = ("env", "randomize")
@@ -48,6 +49,7 @@ class LoadedPolicy(PolicyModule):
         self.inputs = inputs
         self.in_keys, self.out_keys = ["observation"], ["action"]
         self.actor, self.config, self.source = actor, config, dict(source)
+        self.guards = GuardSettings()  # of the environments that make_env makes
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action of each observation."""
@@ -70,21 +72,23 @@ class LoadedPolicy(PolicyModule):
         valleys: Sequence[int] | None = None,
         seed: int = 20_000,
         keep_cloud: bool = False,
+        guards: Any = None,
     ) -> TransformedEnv:
         """An environment as that of its training, with the inputs and the reward that it was trained with.
 
         Args:
             *changes: as ``uavrl-evaluate`` takes them: ``"env=dynamic"``, ``"randomize=none"``,
-                ``"env.world.obstacles=90"``, ``"perception.lidar.range_noise=0.02"``, ``"perception.memory=12"``.
+                ``"env.world.obstacles=90"``, ``"perception.lidar.range_noise=0.02"``.
             num_uavs: number of vehicles, the environment's batch size.
             valleys: seeds of the valleys, each built when a task needs it; by default 100, which no packaged policy
                 was trained in.
             seed: of the tasks.
-            keep_cloud: whether it also gives the point clouds, and whether an episode begins, as a
-                :class:`~uavrl.evaluation.guarded.GuardedPolicy` reads.
+            keep_cloud: whether it also gives the point clouds, and whether an episode begins.
+            guards: filters between the policy and the environment: ``"all"``, ``"none"`` or a list of names, as
+                :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. None: those of the policy.
 
         Raises:
-            UavrlError: for a change that the policy cannot be asked to bear.
+            UavrlError: for a change that the policy cannot be asked to bear, and for an unknown guard.
 
         Examples:
             >>> from uavrl import load_policy
@@ -95,7 +99,7 @@ class LoadedPolicy(PolicyModule):
         keys = keys_of(changes)
         for key in keys:
             if (key not in _TAKEN and not key.startswith(("env.", *OF_SENSOR))) or key == "env.num_uavs":
-                taken = "env, env.KEY, randomize, perception.lidar.KEY, perception.blind and perception.memory"
+                taken = "env, env.KEY, randomize, perception.lidar.KEY and perception.blind"
                 raise UavrlError(f"make_env takes changes of {taken}, and its arguments, got {key!r}.")
         try:
             composed = compose(*changes, name="evaluate")
@@ -107,11 +111,16 @@ class LoadedPolicy(PolicyModule):
             require_valley(run.env, run.choices, "valleys")
         if "world" in run.env and (valleys is not None or "env.world.seeds" not in keys):
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
+        chosen = guard_settings(guards, self.guards)
+        lidar = run.perception.get("lidar")
+        if lidar is not None and chosen.sight is not None and "perception.lidar.far_range" not in keys:
+            run.perception["lidar"] = replace(lidar, far_range=max(lidar.far_range or 0.0, chosen.sight))
         context: dict[str, Any] = {
             "packages": run.packages,
             "num_uavs": num_uavs,
             "seed": seed,
             "keep_cloud": keep_cloud,
             "mark_resets": keep_cloud,
+            "guards": chosen,
         }
         return make_env(run.env, run.perception, run.reward, **context)

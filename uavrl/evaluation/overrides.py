@@ -9,7 +9,7 @@ from uavrl.config.build import TARGET, arguments, find_class
 from uavrl.errors import UavrlError
 
 # What may be changed for a trained policy, and blind_to: it reads the same numbers, of another sensor or another goal.
-OF_SENSOR = ("perception.lidar.", "perception.blind", "perception.memory")
+OF_SENSOR = ("perception.lidar.", "perception.blind")
 
 
 def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str) -> None:
@@ -22,8 +22,8 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     """The run's configuration with what the command line says about environment and sensor.
 
     ``env=NAME`` replaces the environment, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
-    ``perception.lidar.key=value``, ``perception.blind=value``, ``perception.blind_to=value`` and
-    ``perception.memory=value`` change one value. The rest of perception makes the policy's input: it stays.
+    ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value``
+    change one value. The rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
@@ -36,26 +36,10 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
         require_valley(result.env, result.choices, "randomize")
         result.env.randomize = composed.env.randomize
     require_sensor_alone(keys, ("perception", "reward"), "run")
-    if "perception.memory" in keys:
-        _require_room_for_memory(result)
     for key in keys:
         if key.startswith(("env.", *OF_SENSOR)):
             OmegaConf.update(result, key, OmegaConf.select(composed, key), merge=False)
-    if "perception.memory" in keys and "perception.lidar.far_range" not in keys:
-        lidar, memory = result.perception.lidar, result.perception.memory or 0.0
-        if (lidar.get("far_range") or memory) < memory:
-            lidar.far_range = None  # what the run wrote down is too near: as far as perception looks
     return result
-
-
-def _require_room_for_memory(run: DictConfig) -> None:
-    """Refuses to lead a policy whose perception has no memory."""
-    target = run.perception[TARGET]
-    if not target or "memory" not in arguments(find_class(str(target), object, run.packages)):
-        raise UavrlError(
-            f"perception.memory leads what reads uavrl's own observation, and the policy's perception is "
-            f"{run.choices.perception}: leave perception.memory out."
-        )
 
 
 def require_sensor_alone(keys: Iterable[str], groups: Collection[str], owner: str) -> None:

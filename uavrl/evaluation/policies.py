@@ -6,7 +6,7 @@ import inspect
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,8 @@ from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.runs.weights import POLICY
-from uavrl_onboard.policy.contract import CONTRACT
+from uavrl_onboard.guards.settings import GuardSettings, guard_settings
+from uavrl_onboard.policy.contract import CONTRACT, read_contract
 from uavrl_onboard.sentences import did_you_mean
 
 if TYPE_CHECKING:
@@ -59,12 +60,13 @@ class PolicySetup:
     choices: Mapping[str, str]  # the yaml file of each part
     source: dict[str, Any]  # what a result says about the policy
     run: TrainConfig | None = None  # where it comes from, with what the command line changed; None for a baseline
+    guards: GuardSettings = field(default_factory=GuardSettings)  # between the policy and the environment
 
     @property
-    def env_options(self) -> dict[str, bool]:
-        """Options of :func:`~uavrl.evaluation.environment.make_env` that make it emit the ``in_keys``."""
+    def env_options(self) -> dict[str, Any]:
+        """Options of :func:`~uavrl.evaluation.environment.make_env`: guards, and what makes it emit the ``in_keys``."""
         read = self.policy.in_keys
-        return {"keep_cloud": "point_cloud" in read, "mark_resets": "is_init" in read}
+        return {"keep_cloud": "point_cloud" in read, "mark_resets": "is_init" in read, "guards": self.guards}
 
 
 def choose(
@@ -91,49 +93,41 @@ def choose(
     if settings.valleys is not None:
         require_valley(chosen.env, chosen.choices, "valleys")
         chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
-    return _guarded(chosen, settings, keys_of(overrides))
+    return _guarded(chosen, settings, keys_of(overrides), default_guards(folder, policy))
 
 
-def _guarded(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> PolicySetup:
-    """The same policy behind the guards that the command line asks for."""
-    led = chosen.perception.get("memory") is not None and "heading_deg" in chosen.policy.in_keys
-    if led and chosen.policy.has_map:
-        raise UavrlError(
-            f"policy={chosen.source['policy']} has a map of its own, which contradicts perception.memory: leave "
-            "perception.memory out, or choose another policy."
-        )
-    if not led and settings.evade is None and not settings.shield:
+def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) -> GuardSettings:
+    """Return the guards that a policy flies with by default: those of its contract, or none without a contract."""
+    if folder is not None and (folder / CONTRACT).is_file():
+        return read_contract(folder).guard_settings
+    return GuardSettings() if policy is None else policy.guards
+
+
+def _guarded(
+    chosen: PolicySetup, settings: FlyingConfig, given: Collection[str], default: GuardSettings
+) -> PolicySetup:
+    """The same policy behind the guards that the command line asks for, or else its own."""
+    valley = "world" in chosen.env
+    guards = guard_settings(settings.guards, default if valley else GuardSettings())
+    if not guards.names:
         return chosen
-    from uavrl.evaluation.guarded import GuardedPolicy
-
-    shield, about = None, {}
-    if settings.evade is not None:
-        require_valley(chosen.env, chosen.choices, "evade")
-        chosen = replace(chosen, perception=_seen_afar(chosen.perception, settings.evade, given))
-        about = {"flight_level": chosen.env["world"].flight_level, "airframe": chosen.env.get("airframe")}
-    if settings.shield:
-        require_valley(chosen.env, chosen.choices, "shield")
-        shield = _shield(chosen)
-    return replace(chosen, policy=GuardedPolicy(chosen.policy, led=led, evade=settings.evade, shield=shield, **about))
+    require_valley(chosen.env, chosen.choices, "guards")
+    if guards.map is not None and chosen.policy.has_map:
+        raise UavrlError(
+            f"policy={chosen.source['policy']} has a map of its own, which contradicts the map among its guards: write "
+            "guards=[evasion,shield], or choose another policy."
+        )
+    about = {**chosen.source, "guards": guards.plain()}
+    perception = _seen_afar(chosen.perception, guards.sight, given)
+    return replace(chosen, guards=guards, source=about, perception=perception)
 
 
-def _seen_afar(perception: Part, max_range: float, given: Collection[str]) -> Part:
-    """The perception with scans that reach as far as moving objects are looked for."""
-    from uavrl.evaluation.environment import with_sight
-
+def _seen_afar(perception: Part, sight: float | None, given: Collection[str]) -> Part:
+    """The perception without a range that is too near for the guards, unless the command line gives it."""
     lidar, key = perception.get("lidar"), "perception.lidar.far_range"
-    if lidar is not None and key not in given and (lidar.far_range or max_range) < max_range:
-        perception = Part({**perception, "lidar": replace(lidar, far_range=None)})  # a run wrote down what it needed
-    return Part(with_sight(perception, evade=max_range))
-
-
-def _shield(chosen: PolicySetup) -> Any:
-    """A shield for the hull of the environment's vehicle."""
-    from uavrl.envs.quadrotor import Airframe
-    from uavrl_onboard.guards.shield import Shield
-
-    vehicle = (chosen.env.get("airframe") or Airframe()).vehicle(chosen.env["world"].flight_level)
-    return Shield(nearest=getattr(chosen.perception.get("lidar"), "min_range", 0.0), vehicle=vehicle)
+    if lidar is None or sight is None or key in given or (lidar.far_range or sight) >= sight:
+        return perception
+    return Part({**perception, "lidar": replace(lidar, far_range=None)})  # a run wrote down what it needed
 
 
 def _as_contracted(
@@ -213,7 +207,12 @@ def require_named(config: DictConfig) -> None:
 
 
 def load_policy(
-    policy: str | Path, *, checkpoint: str | Path | None = None, device: str = "cpu", packages: Iterable[str] = ()
+    policy: str | Path,
+    *,
+    checkpoint: str | Path | None = None,
+    device: str = "cpu",
+    packages: Iterable[str] = (),
+    guards: Any = None,
 ) -> LoadedPolicy:
     """Loads a trained policy: it reads what an environment emits, and writes ``action``.
 
@@ -224,9 +223,11 @@ def load_policy(
         checkpoint: the file of one of a run's checkpoints; None: the newest.
         device: where the network is computed: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
         packages: whose code may be executed because the run names their classes.
+        guards: those of the environments that its ``make_env`` makes: ``"all"``, ``"none"``, a list of names, or as
+            :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. None: as its contract says.
 
     Raises:
-        UavrlError: where there is no such policy, or its files are damaged.
+        UavrlError: where there is no such policy, or its files are damaged, and for an unknown guard.
 
     Examples:
         >>> policy = load_policy("best")
@@ -242,8 +243,10 @@ def load_policy(
         raise unknown_policy(name, packaged_policies(), own)
     from uavrl.evaluation import actor, environment
 
-    at = environment.make_device(device)
-    return actor.read_policy(folder, None if checkpoint is None else str(checkpoint), at, tuple(packages))
+    at, chosen = environment.make_device(device), guard_settings(guards, default_guards(folder))
+    loaded = actor.read_policy(folder, None if checkpoint is None else str(checkpoint), at, tuple(packages))
+    loaded.guards = chosen
+    return loaded
 
 
 def named_policy(name: str, told: Mapping[str, Any], packages: Sequence[str]) -> TensorDictPolicy:

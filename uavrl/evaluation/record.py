@@ -20,6 +20,7 @@ from uavrl.evaluation.rollout import EpisodeMeter, rollout
 from uavrl.policy_protocol import Acts
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms import PointCloudReduction
+from uavrl.transforms.guarded import FLOWN, GOAL_HEADING
 from uavrl.transforms.rewards import terms_of
 from uavrl_onboard.geometry import is_return, yaw_rotation
 from uavrl_onboard.mesh import Mesh
@@ -73,7 +74,7 @@ def record_flight(
     for stepped in rollout(env, policy, state):
         ended = meter.step(stepped)
         moments.append(_moment(base, stepped["next"], valley, reduction, max_points))
-        actions.append(stepped["action"][0])
+        actions.append(stepped["next"].get(FLOWN, stepped["action"])[0])
         paid.append({name: term.item() for name, term in terms(stepped, stepped["next"]).items()})
         if ended:
             break
@@ -127,7 +128,7 @@ def _moment(
     """One moment in one valley, in the world's frame."""
     cloud = state[reduction.in_keys[0]][0].numpy()
     planes = base.world.config.planes
-    yaw, led = state["attitude"][0, 2].item(), "waypoint_deg" in state
+    yaw, led = state["attitude"][0, 2].item(), GOAL_HEADING in state
     seen = state["moving_objects"][0].unflatten(-1, (-1, len(OBJECT))).numpy() if "moving_objects" in state else NONE
     return {
         "state": state.select(*_KEPT)[0].clone(),
@@ -136,7 +137,7 @@ def _moment(
         "planes": base.plane_poses()[valley * planes : (valley + 1) * planes],
         "points": thinned(cloud[is_return(cloud)], max_points),
         "objects": to_world(seen, base.simulation.lidar_position[0], yaw),
-        "bearing": yaw + np.deg2rad(state["waypoint_deg"].item()) if led else None,
+        "bearing": yaw + np.deg2rad(state["heading_deg"].item()) if led else None,
     }
 
 

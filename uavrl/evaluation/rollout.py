@@ -13,6 +13,7 @@ from uavrl.evaluation.smoothness import action_change, yaw_reversals
 from uavrl.policy_protocol import Acts
 from uavrl.runs.episodes import outcome
 from uavrl.runs.progress_line import ProgressLine
+from uavrl.transforms.guarded import FLOWN
 from uavrl.transforms.state import ACTION_LIMIT
 
 
@@ -28,8 +29,9 @@ class EpisodeResult:
     flown: float | None = None  #: the path between them
     clearance: float | None = None  #: the least distance between the hull and the nearest thing
     episode_return: float | None = None  #: as the environment gives it, where lengths are None
-    #: mean absolute change of each component of the action per step, of forward, left and up in m/s and of the yaw rate
-    #: in rad/s, within the limits of the action; of other environments in their units. None in an episode of one step
+    #: mean absolute change per step of each component of the action that was flown, of forward, left and up in m/s and
+    #: of the yaw rate in rad/s, within the limits of the action; of other environments in their units. None in an
+    #: episode of one step
     action_change: list[float] | None = None
     yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
 
@@ -75,7 +77,8 @@ class EpisodeMeter:
         new = self._steps == 0
         self._return = np.where(new, 0.0, self._return) + after["reward"].double().numpy()[:, 0]
         self._steps += 1
-        actions = before["action"].double().numpy().reshape(len(self._actions), -1)
+        taken = after.get(FLOWN, before["action"])
+        actions = taken.double().numpy().reshape(len(self._actions), -1)
         for kept, action in zip(self._actions, actions, strict=True):
             kept.append(action)
         ended = np.flatnonzero(after["done"].numpy()[:, 0]).tolist()

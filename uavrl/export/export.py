@@ -33,22 +33,29 @@ from uavrl.transforms import (
     PointCloudReduction,
     RangeImage,
     Threats,
-    Waypoint,
 )
 from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
 from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, Contract
-from uavrl_onboard.policy.contract_parts import Cells, Cloud, MemoryTerms, MotionTerms, Network
+from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, MotionTerms, Network
 
 log = logging.getLogger(__name__)
 
 
 def export_policy(
-    folder: Path, checkpoint: str | None, output: Path, packages: Iterable[str] = (), *, network: bool = True
+    folder: Path,
+    checkpoint: str | None,
+    output: Path,
+    packages: Iterable[str] = (),
+    *,
+    network: bool = True,
+    guards: GuardSettings | None = None,
 ) -> dict[str, Any]:
     """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
 
-    With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. The policy is
+    With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. ``guards`` are
+    those that the policy flies with by default. The policy is
     that of :func:`load_actor`; what ``policy.json`` says of it is returned.
     """
     config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
@@ -60,7 +67,7 @@ def export_policy(
     with replacing(output / CONFIG) as partial:
         partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
     saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
-    terms = contract(validate(config), saved["weights_sha256"])
+    terms = contract(validate(config), saved["weights_sha256"], guards)
     if terms is not None:
         terms = terms.model_copy(update={"network": _write_network(output, actor, terms) if network else None})
         with replacing(output / CONTRACT) as partial:
@@ -81,7 +88,7 @@ def _write_network(output: Path, actor: TensorDictModuleBase, terms: Contract) -
     return Network(file=NETWORK, sha256=digest, opset=opset_of(content), input=INPUT, output=OUTPUT)
 
 
-def contract(settings: TrainConfig, weights_sha256: str) -> Contract | None:
+def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings | None = None) -> Contract | None:
     """Return the contract of a policy that was trained with these settings; None if the definitions do not hold.
 
     They hold for a :class:`~uavrl.transforms.NavigationState` in a :class:`~uavrl.envs.NavigationEnv`. The quantities
@@ -90,9 +97,11 @@ def contract(settings: TrainConfig, weights_sha256: str) -> Contract | None:
     Args:
         settings: the validated configuration of the run.
         weights_sha256: the checksum of the file of the policy's weights.
+        guards: those that the policy flies with by default; None for none.
     """
     env = find_class(str(settings.env[TARGET]), EnvBase, settings.packages)
-    position = getattr(settings.env.get("airframe") or Airframe(), "lidar_position", Airframe().lidar_position)
+    airframe = settings.env.get("airframe") or Airframe()
+    position = getattr(airframe, "lidar_position", Airframe().lidar_position)
     state = build(settings.perception, Transform, packages=settings.packages, sensor_position=position)
     if type(state) is not NavigationState or not issubclass(env, NavigationEnv):
         return None
@@ -100,7 +109,7 @@ def contract(settings: TrainConfig, weights_sha256: str) -> Contract | None:
     reduction = next(part for part in parts.values() if isinstance(part, PointCloudReduction))
     name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
     grid = [reduction.grid] if isinstance(reduction, RangeImage) else []
-    scaled, seen, led = parts[NavigationObservation], parts.get(MovingObjects), parts.get(Waypoint)
+    scaled, seen = parts[NavigationObservation], parts.get(MovingObjects)
     motion = None
     if seen is not None:
         motion = MotionTerms.of(seen.max_range, seen.objects, seen.period, parts[Threats].speed)
@@ -116,6 +125,6 @@ def contract(settings: TrainConfig, weights_sha256: str) -> Contract | None:
         action_limit=ACTION_LIMIT,
         last_action=LastAction in parts,
         motion=motion,
-        memory=None if led is None else MemoryTerms(sight=led.sight, reach=led.reach),
+        guards=GuardTerms.of(guards or GuardSettings(), airframe.vehicle(scaled.flight_level)),
         versions=versions(),
     )

@@ -12,6 +12,8 @@ from tensordict import TensorDictBase
 
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
+from uavrl.transforms.guarded import FLOWN
+from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.perception.cells import VLP16_GRID
 from uavrl_onboard.policy.policy import Policy
 
@@ -40,22 +42,25 @@ class ExportedPolicy:
             raise UavrlError(f"{other}, and the simulator asks {CONTROL_RATE} times: choose another policy.")
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action``; a vehicle with ``is_init`` begins an episode."""
+        """Writes ``action``; a vehicle with ``is_init`` begins an episode, and behind guards its last one was flown."""
         begins, cloud, *told = (tensordict[key].numpy() for key in self.in_keys)
+        flown = tensordict.get(FLOWN, None)
         while len(self._vehicles) < len(cloud):
             self._vehicles.append(self._policy.copy())
         actions = np.zeros((len(cloud), len(self._policy.contract.action.order)), np.float32)
         for number, vehicle in enumerate(self._vehicles[: len(cloud)]):
             if begins[number].all():
                 vehicle.reset()
+            elif flown is not None:
+                vehicle.last_action = flown[number].numpy().copy()
             altitude, heading, elevation = (float(part[number, 0]) for part in told[:3])
             actions[number] = vehicle(cloud[number], altitude, heading, elevation, *(part[number] for part in told[3:]))
         return tensordict.set("action", torch.from_numpy(actions))
 
-    def flown(self, actions: np.ndarray) -> None:
-        """Takes what the vehicles ``[N, 4]`` flew in place of what it gave: to the policy it is the last action."""
-        for vehicle, action in zip(self._vehicles, actions, strict=False):
-            vehicle.last_action = action.copy()
+    @property
+    def guards(self) -> GuardSettings:
+        """The guards that the policy flies with by default."""
+        return self._policy.contract.guard_settings
 
     @property
     def overrides(self) -> dict[str, Any]:
@@ -67,6 +72,5 @@ class ExportedPolicy:
         perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
         perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
         perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
-        perception |= {} if terms.memory is None else {"memory": terms.memory.sight}
         sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
         return {f"perception.{key}": value for key, value in perception.items()} | sensor

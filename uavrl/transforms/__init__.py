@@ -1,5 +1,6 @@
-"""TorchRL transforms: the LiDAR reduction, sight of what moves, memory, observation and the thesis's rewards."""
+"""TorchRL transforms: guards, the LiDAR reduction, motion detection, observation and the thesis's rewards."""
 
+from uavrl.transforms.guarded import Guarded
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.motion import MotionSight, MovingObjects
@@ -17,10 +18,10 @@ from uavrl.transforms.rewards import (
 )
 from uavrl.transforms.state import REDUCTIONS, NavigationState
 from uavrl.transforms.threats import Threats
-from uavrl.transforms.waypoint import Waypoint
 
 __all__ = [
     "REDUCTIONS",
+    "Guarded",
     "LastAction",
     "Mirror",
     "MotionSight",
@@ -35,7 +36,6 @@ __all__ = [
     "Threats",
     "TraditionalReward",
     "TruncatedIcosahedron",
-    "Waypoint",
     "mirror_action",
     "mirror_observation",
     "navigation_observation",

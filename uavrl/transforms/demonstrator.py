@@ -10,13 +10,12 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.entries import Shown, entry
 from uavrl.policy_protocol import Acts
-from uavrl.transforms.waypoint import heading_to_waypoint
 
 DEMONSTRATOR_ACTION = "demonstrator_action"
 
 
 class Demonstrator(Shown, Transform):
-    """A transform that writes the demonstrator's action beside each observation, with the waypoint as its goal.
+    """A transform that writes the demonstrator's action beside each observation.
 
     Args:
         demonstrator: writes ``action`` into a TensorDict with the environment's observations.
@@ -31,9 +30,7 @@ class Demonstrator(Shown, Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.in_keys:
             entry(next_tensordict, key, self)
-        return next_tensordict.set(
-            DEMONSTRATOR_ACTION, self.demonstrator(heading_to_waypoint(next_tensordict.copy()))["action"]
-        )
+        return next_tensordict.set(DEMONSTRATOR_ACTION, self.demonstrator(next_tensordict.copy())["action"])
 
     forward = _call
 

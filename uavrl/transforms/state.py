@@ -1,6 +1,6 @@
 """From the raw scan to the policy's state, in one piece."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import deepcopy
 from typing import Annotated, Any
 
@@ -18,7 +18,6 @@ from uavrl.transforms.observation import LastAction, NavigationObservation
 from uavrl.transforms.range_image import RangeImage, range_image_directions
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
 from uavrl.transforms.threats import Threats
-from uavrl.transforms.waypoint import Waypoint
 from uavrl_onboard.perception.cells import FAR_EVERY, VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.observation import Angles
@@ -104,11 +103,7 @@ class NavigationState(Shown, Compose):
         last_action: whether an observation also holds the action that led to it.
         motion: how far :class:`MovingObjects` are looked for, m, of which an observation then also holds the nearest
             three and their :class:`Threats`; the scan must reach as far. None: not at all.
-        memory: how far a map of the episode looks, m, through which the next :class:`Waypoint` is found; the heading in
-            an observation is then that to the waypoint, and the scan must reach as far. None: that to the goal.
         frames: observations in a state.
-        sensor_position: of the LiDAR in body axes, m, by which the map knows how high a return is; 0.1 m above the
-            hull's middle by default.
 
     Examples:
         >>> from torchrl.envs import TransformedEnv
@@ -132,18 +127,12 @@ class NavigationState(Shown, Compose):
         grid: RangeGrid | None = None,
         last_action: bool = False,
         motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
-        memory: Annotated[float, Field(gt=0, le=40)] | None = None,
-        sensor_position: Sequence[float] = VEHICLE.lidar_position,
     ) -> None:
         reduced = make_reduction(reduction, grid, radius=radius, statistic=statistic)
-        heading = "heading_deg" if memory is None else "waypoint_deg"
         super().__init__(
-            *(() if memory is None else [Waypoint(memory, flight_level=flight_level, sensor_position=sensor_position)]),
             *([MovingObjects(motion, MOVING_OBJECTS, FAR_EVERY)] if motion is not None else ()),
             reduced,
-            NavigationObservation(
-                radius, flight_level, angles, in_keys=("faces", "altitude", heading, "elevation_deg")
-            ),
+            NavigationObservation(radius, flight_level, angles),
             *(_with_motion(motion) if motion is not None else ()),
             *(_with_last_action() if last_action else ()),
             Frames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),

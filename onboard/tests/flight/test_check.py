@@ -23,7 +23,8 @@ from uavrl_onboard.flight.health import Doubts
 from uavrl_onboard.flight.limits import SafetyLimits
 from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.flight.safety import SafetyLayer
-from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.lidar.scans import Scan, Skipped
 from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.policy.policy import Policy
@@ -94,11 +95,12 @@ def items(policy: Policy, come: Come | None = None, feed: Feed | None = None, **
     return {item.name: item for item in judge(evidence(policy, come or Come(), feed or Feed(), **setup))}
 
 
-def evidence(policy: Policy, come: Come, feed: Feed, link: Any = None, evasion: Any = None, **setup: Any) -> Evidence:
+def evidence(policy: Policy, come: Come, feed: Feed, link: Any = None, guards: Any = None, **setup: Any) -> Evidence:
     played = Link()
     limits = setup.pop("limits", SafetyLimits())
     listener = Listener(played)  # type: ignore[arg-type]
-    flight = Flight(policy, come.goal, listener, SafetyLayer(everywhere(limits)), evasion=evasion)
+    filters = Guards(guard_settings(guards))
+    flight = Flight(policy, come.goal, listener, SafetyLayer(everywhere(limits)), guards=filters)
     vehicle = None if come.dry else link or played
     known = Setup(policy.contract, come.goal, limits, VEHICLE, feed, True, vehicle, **setup)  # type: ignore[arg-type]
     found = Evidence(known, flight, Doubts(feed.trouble, 10.0, stamped=True, remarks=feed.remarks))
@@ -317,11 +319,11 @@ def test_the_fence(policy: Policy) -> None:
 
 
 def test_guards_that_look_farther_than_the_sensor(policy: Policy) -> None:
-    told = items(policy, sights={"evasion": 12.0}, evasion=Evasion(max_range=12.0), uses_motion=True)
+    told = items(policy, sights={"evasion": 12.0}, guards="evasion", uses_motion=True)
     assert levels(told) == {"guards": "warn"}
     assert told["guards"].sentence.startswith("No return is farther than 6.0 m, and evasion looks up to 12 m")
     far = Come(scan=lambda n: 15.0 * RAYS)
-    told = items(policy, far, sights={"evasion": 12.0}, evasion=Evasion(max_range=12.0), uses_motion=True)
+    told = items(policy, far, sights={"evasion": 12.0}, guards="evasion", uses_motion=True)
     assert levels(told) == {} and "(evasion) gave an action to 60 of 60 scans" in told["guards"].sentence
 
 
@@ -335,7 +337,7 @@ def test_guards_without_a_velocity(policy: Policy) -> None:
 
 def test_a_guard_that_gives_no_action(policy: Policy) -> None:
     tilted = Come(pose=lambda n, now: Pose(now, (0.0, 0.0, 0.2), SPEED, 0.1, math.nan, 0.0), scan=lambda n: 15.0 * RAYS)
-    told = items(policy, tilted, sights={"evasion": 12.0}, evasion=Evasion(max_range=12.0), uses_motion=True)
+    told = items(policy, tilted, sights={"evasion": 12.0}, guards="evasion", uses_motion=True)
     assert told["guards"].level is Level.FAIL and told["guards"].sentence.startswith("The policy gave no action: ")
 
 

@@ -22,13 +22,14 @@ from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.loop import Flight, fly, rehearse
 from uavrl_onboard.flight.safety import Reason, SafetyLayer, SafetyState
 from uavrl_onboard.flight.summary import FlightSummary
-from uavrl_onboard.guards.evasion import Evasion
-from uavrl_onboard.guards.map import Navigator
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.vlp16 import firing_directions
+from uavrl_onboard.vehicle import Vehicle
 
 GOAL = (20.0, 0.0, 2.5)
 VELOCITY = (0.75, -0.25, 0.125)  # so slow that a vehicle may drift as much without being believed less
@@ -38,7 +39,9 @@ class Policy:
     """Answers each scan with the same action, and notes what it was given."""
 
     def __init__(self, action: Sequence[float] = (1.0, 0.5, 0.0, 0.25)) -> None:
-        self.contract = SimpleNamespace(rate_hz=10.0, memory=None, flight_level=3.5)
+        self.contract = SimpleNamespace(
+            rate_hz=10.0, flight_level=3.5, vehicle=Vehicle(), guard_settings=GuardSettings()
+        )
         self.cells: np.ndarray | None = None
         self.last_action = np.zeros(4, np.float32)
         self.action, self.seen, self.before = np.array(action, np.float32), list[tuple[Any, ...]](), list[list[float]]()
@@ -105,10 +108,15 @@ class Rig:
         raise AssertionError("it never flew")
 
 
+def guards(*names: str) -> Guards:
+    """Guards of the default vehicle, by their names."""
+    return Guards(guard_settings(list(names)))
+
+
 def test_a_shield_slows_the_policy_before_what_the_scan_shows_near() -> None:
     """The policy asks for 1 m/s ahead; the vehicle flies 0.75 m/s to the east and 0.25 to the south, and is tilted."""
     shield, tilt, velocity = Shield(), (0.25, -0.125), np.array(VELOCITY)
-    rig = Rig(shield=shield)
+    rig = Rig(guards=guards("shield"))
     rig.airborne()
     near = np.array([[0.9, 0.0, -0.2]])
     flown, asked = rig.scan(near).action, np.array([1.0, 0.5, 0.0])
@@ -121,7 +129,7 @@ def test_a_shield_slows_the_policy_before_what_the_scan_shows_near() -> None:
 
 def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_moves() -> None:
     """A ball comes straight ahead at 3 m/s; before the shield has its say, the evasion has chosen another velocity."""
-    evading, plain = Rig(evasion=Evasion(), shield=Shield()), Rig(shield=Shield())
+    evading, plain = Rig(guards=guards("evasion", "shield")), Rig(guards=guards("shield"))
     ring = np.linspace(-0.15, 0.15, 5)
     ball = np.stack(np.broadcast_arrays(9.0, ring[:, None], ring), -1).reshape(-1, 3)
     for rig in (evading, plain):
@@ -134,10 +142,10 @@ def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_moves() -> 
         assert gave_way == (rig is evading)
 
 
-def test_with_a_memory_the_policy_reads_the_heading_to_the_way_around_what_was_seen() -> None:
+def test_with_a_map_the_policy_reads_the_heading_to_the_way_around_what_was_seen() -> None:
     """A wall of 4 m stands 2 m ahead; the goal is 20 m ahead, and once the wall is out of sight it is remembered."""
     wall = np.stack(np.broadcast_arrays(2.0, np.linspace(-1.0, 3.0, 40), -0.1), -1)
-    rig, without = Rig(memory=Navigator()), Rig()
+    rig, without = Rig(guards=guards("map")), Rig()
     for each in (rig, without):
         each.link.pose = lambda now=each: Pose(now.now, (0.0, 0.0, 3.5), (0.0, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
         each.scan(wall)
@@ -149,18 +157,9 @@ def test_with_a_memory_the_policy_reads_the_heading_to_the_way_around_what_was_s
     assert rig.policy.seen[-1][3] == without.policy.seen[-1][3], "the elevation is the goal's"
 
 
-@pytest.mark.parametrize(
-    ("stage", "told"),
-    [
-        ({"shield": Shield()}, "A shield needs finite numbers, got"),
-        ({"evasion": Evasion()}, "what moves takes finite numbers, got"),
-    ],
-    ids=["shield", "evasion"],
-)
-def test_without_the_vehicles_velocity_they_let_nothing_pass(
-    stage: dict[str, Any], told: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    rig = Rig(**stage)
+@pytest.mark.parametrize("name", ["shield", "evasion"])
+def test_without_the_vehicles_velocity_they_let_nothing_pass(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    rig, told = Rig(guards=guards(name)), f"Guards ({name}) need finite numbers, got"
     rig.airborne()
     rig.link.pose = lambda: Pose(rig.now, (0.0, 0.0, 3.5), (np.nan, 0.0, 0.0), 0.0)  # type: ignore[method-assign]
     assert rig.scan().action is None

@@ -15,7 +15,9 @@ from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import Reason, SafetyState
 from uavrl_onboard.flight.summary import FlightSummary
-from uavrl_onboard.guards.map import Navigator
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.map import Wayfinder
+from uavrl_onboard.guards.settings import guard_settings
 
 STILL = (0.0, 0.0, 0.0)
 
@@ -148,14 +150,16 @@ def test_a_jump_to_the_goal_holds_and_does_not_arrive_at_once() -> None:
 def test_after_a_jump_the_map_is_empty_and_without_one_it_is_not() -> None:
     wall = np.stack(np.broadcast_arrays(2.0, np.linspace(-1.0, 3.0, 40), -0.1), -1)
     for far, kept in ((0.2, True), (5.0, False)):
-        memory = Navigator()
-        rig = Rig(memory=memory)
+        guards = Guards(guard_settings("map"))
+        led, rig = guards.guards["map"], Rig(guards=guards)
+        assert isinstance(led, Wayfinder)
         rig.airborne()
         rig.scan(wall)
-        before = memory.known
+        (navigator,) = led.navigators
+        before = navigator.known
         rig.link.place = (far, 0.0, 3.5)
         rig.scan(np.full((1, 3), np.nan))
-        assert (memory.known is before) is kept
+        assert (navigator.known is before) is kept
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.6])

@@ -18,6 +18,7 @@ from uavrl_onboard.flight.check_items import judge
 from uavrl_onboard.flight.health import Doubts
 from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.flight.safety import SafetyLayer
+from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.policy.policy import Policy
 from uavrl_onboard.sentences import require
 
@@ -67,8 +68,8 @@ def check(settings: FlyConfig) -> list[Item]:
 def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evidence:
     """What came of a flight into nothing."""
     assert settings.goal is not None
-    stages, stamped = make_guards(settings, policy), settings.lidar.startswith(ROS2)
-    sights = _sights(stages, policy)
+    guards, stamped = make_guards(settings, policy), settings.lidar.startswith(ROS2)
+    sights = _sights(guards.settings, policy)
     setup = Setup(
         policy.contract,
         settings.goal,
@@ -78,12 +79,12 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
         stamped,
         None if settings.autopilot is None else link,
         sights,
-        uses_motion=bool(sights) or stages["shield"] is not None,
+        uses_motion=bool(sights) or bool(guards.guards),
         log=None if settings.log is None else Path(settings.log),
         seconds=settings.seconds,
     )
     listener, layer = Listener(link), SafetyLayer(everywhere(settings.safety))
-    flight = Flight(policy, settings.goal, listener, layer, radius=settings.radius, box=settings.box, **stages)
+    flight = Flight(policy, settings.goal, listener, layer, radius=settings.radius, box=settings.box, guards=guards)
     remarks = {"stamped": stamped, "remarks": feed.remarks}
     doubts = Doubts(feed.trouble, 1.0 / flight.period, settings.safety.pose_age, **remarks)
     evidence = Evidence(setup, flight, doubts)
@@ -91,10 +92,13 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
     return evidence
 
 
-def _sights(stages: dict[str, Any], policy: Policy) -> dict[str, float]:
+def _sights(guards: GuardSettings, policy: Policy) -> dict[str, float]:
     """How far guards and policy look, m, where that is farther than the policy's cells."""
-    memory, evasion, motion = stages["memory"], stages["evasion"], policy.contract.motion
-    found = {"the map": memory and memory.sight, "evasion": evasion and evasion.max_range}
+    motion = policy.contract.motion
+    found: dict[str, Any] = {
+        "the map": guards.map and guards.map.sight,
+        "evasion": guards.evasion and guards.evasion.sight,
+    }
     found["the policy's motion detection"] = motion and motion.max_range
     return {name: sight for name, sight in found.items() if sight}
 

@@ -22,6 +22,8 @@ from yaml import YAMLError
 from uavrl_onboard import __version__
 from uavrl_onboard.cli.process import command_process, configure_logging
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.guards.command_line import KEY as GUARDS
+from uavrl_onboard.guards.command_line import join_guards
 from uavrl_onboard.sentences import did_you_mean
 from uavrl_onboard.values import to_plain, validated
 
@@ -69,6 +71,7 @@ def settings(about: About, kind: type[T], arguments: Sequence[str]) -> T:
             range.
     """
     known = [key for key, _, _ in keys(kind)]
+    arguments = join_guards(arguments) if GUARDS in known else arguments
     for argument in arguments:
         _require_key_and_value(about, argument, known)
     try:

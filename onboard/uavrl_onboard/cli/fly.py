@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,12 +28,11 @@ from uavrl_onboard.flight.health import Doubts
 from uavrl_onboard.flight.interfaces import FlightCycle, VehicleLink
 from uavrl_onboard.flight.limits import SafetyLimits
 from uavrl_onboard.flight.log import FlightLog
-from uavrl_onboard.flight.loop import Flight, fly, map_for, rehearse
+from uavrl_onboard.flight.loop import Flight, fly, rehearse
 from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.flight.summary import FlightSummary
-from uavrl_onboard.guards.evasion import Evasion
-from uavrl_onboard.guards.map import Navigator
-from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.policy.policy import Policy
@@ -45,26 +45,18 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class ShieldConfig:
-    """The shield: its numbers, and the vehicle's hull; without a radius there is no shield.
+class HullConfig:
+    """The vehicle's hull, an upright cylinder, as guards assume it.
 
     Args:
-        radius: radius of the vehicle's hull, in m; null: no shield
-        height: height of the hull, in m
-        sensor: height of the LiDAR above the hull's middle, on its axis, in m
-        nearest: shortest range that the sensor reports, in m; the margin grows with it, because nearer obstacles vanish
-        time: shortest time in which a gap may be closed, in s
-        lag: delay from a commanded velocity to the flown one, in s
-        margin: distance kept around the hull, in m
+        radius: radius of the hull, in m; null: as in the policy's contract
+        height: height of the hull, in m; null: as in the policy's contract
+        sensor: height of the LiDAR above the hull's middle, on its axis, in m; null: as in the policy's contract
     """
 
     radius: Positive | None = None
-    height: Positive = VEHICLE.height
-    sensor: float = VEHICLE.lidar_above
-    nearest: NonNegative = 0.0
-    time: Positive = 0.7
-    lag: NonNegative = 0.3
-    margin: NonNegative = 0.12
+    height: Positive | None = None
+    sensor: float | None = None
 
 
 @dataclass
@@ -91,10 +83,9 @@ class FlyConfig(LidarKeys):
         json: file for the flight's numbers; null: none
         progress: print a line each second
         ros2: set-points and reports by ROS 2
-        memory: range in m up to which scans enter a map of the flight, which leads the policy out of dead ends, e.g.
-            12; null: as in the policy's training, mostly no map
-        evade: range in m up to which moving objects are detected and evaded, e.g. 12; null: no evasion
-        shield: limits the speed near obstacles
+        guards: filters between the policy and the vehicle: all, none, or a list of map, evasion and shield; settings
+            are written guards.shield.margin=0.2; null: as in the policy's contract
+        hull: the vehicle's hull
         safety: limits of the safety layer
     """
 
@@ -114,9 +105,8 @@ class FlyConfig(LidarKeys):
     json: Folder | None = None
     progress: bool = True
     ros2: Ros2Config = field(default_factory=Ros2Config)
-    memory: Annotated[float, Field(gt=0, le=100)] | None = None
-    evade: Annotated[float, Field(gt=0, le=100)] | None = None
-    shield: ShieldConfig = field(default_factory=ShieldConfig)
+    guards: Any = None
+    hull: HullConfig = field(default_factory=HullConfig)
     safety: SafetyLimits = field(default_factory=SafetyLimits)
 
     def __post_init__(self) -> None:
@@ -125,11 +115,7 @@ class FlyConfig(LidarKeys):
         require(self.policy is not None, "policy", "a folder that uavrl-export wrote", self.policy)
         goal = self.goal is not None and len(self.goal) == 3
         require(goal, "goal", "three numbers, [x,y,z] in m from the autopilot's origin", self.goal)
-        bare = ShieldConfig()
-        alone = [f"shield.{key}" for key, value in asdict(self.shield).items() if value != getattr(bare, key)]
-        shielded = self.shield.radius is not None or self.evade is not None or not alone
-        hull = f"the hull's in m with {' and '.join(alone)}: there is no shield without"
-        require(shielded, "shield.radius", hull, self.shield.radius)
+        guard_settings(self.guards, GuardSettings.all())  # names and values; which ones are on, the contract says
         dry = self.autopilot is None or self.is_live
         require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
         asked = [key for key in ("set_mode", "arm", "system", "signing_key_file") if getattr(self, key)]
@@ -174,10 +160,11 @@ def main(settings: FlyConfig) -> None:
             opened.enter_context(beside())
         link = opened.enter_context(closing(open_link(settings)))
         assert settings.goal is not None
-        stages = make_guards(settings, policy)
+        guards = make_guards(settings, policy)
         layer, box = SafetyLayer(settings.safety), settings.box
-        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, **stages)
-        log = _log(settings, policy, stages["memory"], stages["shield"])
+        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, guards=guards)
+        print(f"Guards: {', '.join(guards.settings.names) or 'none'}.", flush=True)
+        log = _log(settings, policy, guards)
         if log is not None:
             opened.callback(_told, log.close)
         cycles, report = _cycles(settings, flight, link, opened), _reports(settings, policy, link, opened)
@@ -211,12 +198,12 @@ def open_link(settings: FlyConfig, **instead: Any) -> VehicleLink:
     return Autopilot(settings.autopilot, **told | instead)
 
 
-def _log(settings: FlyConfig, policy: Policy, led: Navigator | None, shield: Shield | None) -> FlightLog | None:
+def _log(settings: FlyConfig, policy: Policy, guards: Guards) -> FlightLog | None:
     if settings.log is None:
         return None
     assert settings.goal is not None
-    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot), "shield": str(shield)}
-    about |= {"memory": "None" if led is None else str(led.sight), "evade": str(settings.evade)}
+    about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot)}
+    about["guards"] = json.dumps(guards.settings.plain())
     return FlightLog(
         settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
     )
@@ -230,40 +217,23 @@ def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
         print(f"uavrl: {error}", file=sys.stderr)
 
 
-def make_guards(settings: FlyConfig, policy: Policy) -> dict[str, Any]:
-    """Return the guards of a `Flight`, by the names of its arguments."""
-    vehicle = make_vehicle(settings, policy)
-    return {
-        "evasion": _evasion(settings, vehicle),
-        "shield": _shield(settings, vehicle),
-        "memory": map_for(policy.contract, settings.memory),
-    }
+def make_guards(settings: FlyConfig, policy: Policy) -> Guards:
+    """Return the guards of a flight: those of the command line, or else of the policy's contract."""
+    chosen = guard_settings(settings.guards, policy.contract.guard_settings)
+    return Guards(chosen, 1, make_vehicle(settings, policy))
 
 
 def make_vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
     """Return the policy's vehicle with the hull and the LiDAR of the command line, within its safety limits."""
-    told, limits = settings.shield, settings.safety
+    hull, limits, trained = settings.hull, settings.safety, policy.contract.vehicle
     return replace(
-        policy.contract.vehicle,
-        radius=told.radius or VEHICLE.radius,
-        height=told.height,
-        lidar_position=(0.0, 0.0, told.sensor),
+        trained,
+        radius=hull.radius or trained.radius,
+        height=hull.height or trained.height,
+        lidar_position=trained.lidar_position if hull.sensor is None else (0.0, 0.0, hull.sensor),
         velocity_limit=limits.velocity,
         yaw_rate_limit=limits.yaw_rate,
     )
-
-
-def _shield(settings: FlyConfig, vehicle: Vehicle) -> Shield | None:
-    """Return the shield, if the command line gives a radius of the hull."""
-    told = settings.shield
-    if told.radius is None:
-        return None
-    return Shield(told.time, told.lag, told.margin, nearest=told.nearest, vehicle=vehicle)
-
-
-def _evasion(settings: FlyConfig, vehicle: Vehicle) -> Evasion | None:
-    """Return the evasion of moving objects, if the command line asks for it."""
-    return None if settings.evade is None else Evasion(max_range=settings.evade, vehicle=vehicle)
 
 
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:

@@ -18,16 +18,13 @@ from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState
-from uavrl_onboard.geometry import world_to_yaw
-from uavrl_onboard.guards.evasion import Evasion
-from uavrl_onboard.guards.map import Navigator
-from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.lidar.coverage import Coverage, Doubt
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import without_vehicle
 
 if TYPE_CHECKING:
-    from uavrl_onboard.policy.contract import Contract
     from uavrl_onboard.policy.policy import Policy
 
 _logger = logging.getLogger(__name__)
@@ -38,20 +35,6 @@ _ARRIVING = 3  # cycles in a row at the goal, by plausible poses, after which th
 _FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
 _TICK = 0.005  # s between two looks at what the system cannot wait for
 _FLIES = (SafetyState.FLYING, SafetyState.FENCED)
-
-
-def map_for(contract: Contract, sight: float | None = None) -> Navigator | None:
-    """A map for a policy, at the level and with the sensor of its training; None where that had none, or was blind.
-
-    Args:
-        contract: the policy's.
-        sight: how far returns count, m; None: as in its training.
-    """
-    if sight is None and contract.memory is not None and not contract.cloud.blind:
-        sight = contract.memory.sight
-    if sight is None:
-        return None
-    return Navigator(sight, flight_level=contract.flight_level, sensor_position=contract.cloud.sensor_position)
 
 
 class Flight:
@@ -72,10 +55,7 @@ class Flight:
         layer: the safety layer.
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
         box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
-        evasion: what keeps the policy's velocities out of the ways of what moves; None: nothing.
-        shield: what bends the policy's velocities away from what the scan shows near; None: nothing.
-        memory: a map of the flight: the policy is led along the quickest way through it; None: the one that it was
-            trained with, or none, and straight to the goal.
+        guards: filters between the policy and the vehicle; None: those of the policy's contract.
 
     Attributes:
         arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
@@ -92,9 +72,7 @@ class Flight:
         *,
         radius: float = 1.0,
         box: tuple[np.ndarray, np.ndarray] | None = None,
-        evasion: Evasion | None = None,
-        shield: Shield | None = None,
-        memory: Navigator | None = None,
+        guards: Guards | None = None,
     ) -> None:
         if len(goal) != 3 or not np.isfinite(goal).all():
             raise UavrlError(f"goal must be three finite numbers x, y, z in metres, got {goal!r}.")
@@ -102,15 +80,16 @@ class Flight:
         self.arrived: float | None = None
         self.period = 1.0 / policy.contract.rate_hz
         self._policy, self._link, self._layer = policy, link, layer
-        self._radius, self._box, self._evasion, self._shield = radius, box, evasion, shield
-        self._memory = map_for(policy.contract) if memory is None else memory
+        self._radius, self._box = radius, box
+        contract = policy.contract
+        self._guards = Guards(contract.guard_settings, 1, contract.vehicle) if guards is None else guards
         self._poses, self._coverage = PoseCheck(), Coverage()
         self.doubt: Doubt | None = None
         self._there = 0  # cycles in a row at the goal
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
-        self._turn: float | None = None  # of the latest scan, where a memory leads
+        self._turn: float | None = None  # of the latest scan, where the map leads
         self._acted = -math.inf  # when the policy last gave one
         self._state = SafetyState.SILENT
         self._control: Control | None = None  # who flew in the cycle before
@@ -175,32 +154,26 @@ class Flight:
         """Drops what was remembered in axes that are others now."""
         self.arrived, self._there = None, 0
         self._acted = -math.inf
-        if self._memory is not None:
-            self._memory.reset()
+        self._guards.reset()
 
     def _act(self, scan: Scan, pose: Pose | None, now: float) -> np.ndarray | None:
         """The policy's action, or ``None`` where it can give none."""
         if self._state not in _FLIES or now - self._acted > _FORGOTTEN * self.period:
             self._policy.reset()
             self._read_stamp = None
-            if self._evasion is not None:
-                self._evasion.reset()
+            self._guards.reset(keep_map=True)
         self._turn = None
         if pose is None or not np.isfinite([*pose.position, pose.yaw]).all():
             return None
         read = to_goal(pose, self.goal)
-        if self._memory is not None:
-            place, goal = np.array(pose.position), np.array(self.goal[:2])
-            self._turn = self._memory.look(scan.points, np.array(pose.attitude), place, goal)
-            read["heading_deg"] = (read["heading_deg"] + math.degrees(self._turn)) % 360.0
         elapsed = None if self._read_stamp is None or scan.stamp <= self._read_stamp else scan.stamp - self._read_stamp
-        told = (read["altitude"], read["heading_deg"], read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
         try:
+            turn = float(self._guards.lead(self._situation(scan, pose, read["heading_deg"], elapsed))[0])
+            self._turn = turn if "map" in self._guards.guards else None
+            heading = (read["heading_deg"] + math.degrees(turn)) % 360.0
+            told = (read["altitude"], heading, read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
             action = self._policy(scan.points, *told)
-            if self._evasion is not None:
-                action[:3] = self._evading(self._evasion, action[:3], scan, pose, elapsed)
-            if self._shield is not None:
-                action[:3] = self._shielded(self._shield, action[:3], scan, pose)
+            action[:3] = self._guards.filter(action[None, :3])[0]
         except UavrlError as error:
             if str(error) != self.refusal:
                 _logger.warning("The policy gives no action: %s", error)
@@ -209,19 +182,11 @@ class Flight:
         self._acted, self._read_stamp = now, scan.stamp
         return action
 
-    def _evading(
-        self, evasion: Evasion, asked: np.ndarray, scan: Scan, pose: Pose, elapsed: float | None
-    ) -> np.ndarray:
-        """The velocity ``[3]`` to fly where something moves, in place of the one ``asked`` for."""
-        heights = np.array([pose.position[2] - self._policy.contract.flight_level])
-        own = np.array([pose.velocity]), np.array([pose.attitude])
-        return evasion(asked[None], scan.points[None], *own, heights, elapsed)[0]
-
-    @staticmethod
-    def _shielded(shield: Shield, asked: np.ndarray, scan: Scan, pose: Pose) -> np.ndarray:
-        """What is left of the velocity ``asked [3]``."""
-        level = world_to_yaw(np.array(pose.velocity), pose.yaw)
-        return shield(asked, scan.points, (pose.roll, pose.pitch), level)
+    def _situation(self, scan: Scan, pose: Pose, heading_deg: float, elapsed: float | None) -> Situation:
+        """What the guards see."""
+        own = np.array([pose.velocity]), np.array([pose.attitude]), np.array([pose.position[2]])
+        heading, place = np.radians([heading_deg]), np.array([pose.position])
+        return Situation(scan.points[None], *own, heading, elapsed, place, np.array([self.goal[:2]]))
 
     def _distance(self, pose: Pose | None) -> float | None:
         """How far the goal is, horizontally, in m."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import body_to_level, is_inside, is_return, within
+from uavrl_onboard.geometry import body_to_level, is_inside, is_return, within, world_to_yaw
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
@@ -123,6 +124,25 @@ class Shield:
         points = np.asarray(cloud[is_return(cloud, within(self.sight))], float)
         points = points + np.array([0.0, 0.0, self.vehicle.lidar_above])
         return np.asarray(points[~is_inside(points, self.vehicle.hull)] @ level.T)
+
+
+class Shields(Shield):
+    """The :class:`Shield` as a guard of several vehicles: the last one, which bounds what stands."""
+
+    def reset(self, which: np.ndarray) -> None:
+        """Do nothing: a shield remembers nothing."""
+
+    def lead(self, seen: Situation) -> None:
+        """Return None: a shield changes no heading."""
+
+    def filter(self, velocities: np.ndarray, seen: Situation) -> np.ndarray:
+        """Return the velocities ``[N, 3]`` that the shield allows, in m/s: forward, left and up."""
+        own = world_to_yaw(seen.velocities, seen.attitudes[:, 2])
+        allowed = [
+            self(wanted, seen.standing(one), (seen.attitudes[one, 0], seen.attitudes[one, 1]), own[one])
+            for one, wanted in enumerate(velocities)
+        ]
+        return np.array(allowed).reshape(-1, 3)
 
 
 def _nearest_of_each_direction(towards: np.ndarray, gaps: np.ndarray) -> np.ndarray:

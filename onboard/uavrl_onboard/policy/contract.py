@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.perception.motion import OBJECT, threats
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.observation import Angles
@@ -28,7 +29,7 @@ from uavrl_onboard.policy.contract_parts import (
     Cloud,
     ContractPart,
     Entry,
-    MemoryTerms,
+    GuardTerms,
     MotionTerms,
     Network,
     Quantity,
@@ -61,7 +62,7 @@ class Contract(ContractPart):
     state: StateTerms
     action: Action
     motion: MotionTerms | None = None  #: None for a policy that does not detect moving objects
-    memory: MemoryTerms | None = None  #: None for a policy that no map leads
+    guards: GuardTerms | None = None  #: None for a policy that flies without guards by default
     versions: dict[str, str | None] = Field(default_factory=dict)
     network: Network | None = None  #: None where no policy.onnx was exported
 
@@ -79,7 +80,7 @@ class Contract(ContractPart):
         action_limit: float,
         last_action: bool = False,
         motion: MotionTerms | None = None,
-        memory: MemoryTerms | None = None,
+        guards: GuardTerms | None = None,
         versions: dict[str, str | None] | None = None,
     ) -> Contract:
         """Return the contract of a policy.
@@ -95,7 +96,7 @@ class Contract(ContractPart):
             action_limit: the greatest velocity in m/s, and yaw rate in rad/s.
             last_action: whether an observation holds the previous action.
             motion: how moving objects are detected.
-            memory: the map that leads to waypoints.
+            guards: those that it flies with by default.
             versions: of the libraries that made the policy's files.
 
         Examples:
@@ -105,9 +106,9 @@ class Contract(ContractPart):
             >>> terms.state.size, terms.contradiction()
             (105, None)
         """
-        observation = _entries(cells, flight_level, angles, motion, memory, action_limit if last_action else None)
+        observation = _entries(cells, flight_level, angles, motion, action_limit if last_action else None)
         size = frames * sum(entry.size for entry in observation)
-        more = (says.MOTION_POSE if motion is not None else {}) | (says.MEMORY_POSE if memory is not None else {})
+        more = says.MOTION_POSE if motion is not None else {}
         low, high = ((sign * action_limit,) * 4 for sign in (-1.0, 1.0))
         return cls(
             format=FORMAT,
@@ -122,7 +123,7 @@ class Contract(ContractPart):
             state=StateTerms(frames=frames, padding=0, size=size, dtype="float32"),
             action=Action(order=tuple(ACTION), low=low, high=high),  # type: ignore[arg-type]  # there are four
             motion=motion,
-            memory=memory,
+            guards=guards,
             versions=versions or {},
         )
 
@@ -133,15 +134,22 @@ class Contract(ContractPart):
 
     @property
     def vehicle(self) -> Vehicle:
-        """The vehicle that the policy was trained to fly; a contract does not say how large its hull is."""
+        """The vehicle that the policy was trained to fly; its hull is that of the guards, if there are any."""
         velocity_limit, _, _, yaw_rate_limit = self.action.high
+        hull = {} if self.guards is None else {"radius": self.guards.radius, "height": self.guards.height}
         return Vehicle(
+            **hull,
             lidar_position=self.cloud.sensor_position,
             velocity_limit=velocity_limit,
             yaw_rate_limit=yaw_rate_limit,
             control_rate=self.rate_hz,
             flight_level=self.flight_level,
         )
+
+    @property
+    def guard_settings(self) -> GuardSettings:
+        """The guards that the policy flies with by default."""
+        return GuardSettings() if self.guards is None else self.guards.settings
 
     @property
     def angles(self) -> Angles:
@@ -159,7 +167,7 @@ class Contract(ContractPart):
         cells, cloud, state, action = self.cells, self.cloud, self.state, self.action
         made = Cells.of(cells.reduction, cells.radius, cells.statistic, cells.grid)
         ball = Cloud.of(cells.radius, cloud.sensor_position, cloud.blind)
-        entries = _entries(cells, self.flight_level, self.angles, self.motion, self.memory, self.action_limit)
+        entries = _entries(cells, self.flight_level, self.angles, self.motion, self.action_limit)
         wrong: dict[str, bool] = {
             f"cells are not those of {cells.reduction}": not alike(cells, made, "directions", atol=1e-6)
             or not alike(cells, made, "count", "columns", "rows", "width", "elevation", "row_borders"),
@@ -175,8 +183,8 @@ class Contract(ContractPart):
             "action.low is not below action.high": not np.less(action.low, action.high).all(),
         }
         moving = None if self.motion is None else self.motion.contradiction(self.rate_hz)
-        led = None if self.memory is None else self.memory.contradiction()
-        return next((words for words, holds in wrong.items() if holds), moving or led)
+        guarded = None if self.guards is None else self.guards.contradiction()
+        return next((words for words, holds in wrong.items() if holds), moving or guarded)
 
     def to_text(self) -> str:
         """Return the contract as JSON. A list or mapping of plain values takes one line."""
@@ -190,7 +198,6 @@ def _entries(
     flight_level: float,
     angles: Angles,
     motion: MotionTerms | None,
-    memory: MemoryTerms | None,
     last_action: float | None,
 ) -> list[Entry]:
     """Return the observation that :mod:`uavrl_onboard.perception.observation` makes of these."""
@@ -198,7 +205,7 @@ def _entries(
     scales_of: dict[Quantity, tuple[int, Scale]] = {
         "cells": (cells.count, (0.0, None, cells.radius, 0.0)),
         "altitude": (1, (0.0, None, flight_level, -1.0)),
-        "heading" if memory is None else "waypoint": (1, angle),
+        "heading": (1, angle),
         "elevation": (1, angle),
     }
     if motion is not None:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 from uavrl_onboard.geometry import NEAREST_RETURN
 from uavrl_onboard.guards.map import navigator
+from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings, MapSettings, ShieldSettings
 from uavrl_onboard.perception.cells import (
     LARGEST_RADIUS,
     TOUCHING,
@@ -24,6 +25,7 @@ from uavrl_onboard.perception.cells import (
 from uavrl_onboard.perception.motion import rays, threats
 from uavrl_onboard.perception.reductions import Reduction, directions
 from uavrl_onboard.policy import explanations as says
+from uavrl_onboard.vehicle import Vehicle
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -33,7 +35,7 @@ Scale = tuple[float, float | None, Divisor, float]  # shift, modulo, divisor, of
 Size = Annotated[int, Field(ge=1, le=10_000)]
 Above0 = Annotated[float, Field(gt=0)]
 Directions = Annotated[list[Three], Field(max_length=10_000)]
-Quantity = Literal["cells", "altitude", "heading", "waypoint", "elevation", "moving_objects", "threats", "last_action"]
+Quantity = Literal["cells", "altitude", "heading", "elevation", "moving_objects", "threats", "last_action"]
 # shift, modulo, divisor, offset of an angle in degrees
 ANGLES: dict[str, Scale] = {
     "folded": (180.0, 360.0, 180.0, -1.0),
@@ -251,22 +253,75 @@ class MotionTerms(ContractPart):
         return next((words for words, holds in wrong.items() if holds), None)
 
 
-class MemoryTerms(ContractPart):
-    """The map that leads a policy to its waypoints, as :mod:`uavrl_onboard.guards.map` keeps it."""
+class MapTerms(ContractPart):
+    """The map that turns the heading, as :mod:`uavrl_onboard.guards.map` keeps it."""
 
     sight: Annotated[float, Field(gt=0, le=40)]
-    reach: float
+    reach: float = navigator.REACH
     cell: float = navigator.CELL
     level: float = navigator.LEVEL
     every: int = navigator.EVERY
     ahead: float = navigator.AHEAD
-    found: str = says.PATH_FOUND
+    does: str = says.GUARD_MAP
+
+
+class EvasionTerms(ContractPart):
+    """The evasion of moving objects."""
+
+    sight: Annotated[float, Field(gt=0, le=100)]
+    objects: Annotated[int, Field(ge=1, le=100)]
+    does: str = says.GUARD_EVASION
+
+
+class ShieldTerms(ContractPart):
+    """The shield, which limits the speed near obstacles."""
+
+    time: Above0
+    lag: Annotated[float, Field(ge=0)]
+    margin: Annotated[float, Field(ge=0)]
+    nearest: Annotated[float, Field(ge=0)] | None = None  #: shortest range that the sensor reports, m
+    does: str = says.GUARD_SHIELD
+
+
+class GuardTerms(ContractPart):
+    """The guards that a policy flies with by default, and the hull that they assume."""
+
+    applied: str = says.GUARDS_APPLIED
+    radius: Above0
+    height: Above0
+    map: MapTerms | None = None
+    evasion: EvasionTerms | None = None
+    shield: ShieldTerms | None = None
+
+    @classmethod
+    def of(cls, settings: GuardSettings, vehicle: Vehicle) -> GuardTerms | None:
+        """Return the part for some guards of a vehicle; None for no guards."""
+        if not settings.names:
+            return None
+        plain = settings.plain()
+        return cls(
+            radius=vehicle.radius,
+            height=vehicle.height,
+            map=MapTerms(**plain["map"]) if "map" in plain else None,
+            evasion=EvasionTerms(**plain["evasion"]) if "evasion" in plain else None,
+            shield=ShieldTerms(**plain["shield"]) if "shield" in plain else None,
+        )
+
+    @property
+    def settings(self) -> GuardSettings:
+        """The guards as their settings."""
+        shield = self.shield
+        return GuardSettings(
+            map=None if self.map is None else MapSettings(self.map.sight),
+            evasion=None if self.evasion is None else EvasionSettings(self.evasion.sight, self.evasion.objects),
+            shield=None if shield is None else ShieldSettings(shield.time, shield.lag, shield.margin, shield.nearest),
+        )
 
     def contradiction(self) -> str | None:
         """Return what is not as this version of uavrl does it; None for a sound part."""
-        made = MemoryTerms(sight=self.sight, reach=navigator.REACH)
-        sound = alike(self, made, "reach", "cell", "level", "every", "ahead")
-        return None if sound else "memory is another map"
+        if self.map is None or alike(self.map, MapTerms(sight=1.0), "reach", "cell", "level", "every", "ahead"):
+            return None
+        return "guards.map is another map"
 
 
 class Network(ContractPart):

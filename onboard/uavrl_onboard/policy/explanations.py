@@ -38,7 +38,7 @@ POSE = {
     "heading": "degrees in [0, 360): atan2(goal_y - y, goal_x - x) - yaw; 0 is ahead, 90 is left",
     "elevation": "degrees in [0, 360): atan2(goal_z - z, hypot(goal_x - x, goal_y - y)); 0 is level, 90 is above",
     "goal": "the centre of the goal's cylinder, half-way between the ground and the ceiling",
-    "last_action": "the previous action, as the policy gave it; zeros at the first step of an episode",
+    "last_action": "the previous action, as it was flown; zeros at the first step of an episode",
 }
 MOTION_POSE = {
     "velocity": "m/s: [3], the velocity of the vehicle in world axes",
@@ -47,11 +47,6 @@ MOTION_POSE = {
     "are fewer objects",
     "threats": "one value for each of motion.threats.directions, then one for hovering; see motion.threats.value",
 }
-MEMORY_POSE = {
-    "waypoint": "degrees in [0, 360), like heading: the angle to the next waypoint of the quickest path to the goal, "
-    "see memory.found; it equals heading if the path leads straight to the goal or if there is no path",
-}
-
 SCALING = "((value + shift) mod modulo) / divisor + offset; without mod if modulo is null"
 DIVISORS = "; a list holds one divisor for each number"
 
@@ -84,12 +79,24 @@ THREAT = (
     "t; the value is the maximum over all objects, 0 if there is none"
 )
 
-PATH_FOUND = (
-    "Navigator of uavrl_onboard finds the path. It enters the returns of every memory.every-th scan into a grid with "
-    "cells of memory.cell m: those within memory.sight m of the sensor and at most memory.level m above or below the "
-    "flight level, which is the divisor of altitude. The grid forgets cells that are more than memory.reach m away. "
-    "Navigator then searches the quickest path to the goal that is wide enough for the vehicle, where unseen cells "
-    "count as free. The waypoint is the last point of the path in a straight line, or else the point memory.ahead m "
-    "along the path. You can use any other method that finds the same path. The grid is empty at the start of an "
-    "episode"
+GUARDS_APPLIED = (
+    "guards are filters between the policy and the vehicle, applied in the order map, evasion, shield; those that are "
+    "listed here are on by default, as uavrl_onboard.guards has them. radius and height are those of the vehicle's "
+    "hull in m, a level cylinder"
+)
+GUARD_MAP = (
+    "the heading that the policy reads is the angle to a waypoint. Every every-th scan enters a grid with cells of "
+    "cell m: the returns within sight m of the sensor and at most level m above or below the flight level, which is "
+    "the divisor of altitude, without those of moving objects. The grid forgets cells that are more than reach m away. "
+    "Navigator of uavrl_onboard searches the quickest path to the goal that is wide enough for the vehicle, where "
+    "unseen cells count as free. The waypoint is the last point of the path in a straight line, or else the point "
+    "ahead m along the path. The grid is empty at the start of an episode"
+)
+GUARD_EVASION = (
+    "a velocity that would meet one of the nearest moving objects within 2 s, if they fly straight on, is replaced by "
+    "the best of 145 others. MotionSight of uavrl_onboard detects the objects up to sight m away"
+)
+GUARD_SHIELD = (
+    "the velocity towards each point of the scan within 2.5 m, except those of moving objects, is at most gap / time. "
+    "The gap is measured from the hull with margin m around it, after lag s of flight at the present velocity"
 )

@@ -93,8 +93,8 @@ class Policy:
             cloud: ``[P, 3]`` in m in the sensor frame (x forward, y left, z up), in any order; NaN, infinity and zeros
                 are misses.
             altitude: z above the mean level of the ground, m.
-            heading_deg: from the vehicle's head to the goal, left positive, degrees. Where ``contract.memory`` is not
-                None, to the next point of the way, which a :class:`uavrl_onboard.guards.map.Navigator` finds.
+            heading_deg: from the vehicle's head to the goal, left positive, degrees; turned by the
+                map, where that is on.
             elevation_deg: from the horizontal up to the goal, degrees.
             velocity: ``[3]`` of the vehicle in the world's axes, m/s; it is read where ``contract.motion`` is not None,
                 as is the next one. The world's axes are any whose z points up, the same at all times.

@@ -18,9 +18,11 @@ from tests.helpers.ports import free_ports
 from uavrl_onboard.autopilot.mavlink import Autopilot
 from uavrl_onboard.flight.loop import Flight, fly
 from uavrl_onboard.flight.safety import SafetyLayer
+from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.vlp16 import firing_directions
+from uavrl_onboard.vehicle import Vehicle
 
 pytestmark = measured
 
@@ -33,7 +35,7 @@ class Straight:
     """Answers with one action whatever comes."""
 
     def __init__(self) -> None:
-        self.contract = SimpleNamespace(rate_hz=10.0, memory=None)
+        self.contract = SimpleNamespace(rate_hz=10.0, vehicle=Vehicle(), guard_settings=GuardSettings())
         self.cells, self.last_action = None, np.zeros(4)
 
     def reset(self) -> None:

@@ -98,7 +98,7 @@ def test_nodes_of_ros2(policy: Path, tmp_path: Path) -> None:
         code, levels, printed = checked(policy, tmp_path, *where, **domain)
         assert code == 0 and set(levels.values()) == {"pass"}, printed
         assert "/cmd_vel has 1 subscriber, which may obey it" in printed
-        code, levels, printed = checked(policy, tmp_path, *where, "memory=12", **domain)
+        code, levels, printed = checked(policy, tmp_path, *where, "guards=[map]", **domain)
         assert code == 2 and {name for name, level in levels.items() if level != "pass"} == {"guards"}, printed
         assert "Velocity and roll and pitch are exactly 0 in each pose" in printed
     finally:

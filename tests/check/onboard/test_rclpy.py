@@ -77,7 +77,7 @@ def test_twists_on_best_effort_and_a_lidar_that_falls_silent(policy: Path) -> No
 
 
 def test_stamped_twists_reliable_clouds_with_rings_a_driver_that_starts_again_and_a_bag_s_clock(policy: Path) -> None:
-    guards = ["ros2.kind=twist_stamped", "shield.radius=0.2", "evade=12", "memory=12"]
+    guards = ["ros2.kind=twist_stamped", "hull.radius=0.2", "guards=all"]
     told, printed = flown(policy, guards, stamped=True, reliable=True, ring=True, restart=2.0, simulated=8.0)
     check_arrived(told, printed)
     assert "The clock that stamps /odom has stepped back by" in printed

@@ -37,7 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_each_page_with_python_is_run_here() -> None:
     assert {page for page in PAGES if blocks(page, "python")} == {
-        *("gpu", "lidar", "memory", "moving_obstacles", "onnx", "shield", "vehicle")
+        *("gpu", "guards", "lidar", "moving_obstacles", "onnx", "vehicle")
     }
 
 
@@ -74,16 +74,11 @@ def test_moving_obstacles(run: Any) -> None:
     names["flown"].close()
 
 
-def test_a_memory(run: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    env = run("memory")["env"]
-    assert env.rollout(2)["next", "waypoint_deg"].shape == (1, 2, 1)
-    assert "tensor([[" in capsys.readouterr().out
-
-
-def test_a_shield(run: Any) -> None:
-    names = run("shield")
-    assert names["careful"].in_keys == ["observation", "point_cloud", "attitude", "velocity"]
-    assert names["steps"].shape == (2, 3)
+def test_guards(run: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    names = run("guards")
+    assert names["steps"].shape == (1, 3) and names["guards"].settings.names == ("map", "evasion", "shield")
+    assert names["turn"].shape == (1,)
+    assert "[[1.2" in capsys.readouterr().out, "the shield slows the vehicle"
     names["env"].close()
 
 

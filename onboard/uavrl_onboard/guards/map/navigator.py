@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavrl_onboard.geometry import body_to_world, is_return, within
+from uavrl_onboard.geometry import body_to_world, is_return, within, yaw_to_world
 from uavrl_onboard.guards.map.episode_map import EpisodeMap
 from uavrl_onboard.guards.map.route import waypoint
 from uavrl_onboard.vehicle import VEHICLE, lidar_place
@@ -16,6 +16,7 @@ LEVEL = 0.4  # m over and under the flight level, within which what is seen is i
 ELSEWHERE = 2.0  # m between two scans, after which the map is no longer of where the vehicle is
 EVERY = 5  # of so many scans one is entered, and then the way is found anew: 2 Hz of 10
 AHEAD = 4.0  # m, how far along the way a vehicle looks
+BESIDE = 0.5  # m around a moving body, in which the cells that it left lie
 FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are counted in 32 bits
 
 
@@ -25,8 +26,8 @@ class Navigator:
     What every fifth scan shows at the flight level enters a map of cells, and the quickest way through it to the goal
     is found (:func:`uavrl_onboard.guards.map.route.route`), in which what was not seen is free. So a vehicle looks
     into a dead end
-    and flies out again. What moves stays in the map where it was; what lies over or under the flight level is not in
-    it. A vehicle that is 2 m elsewhere from one scan to the next begins a new map: its axes have moved.
+    and flies out again. Moving objects leave the map again where they are told; what lies over or under the flight
+    level is not in it. A vehicle that is 2 m elsewhere from one scan to the next begins a new map: its axes have moved.
 
     Args:
         sight: how far returns count, m.
@@ -35,6 +36,7 @@ class Navigator:
         flight_level: m, the altitude of the map.
         cell: edge of the map's cells, m; 0.25 by default.
         sensor_position: of the LiDAR in body axes, m.
+        period: time between two scans, s.
 
     Raises:
         ValueError: for a ``sensor_position`` that is not three finite numbers.
@@ -57,7 +59,9 @@ class Navigator:
         flight_level: float = VEHICLE.flight_level,
         cell: float = CELL,
         sensor_position: Sequence[float] = VEHICLE.lidar_position,
+        period: float = VEHICLE.period,
     ) -> None:
+        self.period = period
         self.sight, self.flight_level, self.sensor_position = sight, flight_level, lidar_place(sensor_position)
         self._size = (cell, reach)
         self.reset()
@@ -70,7 +74,14 @@ class Navigator:
         self._last: np.ndarray | None = None  # place
         self._scans = 0
 
-    def look(self, cloud: np.ndarray, attitude: np.ndarray, place: np.ndarray, goal: np.ndarray) -> float:
+    def look(
+        self,
+        cloud: np.ndarray,
+        attitude: np.ndarray,
+        place: np.ndarray,
+        goal: np.ndarray,
+        bodies: np.ndarray | None = None,
+    ) -> float:
         """Takes in another scan; returns how far off the goal's direction the way leads, in [-π, π] rad.
 
         It is left positive, and 0 where the way leads straight on to the goal, where the map leaves none, and where
@@ -81,6 +92,9 @@ class Navigator:
             attitude: ``[3]``, the vehicle's roll, pitch and yaw in rad.
             place: ``[3]``, of the vehicle in m, in axes whose z is the altitude.
             goal: ``[2]`` m, in the same axes.
+            bodies: ``[M, 7]``, moving objects as
+                :class:`~uavrl_onboard.perception.motion.MotionSight` reports them. Their points are not in ``cloud``;
+                cells that they left before they were known to move are forgotten.
         """
         if not np.isfinite([*attitude, *place]).all() or np.abs(place).max() > FARTHEST:
             return 0.0
@@ -89,10 +103,14 @@ class Navigator:
             goal = level + reach / far * (goal - level)  # beyond it nothing is known, and the search would take seconds
         if self._last is not None and np.linalg.norm(level - self._last) > ELSEWHERE:
             self.reset()
-        due = self._scans % EVERY == 0
+        due, now = self._scans % EVERY == 0, self._scans * self.period
         self._last, self._scans = level, self._scans + 1
         if due:
-            self.known.look(self._seen(cloud, attitude, place[2]) + level, level)
+            self.known.look(self._seen(cloud, attitude, place[2]) + level, level, now)
+        for body in () if bodies is None else bodies:
+            there, velocity = yaw_to_world(np.stack([body[:2], body[3:5]]), float(attitude[2]))
+            self.known.forget(level + there, velocity, body[6] / 2 + BESIDE, now)
+        if due:
             self._way = self.known.route(level, goal)
         if self._way is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""A map for each of several vehicles that know neither their place nor their goal's, from what an autopilot tells."""
+"""A map for each of several vehicles: the first guard."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ import numpy as np
 from uavrl_onboard.geometry import heading_vector
 from uavrl_onboard.guards.map.goal_finder import GoalFinder
 from uavrl_onboard.guards.map.navigator import Navigator
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.vehicle import VEHICLE
 
 
 class Wayfinder:
     """Leads N vehicles along the quickest ways through what each has seen since its episode began.
 
-    Each has a :class:`Navigator`. It knows its place since the episode's start by its own velocity, integrated from
-    scan to scan. The goal's distance is not told: the goal is where its directions from different places meet
-    (:class:`GoalFinder`).
+    Each has a :class:`Navigator`. Where places and goals are unknown, as in training, a vehicle knows its place since
+    the episode's start by its own velocity, integrated from scan to scan, and the goal is where its directions from
+    different places meet (:class:`GoalFinder`).
 
     Args:
         vehicles: N.
@@ -51,7 +52,8 @@ class Wayfinder:
         sensor_position: Sequence[float] = VEHICLE.lidar_position,
     ) -> None:
         self.reach, self.period = reach, period
-        self._navigators = [Navigator(sight, reach, flight_level, cell, sensor_position) for _ in range(vehicles)]
+        about = (sight, reach, flight_level, cell, sensor_position, period)
+        self.navigators = [Navigator(*about) for _ in range(vehicles)]
         self._goals = [GoalFinder(reach) for _ in range(vehicles)]
         self._begun = np.zeros(vehicles, bool)  # whether it has had a scan in this episode
         self._places, self._velocities = np.zeros((2, vehicles, 3))
@@ -59,18 +61,32 @@ class Wayfinder:
     def reset(self, which: np.ndarray) -> None:
         """Forgets all that some vehicles have seen, ``bool [N]``; their next scan is their first."""
         for one in np.flatnonzero(which).tolist():
-            self._navigators[one].reset()
+            self.navigators[one].reset()
             self._goals[one] = GoalFinder(self.reach)
         self._begun[which], self._places[which] = False, 0.0
 
+    def lead(self, seen: Situation) -> np.ndarray:
+        """Return how far off the goals' directions the ways lead, ``[N]`` rad, by scans without what moves."""
+        clouds = [seen.standing(one) for one in range(len(seen.clouds))]
+        state = seen.velocities, seen.attitudes, seen.altitudes, seen.headings
+        if seen.places is None or seen.goals is None:
+            return self.look(clouds, *state, seen.which, seen.bodies)
+        rows = zip(self.navigators, clouds, seen.attitudes, seen.places, seen.goals, seen.bodies, strict=True)
+        return np.array([navigator.look(*row) for navigator, *row in rows])
+
+    def filter(self, velocities: np.ndarray, seen: Situation) -> np.ndarray:
+        """Return the velocities as they are: a map changes headings."""
+        return velocities
+
     def look(
         self,
-        clouds: np.ndarray,
+        clouds: Sequence[np.ndarray] | np.ndarray,
         velocities: np.ndarray,
         attitudes: np.ndarray,
         altitudes: np.ndarray,
         headings: np.ndarray,
         which: np.ndarray | None = None,
+        bodies: Sequence[np.ndarray] | None = None,
     ) -> np.ndarray:
         """Takes in another scan and returns how far off the goal's direction the way leads: ``[N]`` rad, left positive.
 
@@ -78,12 +94,13 @@ class Wayfinder:
         velocity is not finite: it has not looked then, and its place stays where it was.
 
         Args:
-            clouds: ``[N, P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
+            clouds: N of ``[P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
             velocities: ``[N, 3]``, of the vehicles in world axes in m/s.
             attitudes: ``[N, 3]``, their roll, pitch and yaw in rad.
             altitudes: ``[N]``, m.
             headings: ``[N]``, from each vehicle's head to its goal, left positive, rad.
             which: ``bool [N]``, which have a new scan; what is returned of the others is 0. None: all.
+            bodies: of each vehicle, its moving objects, ``[M, 7]``, as :meth:`Navigator.look` takes them.
         """
         which = np.ones(len(self._begun), bool) if which is None else which
         which = which & np.isfinite(np.column_stack([velocities, attitudes, altitudes, headings])).all(1)
@@ -95,5 +112,6 @@ class Wayfinder:
             place = self._places[one, :2]
             goal = self._goals[one].look(place, heading_vector(bearings[one]))
             at = np.append(place, altitudes[one])
-            turns[one] = self._navigators[one].look(clouds[one], attitudes[one], at, goal)
+            moving = None if bodies is None else bodies[one]
+            turns[one] = self.navigators[one].look(clouds[one], attitudes[one], at, goal, moving)
         return turns

@@ -8,13 +8,14 @@ import numpy as np
 from uavrl_onboard.geometry import body_to_world, yaw_rotation
 from uavrl_onboard.perception.motion.occlusion import CellIndices, EarlierScans, Grid, Returns, find_returns
 from uavrl_onboard.perception.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
-from uavrl_onboard.perception.motion.tracks import AROUND, LabelledReturns, Track, follow, squared_distances
+from uavrl_onboard.perception.motion.tracks import AROUND, LINK, LabelledReturns, Track, follow, squared_distances
 from uavrl_onboard.vehicle import VEHICLE
 
 OBJECT = ("forward", "left", "up", "forward velocity", "left velocity", "up velocity", "size")
 """What is reported of one moving object, in m and m/s."""
 LARGEST_VELOCITY, LARGEST_SIZE = 5.0, 2.5  # m/s and m, of an object, which a network reads as 1
 DEPTH = 4  # earlier scans; in 0.4 s a body at 3 m/s flies 1.2 m, its own width
+BESIDE = 0.4  # m around a body, in which its returns lie: its size is that of the returns that were followed
 MARGIN = 0.3  # m, by which an earlier scan saw farther where something has come; within it, something has stayed
 
 
@@ -70,6 +71,7 @@ class MotionSight:
         self._images = np.zeros((3, sensors, self._scans.grid.rows, self._scans.grid.columns), np.float32)
         self._last = [np.zeros((0, 3), np.float32)] * sensors  # returns of the last scans in the world
         self._tracks: list[list[Track]] = [[] for _ in range(sensors)]
+        self.bodies = [np.zeros((0, len(OBJECT)), np.float32)] * sensors  # all of each sensor, nearest first
 
     def reset(self, which: np.ndarray) -> None:
         """Forgets all that some sensors have seen, ``bool [N]``; their next scan is their first."""
@@ -77,7 +79,7 @@ class MotionSight:
         self._scans.reset(which)
         self._positions[which] = self._velocities[which] = 0.0
         for one in np.flatnonzero(which):
-            self._tracks[one], self._last[one] = [], self._last[one][:0]
+            self._tracks[one], self._last[one], self.bodies[one] = [], self._last[one][:0], self.bodies[one][:0]
 
     def look(
         self,
@@ -196,6 +198,7 @@ class MotionSight:
         """The nearest tracks that count, ``[N, K, 7]``."""
         found = np.zeros((len(yaws), self.objects, len(OBJECT)), np.float32)
         for one, (tracks, yaw) in enumerate(zip(self._tracks, yaws, strict=True)):
+            self.bodies[one] = self.bodies[one][:0]
             if not tracks:
                 continue
             level = yaw_rotation(-yaw) @ self._attitudes[one] @ self._rotations[one].T
@@ -206,6 +209,35 @@ class MotionSight:
             ]
             distances = [float(np.linalg.norm(values[:3])) for values in objects]
             nearest = [row for row in np.argsort(distances) if distances[row] < self.max_range]
+            self.bodies[one] = np.array([objects[row] for row in nearest], np.float32).reshape(-1, len(OBJECT))
             for slot, row in enumerate(nearest[: self.objects]):
                 found[one, slot] = objects[row]
         return found
+
+    def of_bodies(self, cloud: np.ndarray, sensor: int) -> np.ndarray | None:
+        """Return which points of the last scan of a sensor are of its moving bodies, ``bool [P]``; None for none.
+
+        A point around a body belongs to it if the nearest return that was looked at does: a wall beside or behind the
+        body stays.
+
+        Args:
+            cloud: that scan, ``[P, 3]`` in m in the sensor frame, with any number of points.
+            sensor: its number.
+        """
+        tracks = [track for track in self._tracks[sensor] if track.is_confirmed and len(track.body)]
+        if not tracks:
+            return None
+        from scipy.spatial import cKDTree  # here, since policies that learn import this and need no SciPy
+
+        looked_at, rotation = self._last[sensor], self._rotations[sensor]
+        own, moving = np.zeros(len(looked_at), bool), np.zeros(len(cloud), bool)
+        for track in tracks:
+            own[track.body] = True
+        for track in tracks:
+            reach = track.size / 2 + BESIDE
+            near = squared_distances(cloud, rotation.T @ (track.position - self._positions[sensor])) < reach**2
+            at = np.flatnonzero(near)  # of NaN and infinity it is false
+            around = np.flatnonzero(squared_distances(looked_at, track.position) < (reach + LINK) ** 2)
+            world = cloud[at] @ rotation.T + self._positions[sensor]
+            moving[at] |= own[around[cKDTree(looked_at[around]).query(world)[1]]]
+        return moving

@@ -40,6 +40,8 @@ class Track:
     fresh: int = 1
     missed: int = 0
     surprise: float = 1.0
+    #: which returns of the last scan are its own; none where it was not seen
+    body: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __post_init__(self, returns: int) -> None:
         """Begins with what is known of a body that was seen once."""
@@ -165,7 +167,7 @@ def follow(
     free = np.ones(len(scan.points), bool)
     for track in tracks:
         track.predict(dt)
-        body = body_around(track.position, scan.points, scan.moving & free)
+        track.body = body = body_around(track.position, scan.points, scan.moving & free)
         if not len(body):
             track.missed += 1
             continue
@@ -199,4 +201,5 @@ def _new(
             track = Track(*was, len(earlier))
             track.predict(dt)
             track.update(middle, size, len(body), fresh=True)
+        track.body = body
         yield track

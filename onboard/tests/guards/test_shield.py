@@ -2,23 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule
-from torch.testing import assert_close
 
-from tests.helpers.commands import in_process
-from uavrl.cli import evaluate
-from uavrl.envs import NavigationEnv
-from uavrl.envs.world import WorldConfig
-from uavrl.evaluation.guarded import GuardedPolicy
-from uavrl.evaluation.rollout import rollout_episodes
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.guards.shield import Shield, fitted
 from uavrl_onboard.vehicle import Vehicle
@@ -93,51 +81,6 @@ def test_whatever_stands_around_nothing_is_approached_too_fast() -> None:
         assert np.linalg.norm(found) <= np.linalg.norm(asked) + 1e-9
 
 
-class Forward:
-    """A policy from elsewhere that flies ahead, whatever it sees."""
-
-    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = torch.tensor([2.0, 0.0, 0.0, 0.5]).expand(*tensordict.batch_size, 4)
-        return tensordict.set("action", action)
-
-
-def test_behind_it_the_blind_do_not_collide() -> None:
-    world = WorldConfig(size=(16.0, 14.0), obstacles=12, min_goal_distance=5.0, min_clearance=1.0)
-    env = NavigationEnv(4, world=world, max_steps=60, measure_clearance=True)
-    ends = [flight.outcome for flight in rollout_episodes(env, Forward(), 4)]
-    env.set_seed(0)
-    shielded = [flight.outcome for flight in rollout_episodes(env, GuardedPolicy(Forward(), shield=Shield()), 4)]
-    assert ends.count("collided") > shielded.count("collided") == 0
-
-
-def test_it_asks_for_what_policy_and_shield_read_and_leaves_the_yaw_rate() -> None:
-    turning = TensorDictModule(lambda cells: cells.new_tensor([[3.0, 0.0, 0.0, -1.5]]), ["cells"], ["action"])
-    shielded = GuardedPolicy(turning, shield=Shield(time=1.0))
-    assert shielded.in_keys == ["cells", "point_cloud", "attitude", "velocity"]
-    seen = TensorDict(cells=torch.zeros(1, 2), point_cloud=torch.tensor([[[0.85, 0.0, -0.1]]]), batch_size=[1])
-    seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
-    assert shielded(seen)["action"][0].tolist() == pytest.approx([0.38, 0.0, 0.0, -1.5], abs=1e-6)
-
-
-def test_an_evaluation_flies_behind_a_shield_of_the_vehicles_own_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shields: set[Shield] = set()
-
-    def stands(shield: Shield, asked: np.ndarray, *_: object) -> np.ndarray:
-        shields.add(shield)
-        return np.zeros(3)
-
-    monkeypatch.setattr(Shield, "__call__", stands)
-    output = tmp_path / "shielded.json"
-    command = ["policy=straight", "shield=true", "episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
-    assert in_process(evaluate.main, *command, "env.airframe.collision_radius=0.3", f"output={output}") == 0
-    result = json.loads(output.read_text())
-    assert "shield=true" in result["overrides"] and result["outcomes"] == "TT"
-    assert max(flight["flown"] for flight in result["flights"]) < 0.2
-    assert shields == {Shield(vehicle=Vehicle(radius=0.3))}
-
-
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
@@ -183,27 +126,3 @@ def test_a_velocity_beyond_the_limit_keeps_its_direction() -> None:
 def test_the_vehicles_own_parts_are_no_obstacle() -> None:
     rotors = np.array([[0.2, 0.2, -0.1], [0.2, -0.2, -0.1], [-0.2, 0.2, -0.1], [-0.2, -0.2, -0.1]])
     assert Shield()(FAST, rotors, LEVEL, STILL).tolist() == FAST.tolist()
-
-
-@pytest.mark.parametrize("batch", [[], [3], [2, 5], [0]])
-def test_any_batch_flies_behind_it(batch: list[int]) -> None:
-    ahead = TensorDictModule(lambda cells: cells + torch.tensor([2.0, 0.0, 0.0, 1.0]), ["cells"], ["action"])
-    near = torch.tensor([[0.82 + 0.35, 0.0, -0.1]]).expand(*batch, 1, 3)
-    seen = TensorDict(cells=torch.zeros(*batch, 4), point_cloud=near, batch_size=batch)
-    seen["attitude"], seen["velocity"] = torch.zeros(*batch, 3), torch.zeros(*batch, 3)
-    assert_close(
-        GuardedPolicy(ahead, shield=Shield())(seen)["action"], torch.tensor([1.0, 0.0, 0.0, 1.0]).expand(*batch, 4)
-    )
-
-
-def test_a_policy_that_keeps_its_last_action_hears_what_is_flown() -> None:
-    heard: list[list[float]] = []
-
-    class Keeps(Forward):
-        def flown(self, actions: np.ndarray) -> None:
-            heard.extend(actions.tolist())
-
-    seen = TensorDict(point_cloud=torch.tensor([[[0.82 + 0.35, 0.0, -0.1]]]), batch_size=[1])
-    seen["attitude"] = seen["velocity"] = torch.zeros(1, 3)
-    GuardedPolicy(Keeps(), shield=Shield())(seen)
-    assert heard == [pytest.approx([1.0, 0.0, 0.0, 0.5], abs=1e-6)]

@@ -1,0 +1,136 @@
+"""All guards of a flight, in their order: what one guard changes, the next one sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.guards.evasion import Evasion
+from uavrl_onboard.guards.map import Wayfinder
+from uavrl_onboard.guards.protocol import Guard, Situation
+from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings, MapSettings, ShieldSettings
+from uavrl_onboard.guards.shield import Shields
+from uavrl_onboard.perception.motion.rays import far_rays
+from uavrl_onboard.perception.motion.sight import MotionSight
+from uavrl_onboard.vehicle import VEHICLE, Vehicle
+
+
+def _map(settings: MapSettings, vehicles: int, vehicle: Vehicle) -> Guard:
+    about: dict[str, Any] = {"flight_level": vehicle.flight_level, "sensor_position": vehicle.lidar_position}
+    return Wayfinder(vehicles, settings.sight, period=vehicle.period, **about)
+
+
+def _evasion(settings: EvasionSettings, vehicles: int, vehicle: Vehicle) -> Guard:
+    return Evasion(vehicle)
+
+
+def _shield(settings: ShieldSettings, vehicles: int, vehicle: Vehicle) -> Guard:
+    return Shields(settings.time, settings.lag, settings.margin, nearest=settings.nearest or 0.0, vehicle=vehicle)
+
+
+GUARDS: Mapping[str, Callable[[Any, int, Vehicle], Guard]] = {"map": _map, "evasion": _evasion, "shield": _shield}
+"""What makes each guard, by its name."""
+
+
+class Guards:
+    """All guards of N vehicles, in their order.
+
+    Motion detection comes first and serves all three: points of moving objects are left out of the map and of the
+    shield's bounds, because evasion handles them. Where an object was while it was not known to move, its cells leave
+    the map.
+
+    Args:
+        settings: which guards are on.
+        vehicles: N.
+        vehicle: its hull, LiDAR, limits, control rate and flight level.
+
+    Raises:
+        UavrlError: when called, for velocities, attitudes or altitudes that are not finite: evasion and the shield
+            cannot work without them.
+
+    Examples:
+        An obstacle stands 1 m ahead of the hull: the shield slows the approach. Evasion ignores what stands.
+
+        >>> seen = Situation(np.array([[[1.35, 0.0, -0.1]]]), np.zeros((1, 3)), np.zeros((1, 3)), np.full(1, 3.5),
+        ...     np.zeros(1))
+        >>> guards = Guards(GuardSettings.all())
+        >>> guards.lead(seen).shape
+        (1,)
+        >>> guards.filter(np.array([[2.0, 0.0, 0.0]])).round(2) + 0.0
+        array([[1.26, 0.  , 0.  ]])
+    """
+
+    def __init__(self, settings: GuardSettings, vehicles: int = 1, vehicle: Vehicle = VEHICLE) -> None:
+        self.settings, self.vehicles, self.vehicle = settings, vehicles, vehicle
+        self.guards = {name: GUARDS[name](getattr(settings, name), vehicles, vehicle) for name in settings.names}
+        self._sight: MotionSight | None = None
+        if settings.evasion is not None:
+            self._sight = MotionSight(vehicles, settings.evasion.sight, settings.evasion.objects, vehicle.period)
+        self._seen: Situation | None = None
+
+    def reset(self, which: np.ndarray | None = None, *, keep_map: bool = False) -> None:
+        """Forget what some vehicles have seen, ``bool [N]``, or all; ``keep_map`` leaves the map as it is."""
+        which = np.ones(self.vehicles, bool) if which is None else which
+        for name, guard in self.guards.items():
+            if name != "map" or not keep_map:
+                guard.reset(which)
+        if self._sight is not None:
+            self._sight.reset(which)
+
+    def lead(self, seen: Situation) -> np.ndarray:
+        """Take in new scans; return the angles ``[N]`` in rad that are added to the headings to the goals."""
+        self._require_finite(seen)
+        before, self._seen = self._seen, seen
+        if self._sight is not None and self.vehicles:
+            self._detect_motion(self._sight, seen, before)
+        turns = np.zeros(self.vehicles)
+        for guard in self.guards.values():
+            if (turned := guard.lead(seen)) is not None:
+                turns = turns + turned
+        return turns
+
+    def filter(self, velocities: np.ndarray) -> np.ndarray:
+        """Return the velocities ``[N, 3]`` to fly instead of those that the policy asks for after the last scans.
+
+        Args:
+            velocities: forward, left and up in m/s, in the axes of the yaw, as those that are returned.
+        """
+        if self._seen is None:
+            raise UavrlError("Guards filter velocities only after a scan: call lead first.")
+        for guard in self.guards.values():
+            velocities = guard.filter(velocities, self._seen)
+        return velocities
+
+    def _require_finite(self, seen: Situation) -> None:
+        """Refuse states without which evasion and the shield would let everything pass."""
+        state = (seen.velocities, seen.attitudes, seen.altitudes)
+        if set(self.guards) - {"map"} and not all(np.isfinite(each).all() for each in state):
+            names = " and ".join(name for name in self.guards if name != "map")
+            raise UavrlError(
+                f"Guards ({names}) need finite numbers, got velocities of {seen.velocities} m/s, attitudes of "
+                f"{seen.attitudes} rad and altitudes of {seen.altitudes} m."
+            )
+
+    def _detect_motion(self, sight: MotionSight, seen: Situation, before: Situation | None) -> None:
+        """Write into ``seen`` what moves; vehicles without a new scan keep what they saw before."""
+        which = np.ones(self.vehicles, bool) if seen.which is None else seen.which
+        seen.objects = sight.look(_thinned(seen.clouds), seen.velocities, seen.attitudes, which, seen.elapsed)
+        for one in range(self.vehicles):
+            if which[one]:
+                seen.bodies[one] = sight.bodies[one]
+                seen.moving[one] = sight.of_bodies(seen.clouds[one], one)
+            elif before is not None:
+                seen.objects[one] = before.objects[one]
+                seen.bodies[one], seen.moving[one] = before.bodies[one], before.moving[one]
+
+
+def _thinned(clouds: np.ndarray) -> np.ndarray:
+    """Return of each scan ``[N, P, 3]`` the rays that look for motion, ``[N, Q, 3]``, NaN where one has fewer."""
+    rays = [far_rays(cloud) for cloud in clouds]
+    found = np.full((len(rays), max(map(len, rays), default=0), 3), np.nan, clouds.dtype)
+    for one, each in enumerate(rays):
+        found[one, : len(each)] = each
+    return found

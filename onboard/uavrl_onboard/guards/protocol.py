@@ -1,0 +1,73 @@
+"""What a guard is: a filter between what a policy asks for and what is flown.
+
+There are three. The map turns the heading that the policy reads, evasion exchanges velocities that would meet a moving
+object, and the shield limits the speed near obstacles. :class:`~uavrl_onboard.guards.chain.Guards` joins them in the
+order of :class:`~uavrl_onboard.guards.settings.GuardSettings`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass
+class Situation:
+    """The latest scans of N vehicles, and the state of these vehicles.
+
+    Args:
+        clouds: Scans, ``[N, P, 3]`` in m in the sensor frame; NaN, infinity and zeros where a ray hit nothing.
+        velocities: Velocities of the vehicles, ``[N, 3]`` in m/s in world axes.
+        attitudes: Their roll, pitch and yaw, ``[N, 3]`` in rad.
+        altitudes: Their altitudes, ``[N]`` in m.
+        headings: Angles from the vehicles' heads to their goals, ``[N]`` in rad, left positive.
+        elapsed: Time since the scans before, in s; None for the vehicle's period.
+        places: Where the vehicles are, ``[N, 3]`` in m in world axes; None where this is unknown.
+        goals: Where their goals are, ``[N, 2]`` in m in the same axes; None where this is unknown.
+        which: Which vehicles have a new scan, ``bool [N]``; None for all.
+
+    Attributes:
+        objects: The nearest moving objects, ``float32 [N, K, 7]`` as
+            :class:`~uavrl_onboard.perception.motion.MotionSight` reports them.
+        moving: Of each vehicle, which points of its scan belong to moving objects, ``bool [P]``; None for no point.
+        bodies: Of each vehicle, all moving objects, ``[M, 7]``.
+    """
+
+    clouds: np.ndarray
+    velocities: np.ndarray
+    attitudes: np.ndarray
+    altitudes: np.ndarray
+    headings: np.ndarray
+    elapsed: float | None = None
+    places: np.ndarray | None = None
+    goals: np.ndarray | None = None
+    which: np.ndarray | None = None
+    objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 7), np.float32))
+    moving: list[np.ndarray | None] = field(default_factory=list)
+    bodies: list[np.ndarray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Begin with nothing that moves."""
+        if not self.moving:
+            self.moving = [None] * len(self.clouds)
+            self.bodies = [np.zeros((0, 7), np.float32)] * len(self.clouds)
+
+    def standing(self, vehicle: int) -> np.ndarray:
+        """Return the scan of one vehicle without the points of moving objects, ``[P, 3]``."""
+        moving, cloud = self.moving[vehicle], self.clouds[vehicle]
+        return cloud if moving is None or not moving.any() else cloud[~moving]
+
+
+class Guard(Protocol):
+    """A filter for N vehicles."""
+
+    def reset(self, which: np.ndarray) -> None:
+        """Forget what some vehicles have seen, ``bool [N]``."""
+
+    def lead(self, seen: Situation) -> np.ndarray | None:
+        """Take in new scans; return the angles ``[N]`` in rad that are added to the headings, or None for none."""
+
+    def filter(self, velocities: np.ndarray, seen: Situation) -> np.ndarray:
+        """Return the velocities ``[N, 3]`` to fly instead, in m/s: forward, left, up."""
