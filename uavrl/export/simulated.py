@@ -24,7 +24,7 @@ class ExportedPolicy:
 
     Raises:
         UavrlError: as :class:`~uavrl_onboard.policy.policy.Policy`, and for a contract of another rate than the
-        simulator's.
+            simulator's.
     """
 
     def __init__(self, folder: str | Path) -> None:
