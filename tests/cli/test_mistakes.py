@@ -34,7 +34,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         ),
         (
             ["reward=traditional", "reward.boldness=2"],
-            "reward.boldness belongs to another choice of reward than the one made: choose reward=bold, or leave it",
+            "reward.boldness belongs to another choice of reward: select reward=bold, or leave the key out",
         ),
         (["reward=traditional", "reward.boldnes=2"], "There is no key 'reward.boldnes': did you mean reward.boldness?"),
         (["reward=bald"], "got 'bald': did you mean bold?"),
@@ -52,7 +52,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
     group, _, name = choice.partition("=")
     sentence = refused(train_command.main, choice)
     assert f"{group} must be one of " in sentence and f"got '{name}'" in sentence
-    assert sentence.endswith("One of your own needs --config-dir FOLDER.")
+    assert sentence.endswith("A choice of your own needs --config-dir FOLDER.")
 
 
 @pytest.mark.parametrize(
@@ -72,10 +72,10 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         (["--colour", "red"], "uavrl-train has no option --colour: values are written KEY=VALUE, and --help explains"),
         (["-q"], "uavrl-train has no option -q: values are written KEY=VALUE"),
         (["--cfg", "red"], "uavrl-train: argument --cfg/-c: invalid choice: 'red'"),
-        (["--config-dir", "none"], "none' not found: give --config-dir a folder of yaml files that is there."),
+        (["--config-dir", "none"], "none' not found: pass an existing folder of YAML files to --config-dir."),
         (
             ["seed=1", *CONFIG_DIR, "env=corridor"],
-            "uavrl-train takes options before all that is KEY=VALUE: env=corridor",
+            "uavrl-train needs its options before the first KEY=VALUE: move the option before env=corridor",
         ),
         (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
     ],
@@ -98,7 +98,7 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
         (["policy=best", "episode=3"], "did you mean episodes?"),
         (["policy=best", "num_uavs=1000000"], "num_uavs must be in [1, 512], got 1000000"),
         (["policy=best", "algo.gamma=0.9"], "There is no key 'algo.gamma': --help=all lists"),
-        (["policy=best", "env=corridor"], "One of your own needs --config-dir FOLDER."),
+        (["policy=best", "env=corridor"], "A choice of your own needs --config-dir FOLDER."),
         (
             [*CONFIG_DIR, TRUSTED, "policy=best", "env=corridor", "reward=hurry"],
             "The policy and env=corridor do not go",

@@ -101,36 +101,37 @@ def explained(error: Exception, name: str) -> str:
         return f"The override {error.override!r} cannot be read: {_hint(str(error.override), name)}."
     if isinstance(error, BrokenProcessPool):
         return (
-            "A process of the sweep was killed, often for want of memory: start the same command again, which goes on "
-            "with its runs, and with fewer at a time where memory was short (hydra.launcher.n_jobs=1)."
+            "A process of the sweep was killed, often because memory ran out: start the same command again to resume "
+            "its runs, with fewer at a time if memory was short (hydra.launcher.n_jobs=1)."
         )
     if "UncompletedJobError" in [kind.__name__ for kind in type(error).__mro__]:  # submitit's, which need not be there
         return (
-            f"A job of the sweep has not come to its end ({first.rstrip('.')}): start the same command again, which "
-            f"goes on with its runs, with more time where that was short (hydra.launcher.timeout_min)."
+            f"A job of the sweep did not finish ({first.rstrip('.')}): start the same command again to resume its "
+            f"runs, with more time if that was short (hydra.launcher.timeout_min)."
         )
     if isinstance(error, OSError) and error.filename is not None:
         return (
-            f"{error.filename} cannot be written ({error.strerror}): a sweep writes there; start it in another folder, "
-            f"or choose one with hydra.sweep.dir=FOLDER."
+            f"{error.filename} cannot be written ({error.strerror}), and a sweep writes there: start it in another "
+            f"folder, or set hydra.sweep.dir=FOLDER."
         )
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
         if group == "hydra/launcher" and choice in LAUNCHERS:
-            return f"{group}={choice} needs a plugin of Hydra's: install it by pip install 'uavrl[launchers]'."
+            return f"{group}={choice} needs a plugin of Hydra: install it with pip install 'uavrl[launchers]'."
         folders, _ = _command_line()
-        own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else "One of your own needs --config-dir FOLDER."
+        yours = "A choice of your own needs --config-dir FOLDER."
+        own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else yours
         near = did_you_mean(choice, error.options, ": ")
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         return _no_such_key(first.split("'")[-2].split("@")[0], name)
     deleted = [override[1:] for override in _command_line()[1] if override.startswith("~")]
     if first.startswith("Error resolving interpolation") and deleted:
-        return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
+        return f"~{deleted[0]} removes a group that other groups depend on: select a choice with {deleted[0]}=NAME."
     if isinstance(error, AssertionError):
-        return "An override changes something below a key that has nothing below it: --help=all lists all keys."
+        return "An override sets a key below a key that has no keys below it: --help=all lists all keys."
     if first.startswith("Additional config directory"):  # Hydra's words for a folder that is not there
-        return f"{first}: give --config-dir a folder of yaml files that is there."
+        return f"{first}: pass an existing folder of YAML files to --config-dir."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
 
@@ -144,11 +145,14 @@ def _refuse_options(name: str) -> None:
         others = parser.parse_known_args(sys.argv[1:])[1]
     except argparse.ArgumentError as error:
         if wrong := next((given for given in sys.argv[1:] if given.startswith("--help=")), None):
-            raise UavrlError(f"{command} has no {wrong}: --help shows the most used keys, --help=all all.") from error
+            helps = "--help shows the most common keys, and --help=all shows all keys."
+            raise UavrlError(f"{command} has no {wrong}: {helps}") from error
         raise UavrlError(f"{command}: {error}.") from error
     for option in others:
         if not option.startswith("-"):
-            raise UavrlError(f"{command} takes options before all that is KEY=VALUE: {option} stands behind one.")
+            raise UavrlError(
+                f"{command} needs its options before the first KEY=VALUE: move the option before {option} to the front."
+            )
         key, _, value = option.lstrip("-").partition("=")
         if key in known:
             raise UavrlError(f"{command} has no option {option}: write {key}={value or 'VALUE'}.")
@@ -182,7 +186,7 @@ def _no_such_key(key: str, name: str) -> str:
         return f"{choice}.yaml has no {below}: {'add it there, or ' if theirs else ''}write +{values[-1]}"
     if key in known:
         having = f"{group}={' or '.join(choices_with(key, folders))}"
-        return f"{key} belongs to another choice of {group} than the one made: choose {having}, or leave it out."
+        return f"{key} belongs to another choice of {group}: select {having}, or leave the key out."
     return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys.")
 
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 from uavrl.config import conf_dir
 
 ABOUT = {
-    "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),
-    "evaluate": ("uavrl-evaluate", "Rolls out a policy in fixed tasks without noise: its success rate."),
-    "replay": ("uavrl-replay", "Writes a page that plays a few tasks back, flown without noise."),
-    "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
-    "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
+    "config": ("uavrl-train", "Trains one policy, or with -m one policy for each combination of values."),
+    "evaluate": ("uavrl-evaluate", "Rolls out a policy in fixed tasks without noise and prints its success rate."),
+    "replay": ("uavrl-replay", "Writes a page that plays back a few episodes without noise."),
+    "report": ("uavrl-report", "Compares any number of runs on one page: curves, rates, intervals."),
+    "export": ("uavrl-export", "Writes the policy of a run without the run, small enough to share."),
     "sitl": ("uavrl-sitl", "Plays a vehicle in the simulator: VLP-16 packets and MAVLink by UDP."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
@@ -68,15 +68,15 @@ def help_text(name: str, *, every_key: bool = False) -> str:
         if len(found) > 1 or chosen[group] == "null"
     }
     if choices:
-        lines += ["", "What can be chosen, [the default] in brackets", *_table(choices)]
+        lines += ["", "Choices, with [the default] in brackets", *_table(choices)]
     known = _known(main, groups, chosen)
     if every_key:
         shown = {key.name: f"{key.meaning} ({key.value})" if key.value else key.meaning for key in known.values()}
         lines += ["", "All keys, with their default in brackets", *_table({k: v for k, v in shown.items() if v})]
     else:
         most_used = {key: known[key].meaning for key in MOST_USED[name].split()}
-        lines += ["", "Keys that are used most", *_table(most_used)]
-        lines += ["", f"All keys: {command} --help=all    What a command line comes to: {command} … --cfg job"]
+        lines += ["", "Most common keys", *_table(most_used)]
+        lines += ["", f"All keys: {command} --help=all    Resolved configuration: {command} … --cfg job"]
     return "\n".join(lines)
 
 
