@@ -38,7 +38,7 @@ $(DEV): $(READY)
 # The thesis's run: .venv/bin/uavrl-train (5,000 episodes).
 train: WORLD = $(or $(filter env=%,$(ARGS)),env=static)
 train: $(READY)
-	@echo "Training by preset=best in $(RUN); the thesis's 5,000 episodes: $(BIN)/uavrl-train"
+	@echo "Training by preset=best in $(RUN), then 100 tasks in valleys that it never saw; the thesis's 5,000 episodes: $(BIN)/uavrl-train"
 	@$(BIN)/uavrl-train preset=best run_dir=$(RUN) $(ARGS)
 	@trap 'kill $$! 2>/dev/null' INT EXIT; \
 	$(BIN)/uavrl-replay run=$(RUN) $(WORLD) 'valleys=[100]' episodes=4 output=$(RUN)/replay.html > $(RUN)/replay.txt 2>&1 & \

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import logging
+import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from tests.helpers.commands import TINY, in_process
-from tests.helpers.finished import built_valley, finished_run
-from uavrl.envs import world
 
-_VALLEYS: dict[str, world.Valley] = {}
+if TYPE_CHECKING:
+    from uavrl.envs.world import Valley, WorldConfig
+
+_VALLEYS: dict[str, Valley] = {}
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -24,6 +27,15 @@ def interrupts_are_heard() -> None:
     """A shell's background jobs do not hear Ctrl-C: the tests that send it do."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Tests, and the commands that they start, leave the user's cache alone; those that run side by side share one."""
+    root = tmp_path_factory.getbasetemp()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("UAVRL_CACHE", str((root.parent if "PYTEST_XDIST_WORKER" in os.environ else root) / "cache"))
+        yield
 
 
 @pytest.fixture(autouse=True)
@@ -37,9 +49,15 @@ def log_is_heard() -> None:
 @pytest.fixture(scope="module", autouse=True)
 def valleys_built_once() -> Iterator[None]:
     """Many tests fly in the same few valleys; tests/envs/test_world.py, which tests their building, builds anew."""
+    try:
+        from tests.helpers.finished import built_valley
+        from uavrl.envs import world
+    except ImportError:  # the tests of uavrl-onboard need no uavrl
+        yield
+        return
     build = world.build_valley
 
-    def build_once(config: world.WorldConfig, seed: int, origin: np.ndarray, count: int) -> world.Valley:
+    def build_once(config: WorldConfig, seed: int, origin: np.ndarray, count: int) -> Valley:
         like = dict(config) if isinstance(config, Mapping) else asdict(config)
         # What a valley is like, its neighbours do not say, nor how many planes fly through it.
         key = repr(({**like, "seeds": None, "obstacles": count, "planes": like["planes"] > 0}, seed))
@@ -55,6 +73,8 @@ def valleys_built_once() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished training; tests look at it, or change a copy."""
+    from tests.helpers.finished import finished_run
+
     return finished_run(tmp_path_factory.mktemp("runs") / "run", *TINY)
 
 

@@ -26,7 +26,7 @@ from uavrl.errors import UavrlError
 from uavrl.runs.episodes import wilson
 from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.flight.logged_flight import LoggedFlight
-from uavrl_onboard.flight.safety import State
+from uavrl_onboard.flight.safety import SafetyState
 
 PORTS = (23_680, 24_540)  # of LiDAR and autopilot
 LETTERS = {"success": "S", "collision": "C", "time_out": "T"}
@@ -79,7 +79,7 @@ def flown(
 def latencies(folder: Path) -> list[float]:
     """Of the cycles in which the policy flew, in s."""
     cycles = LoggedFlight(folder / "flight.mcap")
-    flying = [cycle for cycle in cycles if cycle.status.state in (State.FLYING, State.FENCED)]
+    flying = [cycle for cycle in cycles if cycle.status.state in (SafetyState.FLYING, SafetyState.FENCED)]
     return [cycle.latency for cycle in flying if cycle.latency is not None]
 
 

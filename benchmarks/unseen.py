@@ -1,4 +1,4 @@
-"""Success in valleys never seen against minutes of training: `preset=best`, the controller, Stable-Baselines3's TD3.
+"""Success in valleys never seen against minutes of training: `preset=td3_bc`, the controller, Stable-Baselines3's TD3.
 
     python benchmarks/unseen.py [--seeds 5] [--sb3-seeds 1] [--json FILE] [--figure FILE] [OVERRIDE ...]
 
@@ -29,7 +29,7 @@ from torchrl.checkpoint import Checkpoint
 from uavrl.errors import UavrlError
 from uavrl_onboard.cli.process import one_sentence
 
-RECIPE, SB3, CONTROLLER = "preset=best", "Stable-Baselines3's TD3", "the scripted controller"
+RECIPE, SB3, CONTROLLER = "preset=td3_bc", "Stable-Baselines3's TD3", "the scripted controller"
 VALLEYS = "valleys=[100,101,102,103,104,105,106,107,108,109]"
 
 

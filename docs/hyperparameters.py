@@ -15,7 +15,7 @@ from uavrl.config import compose, conf_dir
 SECTIONS = {
     "algo": ("algo",),
     "actor_terms": ("fork", "lifeguard", "actor_penalty", "smoothness"),
-    "demonstrator": ("demonstrator",),
+    "demonstrator": ("demonstrator", "cloning"),
     "replay": ("buffer", "backward_reward"),
     "reward": ("reward",),
     "perception": ("perception",),

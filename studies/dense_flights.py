@@ -3,7 +3,7 @@
     python studies/dense_flights.py docs/data/guided/near.csv.gz --plot docs/img/near.png
     python studies/dense_flights.py FILE.csv --add "my way s0=RUN_FOLDER"
 
-For runs that fly in dense and in other valleys in turn, as preset=best does: of its valleys the odd ones are dense.
+For runs that fly in dense and in other valleys in turn, as preset=td3_bc does: of its valleys the odd ones are dense.
 FILE.csv, or FILE.csv.gz, has a line for each flight: run, total_steps, outcome, world_seed. `--add` puts runs into it.
 Runs whose names differ in their seed alone, "s0" at the end, are told together: a flight counts as much as any other.
 """

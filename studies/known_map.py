@@ -32,7 +32,7 @@ from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.build import build
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.tasks import FlightMap
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import scenarios
 from uavrl.runs.episodes import LETTERS, wilson
 from uavrl.transforms.state import ACTION_LIMIT
@@ -177,7 +177,7 @@ def flown(row: str, tasks: int, narrow: float = NARROW) -> dict[str, Any]:
     own = {"blind": True, "measure_clearance": True, "num_uavs": settings.num_uavs, "seed": settings.seed}
     env = build({**settings.env, **own}, EnvBase)
     assert isinstance(env, NavigationEnv)
-    flights = fly(env, KnowsTheMap(env, narrow), tasks)
+    flights = rollout_episodes(env, KnowsTheMap(env, narrow), tasks)
     env.close()
     arrived = [flight for flight in flights if flight.outcome == "arrived"]
     least = [math.ceil(CONTROL_RATE * (flight.straight or 0.0) / FASTEST) for flight in arrived]

@@ -24,7 +24,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import policy_folder
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
 from uavrl_onboard.cli.process import one_sentence
@@ -80,7 +80,9 @@ def main() -> None:
         base = env.base_env
         assert isinstance(base, NavigationEnv)
         flies = policy if name == "sees no plane" else with_reflex(policy, base, config.perception.radius)
-        arrived = sum(flight.outcome == "arrived" for flight in fly(env, flies, args.episodes, progress=True))
+        arrived = sum(
+            flight.outcome == "arrived" for flight in rollout_episodes(env, flies, args.episodes, progress=True)
+        )
         found[name] = wilson(arrived, args.episodes)
         rate, low, high = (100 * found[name][key] for key in ("rate", "low", "high"))
         print(f"{name:16} {rate:5.1f} % ({low:.1f}-{high:.1f})", flush=True)

@@ -26,7 +26,7 @@ from torch import Tensor
 from uavrl.config import compose, validate
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.runs.episodes import wilson
 from uavrl.transforms.numpy_boundary import call_numpy
@@ -101,7 +101,7 @@ def main() -> None:
         rule = VectorFieldHistogram(reduction="range_image", statistic="proximity")
         if known != "nothing":
             rule = ToldOfPlanes(env.base_env, known)
-        outcomes = [flight.outcome for flight in fly(env, rule, args.tasks)]
+        outcomes = [flight.outcome for flight in rollout_episodes(env, rule, args.tasks)]
         env.close()
         row = {end: outcomes.count(end) for end in ("arrived", "collided", "timed_out")}
         rate = wilson(row["arrived"], args.tasks)

@@ -22,7 +22,7 @@ from tune_vfh import SEED, VALLEYS
 
 from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.planners.mppi import MPPI, MPPIWeights
 from uavrl.planners.potential_field import FieldWeights, PotentialField
 from uavrl.planners.rrt_connect import RRTConnect, RRTConnectWeights
@@ -117,7 +117,7 @@ def drawn(rival: Tuned, count: int) -> list[dict[str, float]]:
 def flown(env: Any, rival: Tuned, setting: Mapping[str, float], tasks: int) -> dict[str, Any]:
     """What a setting comes to; ties go to the one that is sooner there."""
     env.set_seed(SEED)
-    flights = fly(env, rival.made(costs=rival.costs(**setting)), tasks)
+    flights = rollout_episodes(env, rival.made(costs=rival.costs(**setting)), tasks)
     arrived = [flight.steps for flight in flights if flight.outcome == "arrived"]
     steps = float(np.mean(arrived)) if arrived else float("inf")
     collided = sum(flight.outcome == "collided" for flight in flights)

@@ -19,7 +19,7 @@ import numpy as np
 
 from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.runs.episodes import wilson
 from uavrl.runs.provenance import versions
@@ -53,7 +53,7 @@ def arrivals(environments: list[Any], rule: VectorFieldHistogram, tasks: int) ->
     solved = 0
     for env in environments:
         env.set_seed(SEED)
-        flights = fly(env, rule, tasks // len(environments))
+        flights = rollout_episodes(env, rule, tasks // len(environments))
         solved += sum(flight.outcome == "arrived" for flight in flights)
     return solved
 

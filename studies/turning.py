@@ -21,7 +21,7 @@ import torch
 
 from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import summarize
 from uavrl.policies import baselines
 from uavrl_onboard.cli.process import one_sentence
@@ -55,7 +55,7 @@ def flown(world: list[str], costs: Mapping[str, float], tasks: int, valleys: int
     weights = replace(baselines.COSTS[SEEN], **costs)  # type: ignore[index]
     rule = baselines.VectorFieldHistogram(reduction="range_image", costs=weights, last_action=True)
     try:
-        return summarize(fly(env, rule, tasks))
+        return summarize(rollout_episodes(env, rule, tasks))
     finally:
         env.close()
 

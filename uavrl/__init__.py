@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         MovingObjects,
         NavigationReward,
         NavigationState,
+        RangeGrid,
         RangeImage,
         Threats,
         TraditionalReward,
@@ -48,6 +49,7 @@ __all__ = [
     "NavigationState",
     "PrioritizedBuffer",
     "Randomization",
+    "RangeGrid",
     "RangeImage",
     "SACLoss",
     "TD3Loss",
@@ -68,8 +70,8 @@ _ROOMS = {
     "losses": ("ActionRate", "DDPGLoss", "Fork", "Imitation", "LifeGuard", "SACLoss", "TD3Loss"),
     "models": ("Actor", "Critic", "GaussianActor"),
     "transforms": (
-        *("Mirror", "MovingObjects", "NavigationReward", "NavigationState", "RangeImage", "Threats"),
-        *("TraditionalReward", "TruncatedIcosahedron", "Waypoint"),
+        *("Mirror", "MovingObjects", "NavigationReward", "NavigationState", "RangeGrid", "RangeImage"),
+        *("Threats", "TraditionalReward", "TruncatedIcosahedron", "Waypoint"),
     ),
 }
 _MODULES = {name: room for room, names in _ROOMS.items() for name in names}

@@ -16,10 +16,17 @@ LONGEST = 80  # characters of an argument that are shown
 class MissingEntry(UavrlError, KeyError):
     """A part reads an entry that the data or the environment do not contain."""
 
-    def __init__(self, reader: object, key: NestedKey, owner: str, found: Iterable[NestedKey]) -> None:
+    def __init__(
+        self,
+        reader: object,
+        key: NestedKey,
+        owner: str,
+        found: Iterable[NestedKey],
+        remedy: str = "name the right key in the constructor",
+    ) -> None:
         name = reader if isinstance(reader, str) else type(reader).__name__
         super().__init__(
-            f"{name} reads {key!r}, but {owner} only {sorted(map(str, found))}: name the right key in the constructor, "
+            f"{name} reads {key!r}, but {owner} only {sorted(map(str, found))}: {remedy}, "
             f"or rename your entry with TorchRL's RenameTransform."
         )
 

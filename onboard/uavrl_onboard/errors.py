@@ -66,10 +66,20 @@ def was_interrupted(error: BaseException | None) -> bool:
 def did_you_mean(given: str, known: Iterable[str], before: str = "", otherwise: str = "", cutoff: float = 0.6) -> str:
     """A question about the nearest known name, or the text ``otherwise`` if none is near.
 
+    Of dotted names in one place only the last part counts: what they share makes them no nearer.
+
     Examples:
         >>> did_you_mean("plane", ["planes", "traps"], ": ")
         ': did you mean planes?'
+        >>> did_you_mean("lidar.channels", ["lidar.range_noise"], ": ", "look at the list.")
+        ': look at the list.'
     """
     near = difflib.get_close_matches(given, list(known), n=1, cutoff=cutoff)
-    text = f"did you mean {near[0]}?" if near else otherwise
+    text = f"did you mean {near[0]}?" if near and _ends_alike(given, near[0], cutoff) else otherwise
     return before + text if text else "."
+
+
+def _ends_alike(given: str, near: str, cutoff: float) -> bool:
+    """Whether two dotted names that differ in the last part alone are near in that."""
+    (place, _, last), (other_place, _, other) = given.rpartition("."), near.rpartition(".")
+    return place != other_place or difflib.SequenceMatcher(None, last, other).ratio() >= cutoff

@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase, Transform
 from tests.helpers.contracts import NESTINGS, TransformContract
 from tests.helpers.small_env import SmallEnv
 from uavrl.buffers import BackwardReward, TrajectoryHistory
+from uavrl.errors import UavrlError
 from uavrl.models import OneShotClassifier
 
 
@@ -268,6 +269,17 @@ def test_steps_on_their_own_are_refused(kind: type[ReplayBuffer]) -> None:
 def test_a_missing_key_is_named(key) -> None:
     with pytest.raises(KeyError, match=r"BackwardReward reads .*, but the data contain only .*name the right key"):
         BackwardReward(by_first).inv(make_episode(UP).exclude(key))
+
+
+@pytest.mark.parametrize("name", ["reward", "arrived", "done"])
+def test_an_entry_from_before_the_step_is_refused(name: str) -> None:
+    """It is false, or zero, at the step that matters: no episode would ever count as a success."""
+    data = make_episode(UP)
+    data[name] = data["next", name].clone()
+    with pytest.raises(UavrlError, match=rf"reads '{name}', .* before each step.*pass \('next', '{name}'\) instead"):
+        BackwardReward(by_first, **{name: name}).inv(data)
+    alone = data.set("won", data["next", "arrived"])
+    assert BackwardReward(by_first, arrived="won").inv(alone) is not None, "a flag that is stored once may lie anywhere"
 
 
 @pytest.mark.parametrize(

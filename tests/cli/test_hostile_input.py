@@ -38,22 +38,18 @@ MISTAKES = {
     "device=meta": "device must be auto, cpu, cuda or cuda:<index>, got 'meta'",
     "env.world.min_clearance=9": "min_clearance",
     "episodes=60": "did you mean trainer.episodes?",
-    "backward_reward.max_classes=5": "backward_reward.max_classes belongs to another choice of backward_reward",
-    "algo=tdd3": "got 'tdd3': did you mean td3?",
     "reward_preset=t": "reward_preset must be one of abr, abr_plus",
     "learner=td3_lg fork=on": "learner=td3_lg selects fork=none, but the command line selects fork=on",
     "reward_preset=tr reward=navigation": "selects reward=traditional, but the command line selects reward=navigation",
     "backward_reward=none reward_preset=abr": "selects backward_reward=abr, but the command line selects backward_rew",
     "algo=null": "Config group override must be a string",
-    "lifeguard.capacity=3": "select lifeguard=linear or mlp, or leave the key out",
-    "algo.target_entropy=-3": "select algo=sac, or leave the key out",
+    "lifeguard.capacity=3": "lifeguard.capacity belongs to another choice of lifeguard than the one made",
     "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
     "run_dir=": "run_dir must be a folder to make, got ''",
     "resume=": "resume must be the folder of a run, got ''",
     "env.airframe.inertia=[1,1]": "uavrl: env.airframe.inertia must be a list of 3, got [1, 1]",
     "env.aerodynamics.wind=[1]": "uavrl: env.aerodynamics.wind must be a list of 3, got [1]",
     "perception.lidar.dropout=1": "uavrl: perception.lidar.dropout must be a probability in [0, 1), got 1.0",
-    "collector.processes=2": "collector.processes belongs to another choice of collector",
     "perception.radius=1e30": "perception.radius must be in (0, 100], got 1e+30",
     "env.world.size=[1e9,1e9]": "uavrl: env.world.size and ceiling must make at most 200,000 m³ of a valley",
     "env.world.obstacles=1000000000": "uavrl: env.world.obstacles must be at most 2,000 in a valley",
@@ -144,7 +140,7 @@ def test_a_full_disk_names_the_file_and_how_to_go_on(
     run_dir = tmp_path / "run"
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}")
     assert f"{run_dir / 'episodes.csv'} cannot be written (No space left on device)" in sentence
-    assert f"resume with uavrl-train resume={run_dir}" in sentence
+    assert f"go on with uavrl-train resume={run_dir}" in sentence
     monkeypatch.undo()
     assert in_process(train_command.main, f"resume={run_dir}") == 0
 
@@ -158,7 +154,7 @@ def test_a_checkpoint_is_not_begun_where_it_has_no_room(
     run_dir = tmp_path / "run"
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}", "trainer.episodes=50")
     assert f"{run_dir} cannot be written" in sentence and "MB are needed and 0.0 MB are left" in sentence
-    assert f"resume with uavrl-train resume={run_dir}" in sentence
+    assert f"go on with uavrl-train resume={run_dir}" in sentence
     assert len(list((run_dir / "checkpoints").iterdir())) == 2
 
 

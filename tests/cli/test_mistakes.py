@@ -30,11 +30,11 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         (
             ["reward=bold", "reward.arrived_reward=100"],
-            "bold.yaml has no arrived_reward: add it there, or write +reward.arrived_reward=100",
+            "choose that one, or write +reward.arrived_reward=VALUE where the class of this one takes it.",
         ),
         (
             ["reward=traditional", "reward.boldness=2"],
-            "reward.boldness belongs to another choice of reward: select reward=bold, or leave the key out",
+            "reward.boldness belongs to another choice of reward than the one made: choose that one",
         ),
         (["reward=traditional", "reward.boldnes=2"], "There is no key 'reward.boldnes': did you mean reward.boldness?"),
         (["reward=bald"], "got 'bald': did you mean bold?"),
@@ -58,12 +58,24 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["env.blind=true"], "static.yaml has no blind: write +env.blind=true"),
+        (
+            ["env.blind=true"],
+            "If the class of env takes it, write +env.blind=VALUE.",
+        ),
         (
             ["algo=sac", "algo.actor.log_scale=[1.0,2.0]"],
-            "sac.yaml has no actor.log_scale: write +algo.actor.log_scale",
+            "If the class of algo takes it, write +algo.actor.log_scale=VALUE.",
         ),
         (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
+        (
+            ["perception.lidar.channels=32"],
+            "There is no key 'perception.lidar.channels': perception.lidar has dropout, ",
+        ),
+        (["perception.lidar.max_rang=3"], "did you mean perception.lidar.max_range?"),
+        (
+            ["algo.gamma=0.9,0.8"],
+            "algo.gamma got several values, 0.9,0.8: give one, or add -m to train with each of them",
+        ),
         (["preset=bst"], "got 'bst': did you mean best?"),
         (["preset=fast"], "preset must be one of best, thesis, got 'fast'."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
@@ -72,10 +84,10 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         (["--colour", "red"], "uavrl-train has no option --colour: values are written KEY=VALUE, and --help explains"),
         (["-q"], "uavrl-train has no option -q: values are written KEY=VALUE"),
         (["--cfg", "red"], "uavrl-train: argument --cfg/-c: invalid choice: 'red'"),
-        (["--config-dir", "none"], "none' not found: pass an existing folder of YAML files to --config-dir."),
+        (["--config-dir", "none"], "none' not found: give --config-dir a folder of yaml files that is there."),
         (
             ["seed=1", *CONFIG_DIR, "env=corridor"],
-            "uavrl-train needs its options before the first KEY=VALUE: move the option before env=corridor",
+            "uavrl-train takes options before all that is KEY=VALUE: env=corridor",
         ),
         (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
     ],
@@ -91,6 +103,10 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
             ["policy=bst"],
             "policy must be one of straight, vfh, vfh_star, mppi, potential_field, rrt_connect, rrt_map, "
             "best, best_dynamic, got 'bst': did you mean best?",
+        ),
+        (
+            ["policy=best,vfh"],
+            "policy got several values, best,vfh: give one, and start the command once for each of them",
         ),
         (["policy=???"], "policy must be given, and is not: add policy=VALUE."),
         (["policy='${oc.env:NOWHERE}'"], "The configuration does not hold together at policy"),

@@ -16,9 +16,8 @@ from tensordict import TensorDict
 
 from tests.helpers.commands import TINY, in_process
 from tests.helpers.finished import finished_run
-from tests.helpers.flights import unpack
 from tests.helpers.logged import write_log
-from tests.helpers.pages import Page
+from tests.helpers.pages import Page, unpack
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as command
 from uavrl.evaluation.actor import read_policy

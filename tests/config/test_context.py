@@ -145,7 +145,7 @@ def test_the_list_is_what_a_run_hands_over(
     handed_over: dict[str, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "demonstrator=vfh", "actor_penalty=imitation"]
-    settings = validate(small_config(tmp_path / "run", *chosen))
+    settings = validate(small_config(tmp_path / "run", *chosen, "cloning=dagger"))
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
     for module in (environment, build_module):
         monkeypatch.setattr(module, "require_keys", lambda *_: None)
@@ -160,7 +160,8 @@ def test_the_list_is_what_a_run_hands_over(
     environment.make_env(settings.env, settings.perception, settings.reward, **told).close()
     build_module.build(settings.demonstrator, object)
     actor = actor_module.make_actor(settings, sizes)
-    build_module.make_loss(settings, actor, sizes, cpu)
+    loss = build_module.make_loss(settings, actor, sizes, cpu)
+    build_module.make_cloning(settings, loss, sizes, "captured")
     build_module.make_backward_reward(settings, sizes, tmp_path / "artifact")
     build_module.make_buffer(settings, Env(), sizes, cpu)  # type: ignore[arg-type]
     loggers.make_logger(settings.logger, tmp_path / "run", "run", "csv")

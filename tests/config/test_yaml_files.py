@@ -232,6 +232,14 @@ def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
     assert perceptions[1] == perceptions[0] | {"reduction": "range_image", "statistic": "proximity"}
 
 
+def test_the_best_preset_ends_with_its_cloning_and_is_else_that_of_td3_with_behaviour_cloning() -> None:
+    best, long = compose("preset=best"), compose("preset=td3_bc")
+    assert best.cloning._target_.endswith(".Cloning") and best.cloning.steps == best.trainer.steps
+    assert long.cloning._target_ is None and long.trainer.steps == 100_000
+    for part in ("env", "perception", "reward", "demonstrator", "buffer", "actor_penalty", "smoothness", "collector"):
+        assert best[part] == long[part], part
+
+
 def test_only_the_runs_name_is_worked_out_by_code_of_ours() -> None:
     ours = r"\$\{(?!now:)(?!\w+:\w+\})\w+:"  # a call: ${uavrl_run_name:}, ${where:a,b}
     called = {call for path in YAML_FILES for call in re.findall(ours, path.read_text())}

@@ -14,7 +14,7 @@ from uavrl.envs.world import Valley, World, WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import named_policy
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl_onboard.mesh import Mesh
 
 LEVEL = 3.5  # m
@@ -132,7 +132,7 @@ def test_a_controller_without_memory_stays_in_a_u() -> None:
     told = {**chosen.perception, "flight_level": LEVEL}
     env = make_env(chosen.env, chosen.perception, num_uavs=6)
     try:
-        outcomes = [flight.outcome for flight in fly(env, named_policy("vfh", told, ()), 6)]
+        outcomes = [flight.outcome for flight in rollout_episodes(env, named_policy("vfh", told, ()), 6)]
     finally:
         env.close()
     assert outcomes.count("timed_out") >= 4

@@ -21,7 +21,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import with_sight
 from uavrl.evaluation.guarded import GuardedPolicy
 from uavrl.evaluation.policies import PACKAGED, choose
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import body_to_level, body_to_world
 from uavrl_onboard.guards.evade import evaded
@@ -259,4 +259,4 @@ def test_a_policy_that_was_trained_to_look_less_far_looks_as_far_as_is_asked(
 def test_a_packaged_policys_environment_gives_what_it_reads() -> None:
     policy = load_policy("best")
     env = policy.make_env("perception.lidar.far_range=12", "randomize=none", "env.max_steps=2", keep_cloud=True)
-    assert len(fly(env, GuardedPolicy(policy, evade=12.0), 1)) == 1
+    assert len(rollout_episodes(env, GuardedPolicy(policy, evade=12.0), 1)) == 1

@@ -18,7 +18,7 @@ from uavrl.config import compose, validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import PACKAGED, packaged_policies, with_overrides
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import scenarios
 from uavrl.export.export import contract
 from uavrl.runs.config import load_config
@@ -133,7 +133,7 @@ def test_it_succeeds_as_often_as_its_evaluation_states(name: str) -> None:
     stated, (settings, policy) = evaluation(name), as_evaluated(name)
     env = make_env(settings.env, settings.perception, seed=stated["seed"], num_uavs=stated["num_uavs"])
     try:
-        outcomes = [flight.outcome for flight in fly(env, policy, TASKS)]
+        outcomes = [flight.outcome for flight in rollout_episodes(env, policy, TASKS)]
     finally:
         env.close()
     arrived = outcomes.count("arrived")

@@ -20,7 +20,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.record import record_flight, record_flights
 from uavrl.evaluation.recording import load_recording, save_recording, thinned
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.policies.baselines import StraightPolicy
 from uavrl.transforms.icosahedron import truncated_icosahedron
 
@@ -128,7 +128,7 @@ def test_a_flight_is_that_of_the_evaluation() -> None:
     tasks = (0, 1, 2)
     env = make_env(small_env(), PERCEPTION, seed=SEED, num_uavs=2, measure_clearance=True)
     try:
-        evaluated = fly(env, StraightPolicy(3.5), len(tasks))
+        evaluated = rollout_episodes(env, StraightPolicy(3.5), len(tasks))
     finally:
         env.close()
     kept = [flight.summary for flight in small_recording(0, tasks).flights]

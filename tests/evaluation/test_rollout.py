@@ -18,7 +18,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
-from uavrl.evaluation.rollout import Flight, fly
+from uavrl.evaluation.rollout import EpisodeResult, rollout_episodes
 from uavrl.evaluation.summary import suite_table, summarize, table
 from uavrl.policies.baselines import StraightPolicy
 from uavrl.runs.provenance import processor, versions
@@ -100,7 +100,7 @@ def hover(tensordict: TensorDictBase) -> TensorDictBase:
 @pytest.mark.parametrize("lengths", [[1, 1, 1, 1, 1, 1, 1], [40, 2, 1, 3, 2, 1, 5], [1, 2, 1, 3, 2, 1, 30]])
 @pytest.mark.parametrize("vehicles", [1, 3, 7])
 def test_every_task_is_flown_once_in_order_also_when_some_are_slow(lengths: list[int], vehicles: int) -> None:
-    flights = fly(StubEnv(lengths, vehicles), hover, len(lengths))
+    flights = rollout_episodes(StubEnv(lengths, vehicles), hover, len(lengths))
     assert [f.task for f in flights] == list(range(7))
     assert [f.steps for f in flights] == lengths
     assert [f.outcome for f in flights] == [OUTCOMES[k % 3] for k in range(7)]
@@ -108,7 +108,7 @@ def test_every_task_is_flown_once_in_order_also_when_some_are_slow(lengths: list
 
 
 def test_fewer_tasks_than_vehicles() -> None:
-    assert [f.task for f in fly(StubEnv([5, 1, 1, 1], 4), hover, 2)] == [0, 1]
+    assert [f.task for f in rollout_episodes(StubEnv([5, 1, 1, 1], 4), hover, 2)] == [0, 1]
 
 
 def test_the_policy_is_asked_for_its_deterministic_action_and_without_gradients() -> None:
@@ -119,7 +119,7 @@ def test_the_policy_is_asked_for_its_deterministic_action_and_without_gradients(
         return hover(tensordict)
 
     before = exploration_type()
-    fly(StubEnv([2, 3], 2), policy, 2)
+    rollout_episodes(StubEnv([2, 3], 2), policy, 2)
     assert set(seen) == {(ExplorationType.DETERMINISTIC, False)}
     assert exploration_type() == before
 
@@ -128,7 +128,7 @@ def test_path_and_clearance_on_a_known_path() -> None:
     # Three metres along x, then four along y: 7 m flown, 5 m straight. Task 3 meets its least clearance at its start,
     # and task 0's small one must not leak into it although one vehicle flies both.
     clearances = {0: [3.0, 0.4, 2.0], 3: [0.7, 0.8, 0.9, 1.0], 6: [2.0] * 7 + [-0.1]}
-    flights = fly(StubEnv([7, 1, 1, 3, 1, 1, 7], 1, clearances), hover, 7)
+    flights = rollout_episodes(StubEnv([7, 1, 1, 3, 1, 1, 7], 1, clearances), hover, 7)
     assert flights[0].flown == pytest.approx(7.0)
     assert flights[0].straight == pytest.approx(5.0)
     assert flights[0].path_efficiency == pytest.approx(5 / 7)
@@ -145,15 +145,15 @@ def test_path_and_clearance_on_a_known_path() -> None:
 @pytest.mark.parametrize("vehicles", [1, 2, 3])
 def test_the_places_after_every_step_of_the_tasks_that_count_are_watched(vehicles: int) -> None:
     seen: list[np.ndarray] = []
-    flights = fly(StubEnv([5, 1, 2], vehicles), hover, 3, watch=seen.append)
+    flights = rollout_episodes(StubEnv([5, 1, 2], vehicles), hover, 3, watch=seen.append)
     assert sum(flight.steps for flight in flights) == 8
     expected = [[1, 0, 0], [2, 0, 0], [3, 0, 0], [3, 1, 0], [3, 2, 0], [11, 0, 0], [21, 0, 0], [22, 0, 0]]
     assert sorted(np.concatenate(seen).tolist()) == expected  # not where tasks 3, 4 … went meanwhile, nor the starts
 
 
-def flights_of(arrived: int, collided: int, timed_out: int) -> list[Flight]:
+def flights_of(arrived: int, collided: int, timed_out: int) -> list[EpisodeResult]:
     outcomes = ["arrived"] * arrived + ["collided"] * collided + ["timed_out"] * timed_out
-    return [Flight(k, o, 10, 0, 5.0, 10.0, 0.5) for k, o in enumerate(outcomes)]
+    return [EpisodeResult(k, o, 10, 0, 5.0, 10.0, 0.5) for k, o in enumerate(outcomes)]
 
 
 @pytest.mark.parametrize(
@@ -176,11 +176,11 @@ def test_rates_sum_to_one(counts: tuple[int, int, int]) -> None:
 
 def test_summary_takes_path_and_clearance_over_arrivals_alone() -> None:
     flights = [
-        Flight(0, "arrived", 100, 0, 9.0, 10.0, 0.2),
-        Flight(1, "arrived", 60, 0, 5.0, 10.0, 0.6),
-        Flight(2, "arrived", 80, 0, 10.0, 10.0, 1.0),
-        Flight(3, "collided", 20, 0, 1.0, 10.0, 0.0),
-        Flight(4, "timed_out", 300, 0, 0.0, 10.0, 0.1),
+        EpisodeResult(0, "arrived", 100, 0, 9.0, 10.0, 0.2),
+        EpisodeResult(1, "arrived", 60, 0, 5.0, 10.0, 0.6),
+        EpisodeResult(2, "arrived", 80, 0, 10.0, 10.0, 1.0),
+        EpisodeResult(3, "collided", 20, 0, 1.0, 10.0, 0.0),
+        EpisodeResult(4, "timed_out", 300, 0, 0.0, 10.0, 0.1),
     ]
     result = summarize(flights)
     assert result["path_efficiency"] == pytest.approx(0.8)
@@ -197,7 +197,7 @@ def test_the_actions_of_each_task_are_measured_alone_and_within_their_limits() -
     rows += [[-2.0, 0.0, 0.0, -1.0]]  # task 1
     rows += [[1.0, 0.0, 0.0, 0.06], [1.0, 0.0, 0.0, -0.04], [1.0, 0.0, 0.0, -0.06]]  # task 2
     asked = iter(rows)
-    flights = fly(StubEnv([4, 1, 3], 1), lambda state: state.set("action", torch.tensor([next(asked)])), 3)
+    flights = rollout_episodes(StubEnv([4, 1, 3], 1), lambda state: state.set("action", torch.tensor([next(asked)])), 3)
     assert flights[0].action_change == pytest.approx([2 / 3, 0.0, 0.2, 4 / 3])
     assert flights[0].yaw_reversals == pytest.approx(2 / 3)
     assert flights[1].action_change is flights[1].yaw_reversals is None, "one step changes nothing"
@@ -208,7 +208,9 @@ def test_the_actions_of_each_task_are_measured_alone_and_within_their_limits() -
 
 
 def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> None:
-    flights = [Flight(0, "arrived", 11, 0, 5.0, 10.0, 0.5, action_change=[0.21, 0.05, 0.02, 0.4], yaw_reversals=0.1)]
+    flights = [
+        EpisodeResult(0, "arrived", 11, 0, 5.0, 10.0, 0.5, action_change=[0.21, 0.05, 0.02, 0.4], yaw_reversals=0.1)
+    ]
     known, older = summarize(flights), summarize(flights_of(1, 0, 0))
     assert table(known).splitlines()[-2:] == [
         "mean change of the action per step              0.21 / 0.05 / 0.02 m/s, 0.40 rad/s",
@@ -228,7 +230,7 @@ def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
 def test_flights_in_several_valleys_are_also_counted_valley_by_valley() -> None:
     ends = {7: "aaac", 9: "accc", 10: "aacc"}
     flights = [
-        Flight(0, {"a": "arrived", "c": "collided"}[end], 10, v, 5.0, 10.0, 0.5) for v in ends for end in ends[v]
+        EpisodeResult(0, {"a": "arrived", "c": "collided"}[end], 10, v, 5.0, 10.0, 0.5) for v in ends for end in ends[v]
     ]
     result = summarize(flights)
     rates = {valley: found["rate"] for valley, found in result["success_by_valley"].items()}
@@ -289,7 +291,7 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
 def test_an_environment_of_one_without_places_tells_its_returns() -> None:
     env = TransformedEnv(Corridor(max_steps=30), HurryReward())
     asked = iter([[0.05, 0.02], [-0.05, 0.0]] * 45)
-    flights = fly(env, lambda state: state.set("action", torch.tensor(next(asked))), 3)
+    flights = rollout_episodes(env, lambda state: state.set("action", torch.tensor(next(asked))), 3)
     assert [flight.task for flight in flights] == [0, 1, 2]
     assert {flight.steps for flight in flights} == {30} and {flight.outcome for flight in flights} == {"timed_out"}
     assert [flight.episode_return for flight in flights] == pytest.approx([-3.0] * 3)

@@ -15,7 +15,7 @@ from tests.helpers.exported import exported
 from tests.helpers.wire import Wire
 from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
-from uavrl_onboard.flight.safety import State
+from uavrl_onboard.flight.safety import SafetyState
 
 TASK, STEPS = 1, 15
 
@@ -27,7 +27,7 @@ def flown(wire: Wire, env: Any) -> tuple[np.ndarray, np.ndarray, list[np.ndarray
     expected, commands = [], []
     for _ in range(STEPS):
         expected.append(state["observation"][0].numpy())
-        assert wire.cycle(state["point_cloud"][0].numpy()).status.state in (State.FLYING, State.FENCED)
+        assert wire.cycle(state["point_cloud"][0].numpy()).status.state in (SafetyState.FLYING, SafetyState.FENCED)
         commands.append(wire.command())
         state = env.step(state.set("action", torch.as_tensor(commands[-1], dtype=torch.float32)[None]))["next"]
     frames = wire.policy.contract.state.frames

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 from functools import cache
-from typing import Any
 
-import numpy as np
 from omegaconf import DictConfig
 from torchrl.envs import TransformedEnv
 
@@ -20,12 +17,6 @@ from uavrl.policies.baselines import StraightPolicy
 STEPS = 12
 SEED = 20_000
 PERCEPTION = validate(composed()).perception
-
-
-def unpack(packed: dict[str, Any]) -> np.ndarray:
-    """What a page has packed, to within half a step of its scale."""
-    raw = np.frombuffer(base64.b64decode(packed["data"]), dtype=f"<{packed['type']}").reshape(packed["shape"])
-    return raw * packed["scale"] if "scale" in packed else raw
 
 
 def reward(name: str, *overrides: str) -> DictConfig:

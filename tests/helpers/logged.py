@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from uavrl.evaluation.policies import PACKAGED
 from uavrl_onboard.autopilot.frames import Pose, to_goal
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.flight.interfaces import FlightCycle
@@ -20,6 +19,7 @@ from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.perception.reductions import range_image
 from uavrl_onboard.policy.contract import Contract, read_contract
 
+ROOT = Path(__file__).resolve().parents[2]
 GOAL = (12.0, 1.0, 2.5)
 WALLS = 3.0  # m from the corridor's middle, y = 0
 START = 1000.0  # of the loop's clock, s
@@ -34,7 +34,7 @@ DISARMED = VehicleStatus(Control.DISARMED, "PX4 is in OFFBOARD, and not armed", 
 
 @cache
 def contract() -> Contract:
-    return read_contract(PACKAGED / "best")
+    return read_contract(ROOT / "uavrl/policies/data/best")
 
 
 def corridor(position: np.ndarray, attitude: Rotation) -> np.ndarray:

@@ -53,6 +53,7 @@ GROUPS = {
     "collector": ["sync", "threads"],
     "actor_penalty": ["none", "own"],
     "smoothness": ["none", "action_rate"],
+    "cloning": ["none", "dagger"],
     "preset": ["thesis", "slow", "null"],
 }
 WILD = [

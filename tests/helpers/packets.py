@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
-from tests.helpers.folders import ROOT
 from uavrl_onboard.lidar.packets import HOUR, PACKET, encode_scan
 from uavrl_onboard.lidar.vlp16 import firing_directions
 
+ROOT = Path(__file__).resolve().parents[2]
 RECORDED = ROOT / "tests/data/vlp16/einride_160_packets.bin"
 
 

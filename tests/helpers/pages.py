@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
 
 
 class Page(HTMLParser):
@@ -28,3 +32,9 @@ class Page(HTMLParser):
     def handle_data(self, data: str) -> None:
         if self._script:
             self.scripts[self._script] = self.scripts.get(self._script, "") + data
+
+
+def unpack(packed: dict[str, Any]) -> np.ndarray:
+    """What a page has packed, to within half a step of its scale."""
+    raw = np.frombuffer(base64.b64decode(packed["data"]), dtype=f"<{packed['type']}").reshape(packed["shape"])
+    return raw * packed["scale"] if "scale" in packed else raw

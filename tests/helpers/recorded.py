@@ -30,7 +30,8 @@ from uavrl.config.build import build
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import PACKAGED, packaged_policies, with_overrides
-from uavrl.evaluation.rollout import Policy, rollout
+from uavrl.evaluation.rollout import rollout
+from uavrl.policy_protocol import Acts
 from uavrl.transforms.icosahedron import truncated_icosahedron
 from uavrl.transforms.range_image import range_image
 
@@ -57,7 +58,7 @@ def evaluation(name: str) -> dict[str, Any]:
     return suite(name)["static"]
 
 
-def as_evaluated(name: str) -> tuple[TrainConfig, Policy]:
+def as_evaluated(name: str) -> tuple[TrainConfig, Acts]:
     """A packaged policy, and the configuration in which its evaluation was flown."""
     policy = read_policy(PACKAGED / name)
     overrides = evaluation(name)["overrides"]

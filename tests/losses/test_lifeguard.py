@@ -150,6 +150,13 @@ class TestObserve:
         renamed.observe(data)
         assert torch.equal(loss.collisions[:], renamed.collisions[:])
         assert ("next", "crash") in renamed.in_keys
+        full = lifeguard()
+        full.set_keys(collided=("next", "crash"), arrived=("next", "won"))
+        full.observe(data)
+        assert torch.equal(loss.collisions[:], full.collisions[:]), "full keys mean the same"
+        told = r"LifeGuard reads \('next', 'collided'\), but .*'crash'.*set_keys\(collided="
+        with pytest.raises(KeyError, match=told):
+            lifeguard().observe(data)
         with pytest.raises(ValueError, match="Expected keys out of"):
             loss.set_keys(colided="crash")
 
@@ -372,6 +379,8 @@ def test_one_lifeguard_on_another() -> None:
         ({"model": "tree"}, "model must be"),
         ({"penalty": "hinge"}, "penalty must be"),
         ({"batch_size": 5}, "even"),
+        ({"stacked": 4}, "cannot be split into stacked=4"),
+        ({"stacked": 0}, "cannot be split into stacked=0"),
     ],
 )
 def test_unknown_settings_are_refused(settings: dict[str, object], message: str) -> None:

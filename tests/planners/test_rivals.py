@@ -16,7 +16,7 @@ from uavrl.config.build import find_class
 from uavrl.envs import Airframe
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import BASELINES, choose, named_policy
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.planners.mppi import MPPI, STEPS, MPPIWeights, places_of
 from uavrl.planners.point_memory import PERIOD, THINNED, Planner, ScanMemory
 from uavrl.planners.potential_field import FieldWeights, PotentialField
@@ -240,7 +240,7 @@ def test_they_fly_episode_after_episode_in_the_valley() -> None:
     try:
         for name in RIVALS:
             env.set_seed(0)
-            flights = fly(env, named_policy(name, told, ()), 4)
+            flights = rollout_episodes(env, named_policy(name, told, ()), 4)
             assert [flight.steps for flight in flights] == [2] * 4
     finally:
         env.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -14,9 +16,11 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import BASELINES, named_policy
 from uavrl.planners.point_memory import Planner
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
+from uavrl.policy_protocol import AdaptedPolicy
 from uavrl.transforms import NavigationState
 from uavrl.transforms.reduction import Statistic
-from uavrl.transforms.state import REDUCTIONS, Reduction
+from uavrl.transforms.state import REDUCTIONS
+from uavrl_onboard.perception.reductions import Reduction
 
 
 class Told:
@@ -129,7 +133,9 @@ def test_without_costs_it_says_what_to_choose() -> None:
 
 def test_a_class_from_elsewhere_is_told_the_flight_level_alone() -> None:
     policy = named_policy("tests.policies.test_baselines.Told", {"flight_level": 3.0, "radius": 4.0}, ("tests",))
-    assert (policy.flight_level, policy.radius) == (3.0, 0.1)  # type: ignore[attr-defined]
+    assert isinstance(policy, AdaptedPolicy)
+    told: Any = policy.act
+    assert (told.flight_level, told.radius) == (3.0, 0.1)
 
 
 @pytest.mark.parametrize("name", BASELINES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -50,6 +51,50 @@ def test_minutes_are_counted_until_enough_of_the_last_flights_arrive(
     assert result["fast_vs_default"] is None
     minutes.draw({minutes.DEFAULT: [curve, curve]}, 2, tmp_path / "figure.png")
     assert (tmp_path / "figure.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("cached", [[], ["--cached"]])
+def test_make_train_is_timed_and_its_policies_are_evaluated(
+    cached: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import make_train
+
+    made: list[tuple[list[str], bool]] = []
+
+    def timed(command: list[str], cache: Path) -> tuple[float, float]:
+        made.append((command, cache.exists()))
+        cache.mkdir(exist_ok=True)
+        if command[0] == "make":
+            run = Path(command[2].removeprefix("RUN="))
+            run.mkdir()
+            (run / "summary.json").write_text(json.dumps({"minutes": 2.0, "steps": 30_000, "updates": 12_000}))
+        return 60.0 * (3 + len(made)), 480.0
+
+    def evaluated(command: list[str], **_: object) -> None:
+        folder = Path(command[-1].removeprefix("output="))
+        folder.mkdir(exist_ok=True)
+        for name, rate in (("held_out", 0.99), ("dense", 0.9 + 0.01 * len(made))):
+            (folder / f"{name}.json").write_text(json.dumps({"success": {"rate": rate}}))
+
+    monkeypatch.setattr(make_train, "timed", timed)
+    monkeypatch.setattr(make_train.subprocess, "run", evaluated)
+    output = tmp_path / "numbers.json"
+    command = ["make_train.py", "--folder", str(tmp_path), "--seeds", "3", *cached, "--json", str(output)]
+    monkeypatch.setattr("sys.argv", command)
+    make_train.main()
+    made_again = len(made)
+    make_train.main()
+    assert len(made) - made_again == len(cached), "what is there is not run again"
+    trained = [(command, full) for command, full in made if command[0] == "make"]
+    assert [command[3] for command, _ in trained] == ["ARGS=seed=0", "ARGS=seed=1", "ARGS=seed=2"]
+    assert [full for _, full in trained] == [bool(cached)] * 3
+    first = 4 + len(cached)
+    found = json.loads(output.read_text())
+    assert [row["minutes"] for row in found["rows"]] == [first, first + 1, first + 2]
+    assert (found["median"]["minutes"], found["median"]["cpu_minutes"]) == (first + 1, 8.0)
+    assert found["median"]["held_out"] == pytest.approx(99.0)
+    assert capsys.readouterr().out.splitlines()[-1].split()[:2] == ["median", f"{first + 1:.1f}"]
 
 
 def test_pybullets_rays_see_what_the_lidar_sees(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,7 @@ TRAINS = [
     {"models", "transforms"},
     {"runs"},
     {"config"},
-    {"upstream", "entries"},
+    {"upstream", "entries", "policy_protocol"},
     {"errors"},
 ]
 FLIES = [

@@ -16,6 +16,7 @@ import uavrl_onboard
 ROOT = Path(__file__).resolve().parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT = PYPROJECT["project"]
+ONBOARD = tomllib.loads((ROOT / "onboard/pyproject.toml").read_text(encoding="utf-8"))["project"]
 LINK = re.compile(r"\]\((?!#)(.+?)\)")
 
 
@@ -30,7 +31,8 @@ def citation() -> dict[str, Any]:
 
 def test_all_places_name_one_version(citation: dict[str, Any]) -> None:
     assert uavrl.__version__ == uavrl_onboard.__version__
-    assert f'"uavrl-onboard=={uavrl.__version__}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert f"uavrl-onboard=={uavrl.__version__}" in PROJECT["dependencies"]
+    assert all("version" in project["dynamic"] for project in (PROJECT, ONBOARD)), "each is read from __init__.py"
     released = re.search(r"^## (\d\S*) \((\S+)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert released is not None and released.groups() == (citation["version"], str(citation["date-released"]))
     assert uavrl.__version__ == citation["version"] or ".dev" in uavrl.__version__
@@ -56,11 +58,28 @@ def test_how_to_cite_says_what_the_citation_file_says(citation: dict[str, Any]) 
     }
 
 
+def pythons(project: dict[str, Any]) -> list[str]:
+    return [name.rpartition(" ")[2] for name in project["classifiers"] if re.search(r":: 3\.\d+$", name)]
+
+
 def test_the_workflows_try_each_python_that_is_promised() -> None:
-    promised = [name.rpartition(" ")[2] for name in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", name)]
+    promised = pythons(PROJECT)
     assert promised == ["3.11", "3.12", "3.13"]
+    assert workflow("release")["jobs"]["try-onboard"]["strategy"]["matrix"]["python"] == pythons(ONBOARD)
     assert workflow("tests")["jobs"]["tests"]["strategy"]["matrix"]["python"] == promised
     assert workflow("release")["jobs"]["try"]["strategy"]["matrix"]["python"] == promised
+
+
+def test_both_packages_are_built_and_the_one_that_the_other_needs_is_published_first() -> None:
+    jobs = workflow("release")["jobs"]
+    built = " ".join(step.get("run", "") for step in jobs["build"]["steps"])
+    published = [step["with"]["packages-dir"] for step in jobs["publish"]["steps"] if "pypi-publish" in step["uses"]]
+    assert published == ["dist/onboard", "dist/uavrl"] and all(f"--outdir {folder}" in built for folder in published)
+    assert jobs["publish"]["needs"] == ["try", "try-onboard"]
+
+
+def test_each_command_belongs_to_one_package() -> None:
+    assert not set(PROJECT["scripts"]) & set(ONBOARD["scripts"]), "removing one package would remove the other's"
 
 
 @pytest.mark.parametrize("name", ["tests", "docs", "release"])
@@ -78,7 +97,7 @@ def test_addresses_are_placeholders_until_the_release_page_has_been_followed() -
     assert len(owners) == 1, "one account holds repository and site"
     page = (ROOT / "docs/release.md").read_text(encoding="utf-8")
     assert owners != {"OWNER"} or "sed -i 's/OWNER/" in page
-    assert "! grep -n OWNER pyproject.toml" in [
+    assert "! grep -n OWNER pyproject.toml onboard/pyproject.toml" in [
         step.get("run") for step in workflow("release")["jobs"]["build"]["steps"]
     ]
 

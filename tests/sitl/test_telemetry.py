@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from uavrl.sitl.live import Motion
 from uavrl.sitl.simulated_autopilot import SimulatedAutopilot
 from uavrl.sitl.telemetry import RATES, Telemetry
-from uavrl_onboard.autopilot.vehicle_state import Control, Vehicle
+from uavrl_onboard.autopilot.vehicle_state import AutopilotMonitor, Control
 
 MOTION = Motion(
     position=np.array([2.0, 10.0, 3.5]),
@@ -29,7 +29,7 @@ def made(**options: bool) -> tuple[SimulatedAutopilot, Telemetry]:
 
 def test_the_pose_comes_back_in_our_axes() -> None:
     _, telemetry = made()
-    vehicle = Vehicle()
+    vehicle = AutopilotMonitor()
     for message in telemetry.due(7.0, MOTION):
         message._header = common.MAVLink_header(message.id, srcSystem=1, srcComponent=1)
         vehicle.hear(message, 7.0)

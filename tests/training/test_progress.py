@@ -45,6 +45,15 @@ def test_random_flights_and_the_compilation_say_nothing_of_the_time_left(clock: 
     assert "22:30 left | 1,800 steps, 100 steps/s" in shown(line, 100, 1800)
 
 
+def test_while_a_controller_flies_the_time_left_is_known(clock: Clock) -> None:
+    line = Progress(1000, 200, learning_starts=1000, demonstrated=True, last_step=3000)
+    assert "the scripted controller flies | 1 episode |" in shown(line, 1, 100)
+    for second in (1.0, 2.0, 6.0):  # the first update is compiled before the clock starts
+        clock.now = second
+        text = shown(line, int(second) + 1, 100 * int(second) + 100)
+    assert " gone, 00:23 left | 7 episodes, 100 steps/s" in text
+
+
 def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
     line = Progress(1000, 200)
     for second in range(0, 200):

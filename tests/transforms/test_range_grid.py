@@ -92,6 +92,8 @@ def test_numpy_reduces_as_torch_does(grid: RangeGrid, statistic: str) -> None:
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
+        ({"columns": 90.5}, "whole numbers of columns and rows, got columns=90.5"),
+        ({"elevation": 22.5}, "lowest and the highest elevation in degrees"),
         ({"columns": 0}, "at least one column and one row and at most 10,000 cells, got columns=0"),
         ({"columns": 3600, "rows": 10}, "at most 10,000 cells"),
         ({"elevation": (15, -15)}, "all ascending, got elevation"),

@@ -244,6 +244,7 @@ def test_gpu_agrees() -> None:
     ("arguments", "message"),
     [
         ((torch.zeros(5, 2),), "shape"),
+        ((torch.zeros(5, 4),), r"got \(5, 4\): pass points\[\.\.\., :3\]"),
         ((torch.zeros(3),), "shape"),
         ((torch.zeros(5, 3, dtype=torch.int64),), "float32 or float64"),
         ((torch.zeros(5, 3), 0.0), "radius"),

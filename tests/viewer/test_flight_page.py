@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.helpers.flights import small_recording, unpack
-from tests.helpers.pages import Page
+from tests.helpers.flights import small_recording
+from tests.helpers.pages import Page, unpack
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.evaluation.recording import Recording

@@ -12,8 +12,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 from scipy.spatial.transform import Rotation
 
-from tests.helpers.flights import unpack
 from tests.helpers.logged import GOAL, SILENT, START, WALLS, contract, cycles, write_log
+from tests.helpers.pages import unpack
 from uavrl.envs.lidar import Lidar
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
@@ -22,7 +22,7 @@ from uavrl.sitl.simulated_autopilot import SimulatedAutopilot
 from uavrl.sitl.telemetry import POSE, Telemetry
 from uavrl.viewer import logged_page
 from uavrl.viewer.logged_page import logged_page_data
-from uavrl_onboard.autopilot.vehicle_state import Vehicle
+from uavrl_onboard.autopilot.vehicle_state import AutopilotMonitor
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.log import FlightLog
 from uavrl_onboard.flight.logged_flight import LoggedFlight
@@ -136,7 +136,7 @@ def test_a_simulated_vehicle_that_tilts_sees_a_wall_where_it_is(tmp_path: Path) 
 def log_a_flight_at(wall: Mesh, path: Path) -> list[float]:
     """Logs a simulated flight with sharp turns of the command, and gives how far the vehicle tilted, in rad."""
     simulation, lidar = Simulation([wall], 1), Lidar([wall])
-    telemetry, vehicle = Telemetry(common, SimulatedAutopilot(common, "px4")), Vehicle()
+    telemetry, vehicle = Telemetry(common, SimulatedAutopilot(common, "px4")), AutopilotMonitor()
     sensor, tilts = contract().cloud.sensor_position, []
     np.testing.assert_array_equal(simulation.airframe.lidar_position, sensor)
     simulation.reset(np.array([0]), np.array([[2.0, 0.0, 8.0]]), np.array([0.4]))

@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
@@ -106,6 +106,8 @@ class BackwardReward(Shown, Transform):
                 f"Expected the environment's rewards, got data that was relabelled before: restore the rewards from "
                 f"{raw_key!r}, and drop that key."
             )
+        for key in self.in_keys_inv[1:]:
+            self._require_after(tensordict, key)
         states, reward, arrived, done = (self._steps(tensordict, key) for key in self.in_keys_inv)
         require_whole(_one_a_step(done, "done").reshape(tensordict.batch_size))
         start_time = time.perf_counter()
@@ -115,6 +117,15 @@ class BackwardReward(Shown, Transform):
         self.relabelling_seconds += time.perf_counter() - start_time
         old = tensordict.get(reward_key)
         return tensordict.set(raw_key, old.clone()).set(reward_key, new.reshape(old.shape))
+
+    def _require_after(self, tensordict: TensorDictBase, key: NestedKey) -> None:
+        """Refuse the key of an entry before the step where the data hold the one after it, too."""
+        after = unravel_key(("next", key))
+        if unravel_key((key,))[0] != "next" and tensordict.get(after, None) is not None:
+            raise UavrlError(
+                f"{type(self).__name__} reads {key!r}, which is its value before each step, and the data also hold "
+                f"{after!r}, its value after it: pass {after!r} instead."
+            )
 
     def _steps(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor:
         """An entry with its batch dimensions flattened to one of time."""

@@ -4,7 +4,6 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
@@ -18,19 +17,19 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.help import ABOUT, EXAMPLES, show
-from uavrl.cli.keys import check_choices, choices_with, known_keys
+from uavrl.cli.keys import check_choices, known_keys
 from uavrl.cli.logs import configure_logging
 from uavrl.config import conf_dir
 from uavrl.config.command_line import readable
-from uavrl.config.parts import PARTS, names_taken
-from uavrl.config.yaml_files import compose, register_run_name, with_choices
+from uavrl.config.yaml_files import register_run_name, with_choices
 from uavrl.errors import UavrlError
 from uavrl.runs.shared_memory import shared_memory_explained
+from uavrl_onboard.cli.command import SLIP, refuse_option
 from uavrl_onboard.cli.process import command_process, one_sentence
 from uavrl_onboard.sentences import did_you_mean
 
-SLIP = 0.85  # of the pen: so near is a key to the one that was meant that no class is asked, for which torch would load
 LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings
+_ENDED_JOBS = {"BrokenProcessPool", "UncompletedJobError"}  # of joblib and of submitit, which need not be there
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
 
 
@@ -97,49 +96,61 @@ def _explaining(name: str, begun: Callable[[], bool]) -> Iterator[None]:
 def explained(error: Exception, name: str) -> str:
     """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``."""
     first = next(iter(str(error).splitlines()), type(error).__name__)
+    folders, overrides = _command_line()
     if isinstance(error, OverrideParseException):
-        return f"The override {error.override!r} cannot be read: {_hint(str(error.override), name)}."
-    if isinstance(error, BrokenProcessPool):
+        example = f"{ABOUT[name][0]} {EXAMPLES[name][0]}"
+        how = f"as in {example}" if "=" not in str(error.override) else "and quotes around special characters"
+        return f"The override {error.override!r} cannot be read: write KEY=VALUE, {how}."
+    if _ENDED_JOBS & {kind.__name__ for kind in type(error).__mro__}:
         return (
-            "A process of the sweep was killed, often because memory ran out: start the same command again to resume "
-            "its runs, with fewer at a time if memory was short (hydra.launcher.n_jobs=1)."
-        )
-    if "UncompletedJobError" in [kind.__name__ for kind in type(error).__mro__]:  # submitit's, which need not be there
-        return (
-            f"A job of the sweep did not finish ({first.rstrip('.')}): start the same command again to resume its "
-            f"runs, with more time if that was short (hydra.launcher.timeout_min)."
+            f"A job of the sweep did not finish ({first.rstrip('.')}): start the same command again, which "
+            "goes on with its runs, with fewer at a time where memory was short (hydra.launcher.n_jobs=1), and with "
+            "more time where that was short (hydra.launcher.timeout_min)."
         )
     if isinstance(error, OSError) and error.filename is not None:
-        return (
-            f"{error.filename} cannot be written ({error.strerror}), and a sweep writes there: start it in another "
-            f"folder, or set hydra.sweep.dir=FOLDER."
-        )
+        told = "a sweep writes there; start it in another folder, or choose one with hydra.sweep.dir=FOLDER."
+        return f"{error.filename} cannot be written ({error.strerror}): {told}"
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
         if group == "hydra/launcher" and choice in LAUNCHERS:
             return f"{group}={choice} needs a plugin of Hydra: install it with pip install 'uavrl[launchers]'."
-        folders, _ = _command_line()
         yours = "A choice of your own needs --config-dir FOLDER."
         own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else yours
         near = did_you_mean(choice, error.options, ": ")
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
-        return _no_such_key(first.split("'")[-2].split("@")[0], name)
-    deleted = [override[1:] for override in _command_line()[1] if override.startswith("~")]
+        return _no_such_key(first.split("'")[-2].split("@")[0], known_keys(name, folders))
+    if first.startswith("Ambiguous value for argument '"):
+        return _several_values(first.split("'")[1], name)
+    deleted = [override[1:] for override in overrides if override.startswith("~")]
     if first.startswith("Error resolving interpolation") and deleted:
-        return f"~{deleted[0]} removes a group that other groups depend on: select a choice with {deleted[0]}=NAME."
+        return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
     if isinstance(error, AssertionError):
-        return "An override sets a key below a key that has no keys below it: --help=all lists all keys."
+        return "An override changes something below a key that has nothing below it: --help=all lists all keys."
     if first.startswith("Additional config directory"):  # Hydra's words for a folder that is not there
-        return f"{first}: pass an existing folder of YAML files to --config-dir."
+        return f"{first}: give --config-dir a folder of yaml files that is there."
     reason = next(iter(str(error.__cause__).splitlines()), "") if error.__cause__ is not None else ""
     return f"{first}: {reason}" if reason and reason not in first else first
 
 
+def _no_such_key(key: str, known: list[str]) -> str:
+    """Why a key cannot be changed: another choice of its group has it, or there is none."""
+    group = key.partition(".")[0]
+    if key in known:
+        other = f"choose that one, or write +{key}=VALUE where the class of this one takes it."
+        return f"{key} belongs to another choice of {group} than the one made: {other}"
+    place = key.rpartition(".")[0]
+    beside = {each[len(place) + 1 :].partition(".")[0] for each in known if each.startswith(f"{place}.")}
+    nested = place != group and beside
+    otherwise = f"{place} has {', '.join(sorted(beside))}." if nested else "--help=all lists all keys."
+    told = f"There is no key {key!r}{did_you_mean(key, known, ': ', otherwise)}"
+    is_slip = did_you_mean(key, known, cutoff=SLIP) != "."
+    return told if is_slip or group not in known else f"{told} If the class of {group} takes it, write +{key}=VALUE."
+
+
 def _refuse_options(name: str) -> None:
     """Refuses options that Hydra does not know, such as ``--output FILE``, at which it would print all of its own."""
-    command, known = ABOUT[name][0], known_keys(name)
-    parser = get_args_parser()
+    command, parser = ABOUT[name][0], get_args_parser()
     parser.exit_on_error = False
     try:
         others = parser.parse_known_args(sys.argv[1:])[1]
@@ -150,14 +161,8 @@ def _refuse_options(name: str) -> None:
         raise UavrlError(f"{command}: {error}.") from error
     for option in others:
         if not option.startswith("-"):
-            raise UavrlError(
-                f"{command} needs its options before the first KEY=VALUE: move the option before {option} to the front."
-            )
-        key, _, value = option.lstrip("-").partition("=")
-        if key in known:
-            raise UavrlError(f"{command} has no option {option}: write {key}={value or 'VALUE'}.")
-        other = "values are written KEY=VALUE, and --help explains the keys."
-        raise UavrlError(f"{command} has no option {option}{did_you_mean(key, known, ': ', other, SLIP)}")
+            raise UavrlError(f"{command} takes options before all that is KEY=VALUE: {option} stands behind one.")
+        refuse_option(command, option, known_keys(name))
 
 
 def _read_texts() -> None:
@@ -166,39 +171,15 @@ def _read_texts() -> None:
     sys.argv[1:] = [readable(each) if each in overrides else each for each in sys.argv[1:]]
 
 
-def _hint(given: str, name: str) -> str:
-    """How to write an override that Hydra cannot read."""
-    if "=" not in given:
-        return f"write KEY=VALUE, as in {ABOUT[name][0]} {EXAMPLES[name][0]}"
-    return "write KEY=VALUE, and quotes around special characters"
-
-
-def _no_such_key(key: str, name: str) -> str:
-    """Why a key cannot be changed: another choice has it, the yaml of this one leaves it out, or there is none."""
-    folders, overrides = _command_line()
-    group, _, below = key.partition(".")
-    known = known_keys(name, folders)
-    if key not in known and (near := did_you_mean(key, known, ": ", cutoff=SLIP)) != ".":
-        return f"There is no key {key!r}{near}"
-    values = [override for override in overrides if override.partition("=")[0] == key]
-    if values and (choice := _choice_that_takes(key, name, folders, [o for o in overrides if o not in values])):
-        theirs = any((folder / group / f"{choice}.yaml").is_file() for folder in folders)
-        return f"{choice}.yaml has no {below}: {'add it there, or ' if theirs else ''}write +{values[-1]}"
-    if key in known:
-        having = f"{group}={' or '.join(choices_with(key, folders))}"
-        return f"{key} belongs to another choice of {group}: select {having}, or leave the key out."
-    return f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys.")
-
-
-def _choice_that_takes(key: str, name: str, folders: list[Path], overrides: list[str]) -> str | None:
-    """The choice of a key's group whose class takes it, with all else as it was asked for; None if it does not."""
-    part, _, argument = key.rpartition(".")
-    try:
-        config = compose(*overrides, name=name, own=folders)
-        taken = names_taken({group: config[group] for group in PARTS if group in config}, part, config.packages)
-        return str(config.choices[part.partition(".")[0]]) if argument in taken else None
-    except (HydraException, OmegaConfBaseException, UavrlError, KeyError):  # other mistakes: this one is told first
-        return None
+def _several_values(override: str, name: str) -> str:
+    """Why one key cannot have several values, and what to write."""
+    key, _, values = override.partition("=")
+    each = (
+        "or add -m to train with each of them"
+        if ABOUT[name][0] == "uavrl-train"
+        else "and start the command once for each of them"
+    )
+    return f"{key} got several values, {values}: give one, {each}. A list is written {key}=[{values}]."
 
 
 def _command_line() -> tuple[list[Path], list[str]]:

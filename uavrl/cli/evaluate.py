@@ -1,9 +1,11 @@
 """``uavrl-evaluate``: rolls out the policy of a run, or a baseline, in fixed tasks."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
@@ -14,6 +16,7 @@ from uavrl.config import EvaluateConfig, validate
 from uavrl.config.command_line import command_line, override
 from uavrl.evaluation.policies import (
     PLAIN_KEYS,
+    PolicySetup,
     choose,
     output_name,
     policy_folder,
@@ -23,6 +26,9 @@ from uavrl.evaluation.policies import (
 )
 from uavrl.runs.provenance import processor, versions
 from uavrl_onboard.files import replacing, writable
+
+if TYPE_CHECKING:
+    from torchrl.envs import EnvBase
 
 NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown to it
 
@@ -50,27 +56,30 @@ def main(config: DictConfig) -> None:
     print(f"{reached(result)} Written to {output}. {then}")
 
 
-def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
-    """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it."""
-    settings = validate(config, EvaluateConfig)
-    folder = policy_folder(settings.run, settings.policy)
+@contextmanager
+def flown(
+    settings: EvaluateConfig, config: DictConfig, overrides: list[str], told: dict[str, Any]
+) -> Iterator[tuple[PolicySetup, "EnvBase"]]:
+    """The policy that the settings choose and its environment, at its first task, which is closed at the end.
+
+    Args:
+        settings: of one evaluation.
+        config: they were read from this.
+        overrides: of the command line.
+        told: the dictionary that a result's facts about worlds and computation are added to.
+    """
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
-    from uavrl.envs.navigation import NavigationEnv
     from uavrl.evaluation.environment import make_device, make_env
-    from uavrl.evaluation.position_stats import PositionStats
-    from uavrl.evaluation.rollout import fly
-    from uavrl.evaluation.summary import summarize
     from uavrl.training.matmul import matmul_backend
 
+    folder = policy_folder(settings.run, settings.policy)
     torch.set_num_threads(settings.threads)
     chosen = choose(settings, config, overrides, folder, make_device(settings.device))
     if folder is not None:
         chosen.source["run"] = settings.run or f"policy={settings.policy}"
-    writable(output)
-    told: dict[str, Any] = {"seed": settings.seed, "env": chosen.choices.get("env", "")}
-    told |= {"overrides": result_overrides(overrides), "versions": versions(), "processor": processor()}
+    told["env"] = chosen.choices.get("env", "")
     count = min(settings.num_uavs, settings.episodes)
     if "world" in chosen.env:
         told["valleys"] = list(chosen.env.world.seeds)
@@ -82,11 +91,26 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
         env = make_env(chosen.env, chosen.perception, measure_clearance=True, **context)
         try:
             require_fit(chosen, env)
-            places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
-            watch = None if places is None else places.add
-            flights = fly(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
+            yield chosen, env
         finally:
             env.close()
+
+
+def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
+    """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it."""
+    from uavrl.envs.navigation import NavigationEnv
+    from uavrl.evaluation.position_stats import PositionStats
+    from uavrl.evaluation.rollout import rollout_episodes
+    from uavrl.evaluation.summary import summarize
+
+    settings = validate(config, EvaluateConfig)
+    writable(output)
+    told: dict[str, Any] = {"seed": settings.seed, "env": "", "overrides": result_overrides(overrides)}
+    told |= {"versions": versions(), "processor": processor()}
+    with flown(settings, config, overrides, told) as (chosen, env):
+        places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
+        watch = None if places is None else places.add
+        flights = rollout_episodes(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
     result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})
     known = [{key: value for key, value in asdict(flight).items() if value is not None} for flight in flights]
     result = {**result, **told, **chosen.source, "flights": known}

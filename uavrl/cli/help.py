@@ -1,21 +1,20 @@
 """What ``--help`` says, made of the comments in the yaml files."""
 
 import re
-import shutil
 import sys
-import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from uavrl.config import conf_dir
+from uavrl.runs.cache import FOLDER, MOST_BYTES, valley_folder
+from uavrl_onboard.cli.command import table
 
 ABOUT = {
-    "config": ("uavrl-train", "Trains one policy, or with -m one policy for each combination of values."),
-    "evaluate": ("uavrl-evaluate", "Rolls out a policy in fixed tasks without noise and prints its success rate."),
-    "replay": ("uavrl-replay", "Writes a page that plays back a few episodes without noise."),
-    "report": ("uavrl-report", "Compares any number of runs on one page: curves, rates, intervals."),
-    "export": ("uavrl-export", "Writes the policy of a run without the run, small enough to share."),
+    "config": ("uavrl-train", "Trains one policy, or with -m one for each combination of values."),
+    "evaluate": ("uavrl-evaluate", "Rolls out a policy in fixed tasks without noise: its success rate."),
+    "replay": ("uavrl-replay", "Writes a page that plays a few tasks back, flown without noise."),
+    "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
+    "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
     "sitl": ("uavrl-sitl", "Plays a vehicle in the simulator: VLP-16 packets and MAVLink by UDP."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
@@ -38,7 +37,7 @@ MOST_USED = {
     "sitl": "task seed valleys lidar autopilot firmware armed speed patience linger pilot_takes_over json",
     "pretrain": "run output seed",
 }
-LONGEST = 24  # characters of a name beside its meaning
+BUILDS_VALLEYS = ("config", "evaluate", "replay", "sitl")
 _KEY = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>.*?)(?:\s+#\s*(?P<meaning>.*))?$")
 
 
@@ -68,15 +67,18 @@ def help_text(name: str, *, every_key: bool = False) -> str:
         if len(found) > 1 or chosen[group] == "null"
     }
     if choices:
-        lines += ["", "Choices, with [the default] in brackets", *_table(choices)]
+        lines += ["", "Choices, with [the default] in brackets", *table(choices)]
     known = _known(main, groups, chosen)
     if every_key:
         shown = {key.name: f"{key.meaning} ({key.value})" if key.value else key.meaning for key in known.values()}
-        lines += ["", "All keys, with their default in brackets", *_table({k: v for k, v in shown.items() if v})]
+        lines += ["", "All keys, with their default in brackets", *table({k: v for k, v in shown.items() if v})]
     else:
         most_used = {key: known[key].meaning for key in MOST_USED[name].split()}
-        lines += ["", "Most common keys", *_table(most_used)]
-        lines += ["", f"All keys: {command} --help=all    Resolved configuration: {command} … --cfg job"]
+        lines += ["", "Most common keys", *table(most_used)]
+        lines += ["", f"All keys: {command} --help=all    The resolved configuration: {command} … --cfg job"]
+    if name in BUILDS_VALLEYS:
+        kept = f"Built valleys are kept in {valley_folder()}, at most {MOST_BYTES / 1e6:.0f} MB"
+        lines += ["", f"{kept}; the environment variable {FOLDER} names another folder."]
     return "\n".join(lines)
 
 
@@ -98,19 +100,13 @@ def keys(path: Path, prefix: str = "") -> list[Key]:
 
 def _known(main: Path, groups: dict[str, list[str]], chosen: dict[str, str]) -> dict[str, Key]:
     """All keys by their names, as the command itself has them, or else the choice that is its default."""
-    known: dict[str, Key] = {}
-    for key in (*keys(main), *_keys_of_groups(groups, chosen)):
-        known.setdefault(key.name, key)
-    return known
-
-
-def _keys_of_groups(groups: dict[str, list[str]], chosen: dict[str, str]) -> Iterator[Key]:
-    """The keys of all choices of all groups, those of the defaults first; what has its place elsewhere has none."""
+    known = {key.name: key for key in keys(main)}
     for group, found in groups.items():
-        for choice in sorted(found, key=lambda choice: choice != chosen[group]):
+        for choice in sorted(found, key=lambda choice: choice != chosen[group]):  # that of the defaults first
             path = conf_dir() / group / f"{choice}.yaml"
-            if "# @package" not in path.read_text(encoding="utf-8"):
-                yield from keys(path, f"{group}.")
+            if "# @package" not in path.read_text(encoding="utf-8"):  # else its place is elsewhere
+                known |= {key.name: key for key in keys(path, f"{group}.") if key.name not in known}
+    return known
 
 
 def _defaults(path: Path) -> list[tuple[str, str]]:
@@ -118,20 +114,6 @@ def _defaults(path: Path) -> list[tuple[str, str]]:
     text = path.read_text(encoding="utf-8").partition("defaults:")[2]
     found = re.findall(r"^  - (?!override)(\w+): (\S+)", text, flags=re.MULTILINE)
     return [(group, choice.strip("\"'")) for group, choice in found]
-
-
-def _table(rows: dict[str, str]) -> list[str]:
-    """Two columns; a long name has a line of its own."""
-    width = min(max(map(len, rows)), LONGEST) + 2
-    room = max(shutil.get_terminal_size().columns, 80)
-    lines = []
-    for name, text in rows.items():
-        told = textwrap.wrap(text, room - width - 3)
-        if len(name) > LONGEST:
-            lines.append(f"  {name}")
-            name = ""
-        lines += [f"  {name if not n else '':{width}}{part}" for n, part in enumerate(told)]
-    return lines
 
 
 def show(name: str) -> bool:

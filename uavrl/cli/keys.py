@@ -26,18 +26,6 @@ def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:
     return sorted(keys)
 
 
-def choices_with(key: str, own: Sequence[Path] = ()) -> list[str]:
-    """The choices of a group whose yaml has a dotted key of it, or whose base has it."""
-    group, _, below = key.partition(".")
-    files = {path.stem: path for folder in (conf_dir(), *own) for path in folder.glob(f"{group}/*.yaml")}
-
-    def has(stem: str) -> bool:
-        bases = _content(files[stem]).get("defaults", []) if stem in files else []
-        return stem in files and (below in _dotted(_of_group(files[stem])) or any(has(str(base)) for base in bases))
-
-    return sorted(filter(has, files))
-
-
 def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -> None:
     """Refuses choices that a scheme or a learner contradicts, one of the user's folders too."""
     for row in ROWS:

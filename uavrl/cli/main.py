@@ -3,15 +3,18 @@
 import sys
 from importlib import import_module
 
+from uavrl.cli.compare import ABOUT as COMPARE
 from uavrl.cli.help import ABOUT, show_version
 from uavrl.errors import UavrlError
+from uavrl_onboard.cli.check import ABOUT as CHECK
 from uavrl_onboard.cli.fly import ABOUT as FLY
 from uavrl_onboard.cli.process import command_process
 from uavrl_onboard.cli.scan import ABOUT as SCAN
 from uavrl_onboard.sentences import did_you_mean
 
-COMMANDS = {command.removeprefix("uavrl-"): about for command, about in [*ABOUT.values(), SCAN[:2], FLY[:2]]}
-ON_BOARD = ("scan", "fly")  # commands of uavrl-onboard
+_ABOUT = [*ABOUT.values(), COMPARE[:2], SCAN[:2], CHECK[:2], FLY[:2]]
+COMMANDS = {command.removeprefix("uavrl-"): about for command, about in _ABOUT}
+ON_BOARD = ("scan", "check", "fly")  # commands of uavrl-onboard
 
 
 def main() -> None:

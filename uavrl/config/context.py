@@ -19,6 +19,7 @@ CONTEXT: Mapping[str, tuple[str, ...]] = {
     "lifeguard": _PENALTY,
     "actor_penalty": _PENALTY,
     "smoothness": _PENALTY,
+    "cloning": ("loss", "limit", "execution"),
     "buffer": ("frames", "seed", "transform"),
     "backward_reward": ("stacked", "observations", "perception", "kept"),
     "collector": (

@@ -20,6 +20,7 @@ PARTS = (
     "lifeguard",
     "actor_penalty",
     "smoothness",
+    "cloning",
     "buffer",
     "backward_reward",
     "demonstrator",
@@ -76,16 +77,6 @@ def validated_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[s
         require_allowed(target, packages, key)
     extra = _extra_keys(parts, packages)
     return {name: _validated(part, name, packages, extra.get(name, {})) for name, part in parts.items()}
-
-
-def names_taken(parts: Mapping[str, Any], key: str, packages: Iterable[str]) -> set[str]:
-    """The names that can be written below a key, such as ``reward`` or ``algo.actor``."""
-    packages, part = tuple(packages), parts
-    for name in key.split("."):
-        part = part.get(name, {}) if isinstance(part, Mapping) else {}
-    own = _arguments(part, key, packages) if is_part(part) else {}
-    readers = {name: parts[name] for name in {"algo": ["algo"], "perception": ["env", "perception"]}.get(key, [])}
-    return {*_without(context_of(key), own), *_extra_keys(readers, packages).get(key, {})}
 
 
 def _targets(node: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:

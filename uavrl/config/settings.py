@@ -9,8 +9,8 @@ from uavrl.config.parts import Part
 from uavrl_onboard.ranges import Count, Folder, Rule, Seed, Share, Text
 from uavrl_onboard.sentences import require
 
-Execution = Literal["eager", "captured", "compiled", "auto"]
-MatmulBackend = Literal["mkl", "onednn", "auto"]
+ExecutionChoice = Literal["eager", "captured", "compiled", "auto"]
+MatmulChoice = Literal["mkl", "onednn", "auto"]
 Threads = Annotated[int, Field(ge=1, le=256)]
 Valleys = Annotated[
     tuple[int, ...], Rule("null or a list of seeds from 0", lambda seeds: len(seeds) > 0 and min(seeds) >= 0)
@@ -29,8 +29,8 @@ class TrainerConfig:
     checkpoint_interval: Count = 20_000
     keep_checkpoints: Count = 2
     threads: Threads = 1
-    execution: Execution = "auto"
-    matmul: MatmulBackend = "auto"
+    execution: ExecutionChoice = "auto"
+    matmul: MatmulChoice = "auto"
     progress: bool = True
 
 
@@ -57,6 +57,7 @@ class TrainConfig:
     trainer: TrainerConfig
     demonstrator: Part = field(default_factory=lambda: Part(_target_=None))
     smoothness: Part = field(default_factory=lambda: Part(_target_=None))
+    cloning: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()
     seed: Seed = 0
@@ -94,7 +95,7 @@ class FlyingConfig:
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1
-    matmul: MatmulBackend = "mkl"
+    matmul: MatmulChoice = "mkl"
     progress: bool = True
 
 

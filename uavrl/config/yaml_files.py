@@ -97,6 +97,7 @@ def learner_name(choices: Mapping[str, str]) -> str:
         "lifeguard": ("lg", "linear"),
         "actor_penalty": ("", ""),
         "smoothness": ("", ""),
+        "cloning": ("", ""),
         "backward_reward": ("", ""),
     }
     parts = [choices["algo"]]

@@ -14,7 +14,8 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError, extras
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
-from uavrl.transforms.state import ACTION_LIMIT, Reduction
+from uavrl.transforms.state import ACTION_LIMIT
+from uavrl_onboard.perception.reductions import Reduction
 
 with extras():
     import gymnasium

@@ -13,7 +13,13 @@ from uavrl_onboard.mesh import Mesh, loft
 
 def edge_lengths(corners: np.ndarray) -> np.ndarray:
     """Lengths ``[T, 3]`` of the edges ab, bc and ca of triangles ``[T, 3, 3]``."""
-    return np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)
+    return lengths(np.roll(corners, -1, axis=1) - corners)
+
+
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Lengths ``[...]`` of ``vectors [..., 3]``: ``np.linalg.norm``'s numbers, faster along so short an axis."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def cut_up(corners: np.ndarray, small: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -23,8 +29,8 @@ def cut_up(corners: np.ndarray, small: Callable[[np.ndarray], np.ndarray]) -> np
         done = small(corners)
         found.append(corners[done])
         corners = corners[~done]
-        order = (edge_lengths(corners).argmax(axis=1)[:, None] + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(corners, order[:, :, None], axis=1).transpose(1, 0, 2)
+        first, each = edge_lengths(corners).argmax(axis=1), np.arange(len(corners))
+        a, b, c = (corners[each, (first + turn) % 3] for turn in range(3))
         middle = (a + b) / 2.0
         corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
     return np.concatenate(found)

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Iterator
+from functools import reduce
 
 import numpy as np
 
-from uavrl.envs.mesh import cut_up
+from uavrl.envs.mesh import cut_up, lengths
 from uavrl_onboard.mesh import Mesh
 
 __all__ = ["RayCuller"]
@@ -123,5 +124,6 @@ class RayCuller:
 
 def _spheres(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centres ``[T, 3]`` and radii ``[T]`` of spheres around triangles ``[T, 3, 3]``."""
-    middle = (corners.min(axis=1) + corners.max(axis=1)) / 2.0
-    return middle, np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    middle = (np.minimum(np.minimum(a, b), c) + np.maximum(np.maximum(a, b), c)) / 2.0
+    return middle, reduce(np.maximum, (lengths(corner - middle) for corner in (a, b, c)))

@@ -42,7 +42,7 @@ class Surface:
     """The surface of a mesh between two heights as points, to measure clearances with."""
 
     def __init__(self, mesh: Mesh, low: float, high: float) -> None:
-        self._tree = cKDTree(surface_points(mesh, low, high), balanced_tree=False, compact_nodes=False, leafsize=64)
+        self._tree = cKDTree(surface_points(mesh, low, high), balanced_tree=False, compact_nodes=False, leafsize=128)
 
     def clearance(self, points: np.ndarray, longest: float) -> np.ndarray:
         """Returns a lower bound in metres of the distance of ``points [..., 3]`` to the surface, cut at ``longest``."""
@@ -121,9 +121,11 @@ def flight_map(
     needed = min_clearance + JITTER
     x, y = (np.arange(CELL / 2 - length / 2, length / 2, CELL) for length in ground.size)
     z = level + RISE * np.arange(-((level + FLOOR_AMPLITUDE) // RISE), (ceiling + FLOOR_AMPLITUDE - level) // RISE + 1)
-    surface = Surface(Mesh.merge([*ground.tiles(), obstacles]), z[0] - needed, z[-1] + needed)
+    reach = uav_radius + RISE / 2
+    low, high = min(z[0] - reach, level - needed), max(z[-1] + reach, level + needed)
+    surface = Surface(Mesh.merge([*ground.tiles(), obstacles]), low - SURFACE_ERROR, high + SURFACE_ERROR)
     points = grid_points(x, y, z)
-    space = FreeSpace(x, y, z, surface.clearance(points, uav_radius + RISE / 2))
+    space = FreeSpace(x, y, z, surface.clearance(points, reach))
     below = ground.at(points[:, :, 0, :2].reshape(-1, 2)).reshape(len(x), len(y), 1)
     corridor = space.largest_part((z > below) & (z <= below + ceiling - CELL / 2), uav_radius)
     at_level = int(np.abs(z - level).argmin())

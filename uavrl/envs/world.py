@@ -1,9 +1,13 @@
 """The world: valleys of terrain and obstacles, and the tasks to fly in them."""
 
-from collections.abc import Iterable
+import logging
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, field, fields
-from itertools import cycle
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +17,15 @@ from uavrl.envs.obstacles import Obstacle, place_obstacles
 from uavrl.envs.tasks import CELL, JITTER, FlightMap, Task, flight_map
 from uavrl.envs.terrain import HeightField, interpolate, valley_ground
 from uavrl.envs.traps import LONGEST_WAY, Trap, place_traps, trap_top, trapped
+from uavrl.envs.valley_cache import ValleyMap, is_kept, is_writable, load_map, map_name, save_map
 from uavrl.errors import UavrlError
+from uavrl.runs.cache import valley_folder
 from uavrl.runs.machine import processors
 from uavrl_onboard.mesh import MOST_FACES, Mesh
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.vehicle import VEHICLE
 
+log = logging.getLogger(__name__)
 VALLEY_GAP = 110.0  # m between the borders of two valleys: over the LiDAR's range of 100 m
 LANES = 12  # ways of planes through a valley
 LARGEST_VALLEY = 200_000.0  # m³ up to the ceiling: building it takes 2.4 GB, and some 20 s
@@ -123,6 +130,11 @@ class WorldConfig:
             )
         _check_size(self)
 
+    def obstacles_of(self, place: int) -> int:
+        """How many obstacles the valley at a place among ``seeds`` has."""
+        counts = in_turn(self.obstacles)
+        return counts[place % len(counts)]
+
 
 def _check_size(world: WorldConfig) -> None:
     """Refuses worlds that would take many minutes to build, or more memory than there is."""
@@ -154,12 +166,18 @@ class Valley:
 
     seed: int
     origin: np.ndarray
+    config: WorldConfig
     ground: HeightField
     obstacles: list[Obstacle]
-    flight: FlightMap
+    candidates: np.ndarray  # [C, 2] m: where flights begin and end
     lanes: list[Lane]
     traps: list[Trap] = field(default_factory=list)
     trapped: list[np.ndarray] = field(default_factory=list)
+
+    @cached_property
+    def flight(self) -> FlightMap:
+        """The map of its free space, which takes a second to make."""
+        return _free_space(self.config, self.ground, self.obstacles)
 
     def meshes(self) -> list[Mesh]:
         """Returns its geometry in world coordinates, in few large parts: the physics steps faster over few bodies."""
@@ -170,13 +188,28 @@ class Valley:
 
 
 def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int) -> Valley:
-    """Builds one valley of ``count`` obstacles around ``origin [2]`` and maps its free space."""
+    """Builds one valley of ``count`` obstacles around ``origin [2]``; the cache may hold its map."""
     ground = valley_ground(np.random.default_rng([seed, 0]), config.size)
     traps = place_traps(np.random.default_rng([seed, 3]), config.traps, config.size)
     taken = np.concatenate([np.zeros((0, 3)), *(trap.taken() for trap in traps)])
     obstacles = place_obstacles(np.random.default_rng([seed, 1]), count, config.obstacle_scale, ground, taken)
     obstacles += [trap.obstacle(trap_top(config.ceiling)) for trap in traps]
-    flight = flight_map(
+    name = map_name(_rules(config, seed, count))
+    if (found := load_map(name)) is None:
+        found = _map_valley(config, seed, ground, obstacles, traps)
+        save_map(name, found)
+    return Valley(seed, origin, config, ground, obstacles, found.candidates, found.lanes, traps, found.trapped)
+
+
+def _rules(config: WorldConfig, seed: int, count: int) -> dict[str, object]:
+    """What the map of a valley depends on."""
+    names = ("size", "obstacle_scale", "traps", "flight_level", "ceiling", "min_goal_distance", "min_clearance")
+    rules = {name: getattr(config, name) for name in (*names, "uav_radius")}
+    return {**rules, "wingspan": config.plane_wingspan if config.planes else 0.0, "seed": seed, "obstacles": count}
+
+
+def _free_space(config: WorldConfig, ground: HeightField, obstacles: list[Obstacle]) -> FlightMap:
+    return flight_map(
         ground,
         Mesh.merge(obstacle.mesh for obstacle in obstacles),
         level=config.flight_level,
@@ -185,6 +218,13 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int)
         min_clearance=config.min_clearance,
         min_distance=config.min_goal_distance,
     )
+
+
+def _map_valley(
+    config: WorldConfig, seed: int, ground: HeightField, obstacles: list[Obstacle], traps: list[Trap]
+) -> ValleyMap:
+    """Finds where flights begin and end, the tasks of traps, and lanes for planes."""
+    flight = _free_space(config, ground, obstacles)
     if not len(flight.candidates):
         raise UavrlError(
             f"A valley needs a start and a goal {config.min_goal_distance} m apart, {config.min_clearance} m clear of "
@@ -204,7 +244,46 @@ def build_valley(config: WorldConfig, seed: int, origin: np.ndarray, count: int)
         top = float(np.ceil(ground.heights.max() + radius))
         solid = Mesh.merge([*ground.tiles(), *(obstacle.mesh for obstacle in obstacles)])
         lanes = plan_lanes(rng, solid, config.size, top, config.ceiling, radius, LANES)
-    return Valley(seed, origin, ground, obstacles, flight, lanes, traps, tasks)
+    return ValleyMap(flight.candidates, lanes, tasks)
+
+
+def _built(config: WorldConfig, places: Sequence[int]) -> Iterator[Valley]:
+    """Builds the valleys at some places among ``config.seeds``, side by side; a command shows how far it is."""
+    columns = int(np.ceil(len(config.seeds) ** 0.5))
+    pitch = np.array(config.size) + VALLEY_GAP
+
+    def build(i: int) -> Valley:
+        return build_valley(config, config.seeds[i], pitch * divmod(i, columns), config.obstacles_of(i))
+
+    new = len(_unknown(config, places))
+    with ThreadPoolExecutor(processors()) as threads, _progress(new, len(places)) as line:  # NumPy releases the GIL
+        for valley in threads.map(build, places):
+            if line is not None:
+                line.add()
+            yield valley
+
+
+def _unknown(config: WorldConfig, places: Sequence[int]) -> list[int]:
+    """Those of some places among ``config.seeds`` whose maps the cache does not hold."""
+    rules = {i: _rules(config, config.seeds[i], config.obstacles_of(i)) for i in places}
+    return [i for i in places if not is_kept(map_name(rules[i]))]
+
+
+def _progress(new: int, valleys: int) -> Any:
+    """A progress line where a command builds several valleys that the cache does not hold."""
+    if new < 2 or not log.isEnabledFor(logging.INFO):
+        return nullcontext()
+    from uavrl.runs.progress_line import ProgressLine  # here: it takes tqdm, without which environments fly, too
+
+    log.info("Building %s, once: their maps are kept in %s.", pluralize(new, "valley"), valley_folder())
+    return ProgressLine(valleys, "valleys built")
+
+
+def map_valleys(config: WorldConfig) -> None:
+    """Computes the maps that the cache does not hold, so that another process builds the world in seconds."""
+    unknown = _unknown(config, range(len(config.seeds)))
+    if unknown and is_writable():
+        deque(_built(config, unknown), maxlen=0)
 
 
 def draw_valley(config: WorldConfig, rng: np.random.Generator) -> int:
@@ -235,16 +314,8 @@ class World:
 
     def __init__(self, config: OrMapping[WorldConfig], needed: Iterable[int] | None = None) -> None:
         self.config = config = settings("config", WorldConfig, config)
-        columns = int(np.ceil(len(config.seeds) ** 0.5))
-        pitch = np.array(config.size) + VALLEY_GAP
-        counts = [count for _, count in zip(config.seeds, cycle(in_turn(config.obstacles)), strict=False)]
         self.built = sorted(set(range(len(config.seeds)) if needed is None else needed))
-
-        def build(i: int) -> Valley:
-            return build_valley(config, config.seeds[i], pitch * divmod(i, columns), counts[i])
-
-        with ThreadPoolExecutor(processors()) as threads:  # NumPy and SciPy release the GIL
-            self.valleys = list(threads.map(build, self.built))
+        self.valleys = list(_built(config, self.built))
         self.meshes = [mesh for valley in self.valleys for mesh in valley.meshes()]
         self._origins = np.stack([valley.origin for valley in self.valleys])
         self._heights = np.stack([valley.ground.heights for valley in self.valleys])
@@ -263,7 +334,7 @@ class World:
         """
         index = self._drawn(rng) if valley is None else valley
         place, config = self.valleys[index], self.config
-        places = place.flight.candidates
+        places = place.candidates
         if place.trapped:
             start, goal = places[rng.choice(place.trapped[rng.integers(len(place.trapped))])]
         else:
@@ -294,7 +365,7 @@ class World:
         keep_out = self.config.plane_keep_out
         if (np.linalg.norm(planes - start, axis=1) >= keep_out).all():
             return start
-        places = place.flight.candidates + place.origin
+        places = place.candidates + place.origin
         apart = np.linalg.norm(places[:, None] - planes, axis=-1).min(1) >= keep_out
         far = np.linalg.norm(places - goal, axis=1) >= self.config.min_goal_distance
         if not (apart & far).any():

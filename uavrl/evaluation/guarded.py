@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated
 
 import numpy as np
 import torch
 from pydantic import Field
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 
 from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import Airframe
+from uavrl.policy_protocol import Acts, PolicyModule, as_policy
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl.transforms.waypoint import heading_to_waypoint
 from uavrl_onboard.geometry import world_to_yaw
@@ -24,7 +24,7 @@ SCAN = ("point_cloud", "attitude", "velocity")  # what evasion and shield read
 EPISODE = ("altitude", "is_init")  # what evasion reads besides
 
 
-class GuardedPolicy(TensorDictModuleBase):
+class GuardedPolicy(PolicyModule):
     """A policy whose velocities guards change before they are flown; its yaw rate is never changed.
 
     Guards read the point clouds and ``is_init``, which `uavrl.evaluation.environment.make_env` emits with
@@ -59,7 +59,7 @@ class GuardedPolicy(TensorDictModuleBase):
 
     def __init__(
         self,
-        policy: Callable[[TensorDictBase], TensorDictBase],
+        policy: Acts,
         *,
         led: bool = False,
         evade: Annotated[float, Field(gt=0, le=100)] | None = None,
@@ -68,16 +68,15 @@ class GuardedPolicy(TensorDictModuleBase):
         airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         super().__init__()
-        self.policy: Any = policy
+        self.policy = as_policy(policy)
+        self.has_map, self.overrides = self.policy.has_map, self.policy.overrides
         self.led, self.evade, self.shield = led, evade, shield
         self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level)
         filters = evade is not None or shield is not None
         self.reads = (*SCAN * filters, *EPISODE * (evade is not None))
         led_by = ["waypoint_deg"] * led
-        self.in_keys = [*dict.fromkeys([*getattr(policy, "in_keys", ()), *led_by, *self.reads])]
-        self.out_keys = list(getattr(policy, "out_keys", ["action"]))
-        if hasattr(policy, "flown"):
-            self.flown = policy.flown
+        self.in_keys = [*dict.fromkeys([*self.policy.in_keys, *led_by, *self.reads])]
+        self.out_keys = list(self.policy.out_keys)
         self._evasion: Evasion | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -88,6 +87,10 @@ class GuardedPolicy(TensorDictModuleBase):
         else:
             tensordict = self.policy(tensordict)
         return self._filter(tensordict) if self.reads else tensordict
+
+    def flown(self, actions: np.ndarray) -> None:
+        """Take the actions that the vehicles fly, as the policy does."""
+        self.policy.flown(actions)
 
     def _filter(self, tensordict: TensorDictBase) -> TensorDictBase:
         acted, dims = tensordict["action"], tensordict["action"].ndim - 1
@@ -100,8 +103,7 @@ class GuardedPolicy(TensorDictModuleBase):
         if self.shield is not None:
             velocities = _shielded(velocities, self.shield, seen)
         asked[:, :3] = torch.from_numpy(velocities)
-        if hasattr(self, "flown"):
-            self.flown(asked.numpy())
+        self.flown(asked.numpy())
         return tensordict.set("action", asked.view(acted.shape).to(acted))
 
     def _evaded(self, asked: np.ndarray, max_range: float, seen: Mapping[str, np.ndarray]) -> np.ndarray:

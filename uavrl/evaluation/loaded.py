@@ -16,12 +16,13 @@ from uavrl.entries import entry
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
+from uavrl.policy_protocol import PolicyModule
 
 UNSEEN = 100  # the seed of a valley in which no policy here was trained
 _TAKEN = ("env", "randomize")
 
 
-class LoadedPolicy(TensorDictModuleBase):
+class LoadedPolicy(PolicyModule):
     """Reads ``observation`` and writes ``action``, without exploration noise and without gradients.
 
     :func:`uavrl.load_policy` makes it. It acts wherever its network is, and answers where the observation is.

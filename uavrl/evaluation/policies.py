@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET, build, find_class
 from uavrl.config.context import CONTEXT
 from uavrl.config.parts import Part
-from uavrl.config.settings import FlyingConfig
+from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.runs.weights import POLICY
@@ -26,10 +26,10 @@ from uavrl_onboard.sentences import did_you_mean
 
 if TYPE_CHECKING:
     import torch
-    from tensordict import TensorDictBase
     from torchrl.envs import EnvBase
 
     from uavrl.evaluation.loaded import LoadedPolicy
+    from uavrl.policy_protocol import TensorDictPolicy
 
 PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # what `policy=NAME` names, beside the baselines
 EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
@@ -52,7 +52,7 @@ PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "mat
 class PolicySetup:
     """A policy and its environment."""
 
-    policy: Callable[[TensorDictBase], TensorDictBase]  # reads an environment's output, writes ``action``
+    policy: TensorDictPolicy
     env: Part
     perception: Part
     reward: Part
@@ -63,7 +63,7 @@ class PolicySetup:
     @property
     def env_options(self) -> dict[str, bool]:
         """Options of :func:`~uavrl.evaluation.environment.make_env` that make it emit the ``in_keys``."""
-        read = getattr(self.policy, "in_keys", ())
+        read = self.policy.in_keys
         return {"keep_cloud": "point_cloud" in read, "mark_resets": "is_init" in read}
 
 
@@ -74,7 +74,7 @@ def choose(
     from uavrl.evaluation.actor import read_policy
 
     if "env.num_uavs" in keys_of(overrides):
-        instead = "write num_uavs=N" if hasattr(settings, "num_uavs") else "a replay flies one vehicle"
+        instead = "write num_uavs=N" if isinstance(settings, EvaluateConfig) else "a replay flies one vehicle"
         raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
     if folder is None:
         require_valley(settings.env, settings.choices, "policy")
@@ -96,8 +96,8 @@ def choose(
 
 def _guarded(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> PolicySetup:
     """The same policy behind the guards that the command line asks for."""
-    led = chosen.perception.get("memory") is not None and "heading_deg" in getattr(chosen.policy, "in_keys", ())
-    if led and getattr(chosen.policy, "has_map", False):
+    led = chosen.perception.get("memory") is not None and "heading_deg" in chosen.policy.in_keys
+    if led and chosen.policy.has_map:
         raise UavrlError(
             f"policy={chosen.source['policy']} has a map of its own, which contradicts perception.memory: leave "
             "perception.memory out, or choose another policy."
@@ -136,15 +136,16 @@ def _shield(chosen: PolicySetup) -> Any:
     return Shield(nearest=getattr(chosen.perception.get("lidar"), "min_range", 0.0), vehicle=vehicle)
 
 
-def _as_contracted(policy: Any, settings: FlyingConfig, config: DictConfig, overrides: list[str]) -> FlyingConfig:
+def _as_contracted(
+    policy: TensorDictPolicy, settings: FlyingConfig, config: DictConfig, overrides: list[str]
+) -> FlyingConfig:
     """The settings with the perception and the sensor of an exported policy; as they are for any other."""
-    terms = getattr(policy, "overrides", None)
-    if terms is None:
+    if policy.overrides is None:
         return settings
     config = config.copy()
     given = keys_of(overrides)
     require_sensor_alone(given, ("perception",), "policy")
-    for key, value in terms.items():
+    for key, value in policy.overrides.items():
         if key not in given and OmegaConf.select(config, key.rpartition(".")[0]) is not None:
             OmegaConf.update(config, key, value, merge=False)
     return validate(config, type(settings))
@@ -245,15 +246,15 @@ def load_policy(
     return actor.read_policy(folder, None if checkpoint is None else str(checkpoint), at, tuple(packages))
 
 
-def named_policy(
-    name: str, told: Mapping[str, Any], packages: Sequence[str]
-) -> Callable[[TensorDictBase], TensorDictBase]:
+def named_policy(name: str, told: Mapping[str, Any], packages: Sequence[str]) -> TensorDictPolicy:
     """A policy that is no run: a baseline, a ``.zip`` of Stable-Baselines3, or a ``PACKAGE.MODULE.CLASS``.
 
     Of ``told``, ``flight_level``, ``airframe`` and what perception says (``radius``, …), a baseline is given what its
     constructor names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
     ``stable_baselines3``. A folder is one that ``uavrl-export`` wrote.
     """
+    from uavrl.policy_protocol import as_policy
+
     require_policy(name)
     target = BASELINES.get(name, name)
     if name.endswith(".zip"):
@@ -262,7 +263,7 @@ def named_policy(
         if "stable_baselines3" not in packages:
             trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
             raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
-        return StableBaselinesPolicy(name)
+        return as_policy(StableBaselinesPolicy(name))
     own: dict[str, Any] = {}
     if name not in BASELINES and (folder := exported_folder(name)) is not None:
         target, own = EXPORTED, {"folder": folder}
@@ -271,7 +272,7 @@ def named_policy(
     made = build({**seen, TARGET: target}, object, packages=packages, **context)
     if not callable(made):
         raise UavrlError(f"policy must read a tensordict and write its action, but {name} makes {made!r}.")
-    return made
+    return as_policy(made)
 
 
 def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:

@@ -16,7 +16,8 @@ from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.evaluation.position_stats import PositionStats
 from uavrl.evaluation.recording import RecordedFlight, Recording, Scenery, thinned
-from uavrl.evaluation.rollout import FlightMeter, Policy, rollout
+from uavrl.evaluation.rollout import EpisodeMeter, rollout
+from uavrl.policy_protocol import Acts
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms import PointCloudReduction
 from uavrl.transforms.rewards import terms_of
@@ -54,7 +55,7 @@ def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sens
 
 
 def record_flight(
-    env: TransformedEnv, policy: Policy, task: int, *, seed: int, risk: Risk | None = None, max_points: int = 1500
+    env: TransformedEnv, policy: Acts, task: int, *, seed: int, risk: Risk | None = None, max_points: int = 1500
 ) -> RecordedFlight:
     """Rolls out one task to its end and keeps every step; the episode depends on ``seed`` and ``task`` alone."""
     if env.batch_size != torch.Size([1]):
@@ -66,7 +67,7 @@ def record_flight(
     goal = state["goal"][0].numpy()
     origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.valleys])
     valley = int(np.linalg.norm(origins - goal, axis=1).argmin())
-    meter, reduction = FlightMeter(1), reduction_of(env)
+    meter, reduction = EpisodeMeter(1), reduction_of(env)
     terms = terms_of(env) or (lambda before, after: {"reward": after["reward"]})
     moments, actions, paid = [_moment(base, state, valley, reduction, max_points)], [], []
     for stepped in rollout(env, policy, state):
@@ -152,7 +153,7 @@ def to_world(objects: np.ndarray, sensor: np.ndarray, yaw: float) -> np.ndarray:
 
 def record_flights(
     env: TransformedEnv,
-    policy: Policy,
+    policy: Acts,
     tasks: Sequence[int],
     *,
     seed: int,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.errors import UavrlError
-from uavrl.evaluation.rollout import Flight
+from uavrl.evaluation.rollout import EpisodeResult
 from uavrl.runs.episodes import OUTCOMES
 from uavrl_onboard.files import replacing
 
@@ -21,7 +21,7 @@ MOST_BYTES = 2**32  # of a file, unpacked; some episodes take a few million
 class RecordedFlight:
     """One episode of T steps: T + 1 moments, the last after the last step. Positions are in the valley's own frame."""
 
-    summary: Flight  #: Task, outcome, lengths and clearance, as an evaluation gives them
+    summary: EpisodeResult  #: Task, outcome, lengths and clearance, as an evaluation gives them
     position_stats: dict[str, Any]  #: where it flew, as :class:`uavrl.evaluation.position_stats.PositionStats` has it
     times: np.ndarray  #: ``[T + 1]`` in s
     positions: np.ndarray  #: ``[T + 1, 3]``, the airframe's centre in m
@@ -106,7 +106,7 @@ def save_recording(recording: Recording, path: Path) -> None:
     for name, item in items.items():
         values = {each.name: getattr(item, each.name) for each in fields(item)}
         plain = {key: value for key, value in values.items() if not isinstance(value, np.ndarray)}
-        about["items"][name] = {k: asdict(v) if isinstance(v, Flight) else v for k, v in plain.items()}
+        about["items"][name] = {k: asdict(v) if isinstance(v, EpisodeResult) else v for k, v in plain.items()}
         arrays |= {f"{name}/{key}": value for key, value in values.items() if key not in plain}
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, about=np.array(json.dumps(about)), **arrays)
@@ -149,7 +149,7 @@ def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:
 
 def _flight(arrays: dict[str, np.ndarray], about: dict[str, Any], name: str) -> RecordedFlight:
     plain = about["items"][name]
-    summary = Flight(**plain["summary"])
+    summary = EpisodeResult(**plain["summary"])
     counts = (summary.task, summary.steps, summary.world_seed)
     lengths = [summary.straight, summary.flown, summary.clearance, summary.yaw_reversals or 0.0]
     lengths += [0.0] * 4 if summary.action_change is None else summary.action_change

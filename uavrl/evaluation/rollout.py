@@ -10,15 +10,14 @@ from torchrl.envs import EnvBase, step_mdp
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.evaluation.smoothness import action_change, yaw_reversals
+from uavrl.policy_protocol import Acts
 from uavrl.runs.episodes import outcome
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms.state import ACTION_LIMIT
 
-Policy = Callable[[TensorDictBase], TensorDictBase]
-
 
 @dataclass(frozen=True)
-class Flight:
+class EpisodeResult:
     """How one task ended; lengths in metres, None where the environment emits no ``clearance``."""
 
     task: int  #: its number, from 0
@@ -46,7 +45,7 @@ class Flight:
 
 
 @torch.no_grad()
-def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[TensorDictBase]:
+def rollout(env: EnvBase, policy: Acts, state: TensorDictBase) -> Iterator[TensorDictBase]:
     """Steps of an environment of any batch size from ``env.reset()``'s state on, each with its ``"next"``, without end.
 
     The policy reads the environment's output and writes ``action``, without exploration noise. A vehicle that is done
@@ -59,7 +58,7 @@ def rollout(env: EnvBase, policy: Policy, state: TensorDictBase) -> Iterator[Ten
         state = env.maybe_reset(step_mdp(stepped))
 
 
-class FlightMeter:
+class EpisodeMeter:
     """Follows each of ``count`` vehicles from reset to done."""
 
     def __init__(self, count: int) -> None:
@@ -68,7 +67,7 @@ class FlightMeter:
         self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
         self._actions: list[list[np.ndarray]] = [[] for _ in range(count)]
 
-    def step(self, stepped: TensorDictBase) -> list[Flight]:
+    def step(self, stepped: TensorDictBase) -> list[EpisodeResult]:
         """Takes in one step of all vehicles; returns the episodes that it ended."""
         before, after = stepped.reshape(-1), stepped["next"].reshape(-1)
         if after.get("clearance", None) is not None:
@@ -80,11 +79,11 @@ class FlightMeter:
         for kept, action in zip(self._actions, actions, strict=True):
             kept.append(action)
         ended = np.flatnonzero(after["done"].numpy()[:, 0]).tolist()
-        flights = [self._flight(i, after[i]) for i in ended]
+        results = [self._result(i, after[i]) for i in ended]
         self._steps[ended] = 0
         for i in ended:
             self._actions[i] = []
-        return flights
+        return results
 
     def _measure(self, before: TensorDictBase, after: TensorDictBase) -> None:
         position, next_position = before["position"].double().numpy(), after["position"].double().numpy()
@@ -94,15 +93,15 @@ class FlightMeter:
         self._clearance = np.minimum(self._clearance, after["clearance"].numpy()[:, 0])
         self._flown = np.where(new, 0.0, self._flown) + np.linalg.norm(next_position - position, axis=1)
 
-    def _flight(self, i: int, last: TensorDictBase) -> Flight:
-        flight = Flight(int(last["task"].item()), outcome(last), int(self._steps[i]))
+    def _result(self, i: int, last: TensorDictBase) -> EpisodeResult:
+        result = EpisodeResult(int(last["task"].item()), outcome(last), int(self._steps[i]))
         actions = np.stack(self._actions[i])
         if last.get("clearance", None) is None:
             paid = float(last.get("episode_reward", self._return[i]))
-            return replace(flight, episode_return=paid, action_change=action_change(actions))
+            return replace(result, episode_return=paid, action_change=action_change(actions))
         actions = actions.clip(-ACTION_LIMIT, ACTION_LIMIT)  # as the vehicle takes them
         return replace(
-            flight,
+            result,
             action_change=action_change(actions),
             yaw_reversals=yaw_reversals(actions),
             world_seed=int(last["world_seed"].item()),
@@ -112,15 +111,41 @@ class FlightMeter:
         )
 
 
-def fly(
+def episodes_as_they_end(
+    env: EnvBase, policy: Acts, episodes: int, *, watch: Callable[[np.ndarray], None] | None = None
+) -> Iterator[EpisodeResult]:
+    """Roll out tasks 0 to ``episodes - 1`` of the environment's seed, each once, and yield each when it ends.
+
+    Args:
+        env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
+        policy: reads the environment's output, writes ``action``.
+        episodes: number of tasks.
+        watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
+    """
+    meter, left = EpisodeMeter(env.batch_size.numel()), episodes
+    state = env.reset()
+    if state["task"].min() != 0:
+        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
+    for stepped in rollout(env, policy, state):
+        if watch is not None:
+            after = stepped["next"]
+            watch(after["position"][after["task"][:, 0] < episodes].numpy())
+        ended = [each for each in meter.step(stepped) if each.task < episodes]
+        yield from ended
+        left -= len(ended)
+        if not left:
+            return
+
+
+def rollout_episodes(
     env: EnvBase,
-    policy: Policy,
+    policy: Acts,
     episodes: int,
     *,
     watch: Callable[[np.ndarray], None] | None = None,
     progress: bool = False,
-) -> list[Flight]:
-    """Rolls out tasks 0 to ``episodes - 1`` of the environment's seed, each once, to its end, and in this order.
+) -> list[EpisodeResult]:
+    """Roll out as :func:`episodes_as_they_end` does, and return the episodes in the order of their tasks.
 
     Args:
         env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
@@ -129,18 +154,9 @@ def fly(
         watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
         progress: show a progress line.
     """
-    meter, flights = FlightMeter(env.batch_size.numel()), dict[int, Flight]()
-    state = env.reset()
-    if state["task"].min() != 0:
-        raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
+    results = dict[int, EpisodeResult]()
     with ProgressLine(episodes, "episodes", enabled=progress) as line:
-        for stepped in rollout(env, policy, state):
-            if watch is not None:
-                after = stepped["next"]
-                watch(after["position"][after["task"][:, 0] < episodes].numpy())
-            ended = [flight for flight in meter.step(stepped) if flight.task < episodes]
-            flights |= {flight.task: flight for flight in ended}
-            line.add(len(ended))
-            if len(flights) == episodes:
-                break
-    return [flights[task] for task in range(episodes)]
+        for each in episodes_as_they_end(env, policy, episodes, watch=watch):
+            results[each.task] = each
+            line.add(1)
+    return [results[task] for task in range(episodes)]

@@ -1,7 +1,9 @@
 """The rates of some episodes, as numbers and as a table, and those of the scenarios of ``uavrl-evaluate suite=…``."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -9,11 +11,13 @@ import yaml
 from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
 from uavrl.evaluation.position_stats import position_lines
-from uavrl.evaluation.rollout import Flight
 from uavrl.evaluation.smoothness import smoothness_lines, summarize_smoothness
 from uavrl.runs.episodes import LETTERS, RATES, wilson
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.sentences import did_you_mean
+
+if TYPE_CHECKING:
+    from uavrl.evaluation.rollout import EpisodeResult
 
 LABELS = {
     "path_efficiency": "path efficiency (straight / flown, successes)",
@@ -27,7 +31,7 @@ LABELS = {
 }
 
 
-def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
+def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
     """Rates with Wilson 95 % intervals, path efficiency and clearance, or returns, and steps.
 
     Path efficiency is the mean over successes; the minimum clearance (hull to nearest thing) is given as the median
@@ -36,8 +40,8 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
     ``action_change`` and ``yaw_reversals`` are over all steps (:mod:`uavrl.evaluation.smoothness`).
 
     Examples:
-        >>> flights = [Flight(0, "arrived", 100, 0, 18.0, 20.0, 0.4), Flight(1, "collided", 50, 0, 5.0, 6.0, 0.0)]
-        >>> result = summarize(flights)
+        >>> arrived = EpisodeResult(0, "arrived", 100, 0, 18.0, 20.0, 0.4)
+        >>> result = summarize([arrived, EpisodeResult(1, "collided", 50, 0, 5.0, 6.0, 0.0)])
         >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"], result["outcomes"]
         (0.5, 0.9, 75.0, 'SC')
     """
@@ -68,7 +72,7 @@ def summarize(flights: Sequence[Flight]) -> dict[str, Any]:
     return result | summarize_smoothness(*zip(*smoothness, strict=True))
 
 
-def _success_in(valley: int, flights: Sequence[Flight]) -> dict[str, float]:
+def _success_in(valley: int, flights: Sequence[EpisodeResult]) -> dict[str, float]:
     there = [flight.outcome for flight in flights if flight.world_seed == valley]
     return {"episodes": len(there), **wilson(there.count("arrived"), len(there))}
 

@@ -27,10 +27,13 @@ class ExportedPolicy:
             simulator's.
     """
 
+    has_map = False
+
     def __init__(self, folder: str | Path) -> None:
         self._policy = Policy(folder)
         self._vehicles: list[Policy] = []
         motion = () if self._policy.contract.motion is None else ("velocity", "attitude")
+        self.out_keys = ("action",)
         self.in_keys = ("is_init", "point_cloud", "altitude", "heading_deg", "elevation_deg", *motion)
         if self._policy.contract.rate_hz != CONTROL_RATE:
             other = f"{folder} acts {self._policy.contract.rate_hz:g} times a second"

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDictBase, unravel_key
 from torch import Tensor, nn
 from torch.func import functional_call
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.objectives import LossModule
 
-from uavrl.entries import require_whole
+from uavrl.entries import MissingEntry, require_whole
 from uavrl.losses.actor_penalty import ActorPenalty, AuxiliaryModel, Sample, any_number
 from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl_onboard.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
@@ -30,7 +30,7 @@ class LifeGuard(ActorPenalty):
 
     Args:
         base: the loss to add the term to.
-        observations: width of the state.
+        observations: width of the whole state, with all ``stacked`` observations.
         actions: width of the action.
         model: ``"linear"`` (the thesis), ``"mlp"``, or a module that takes features ``[*B, observations + actions]``
             to logits ``[*B]``. A linear one pushes every action the same way, whatever the observation.
@@ -108,6 +108,11 @@ class LifeGuard(ActorPenalty):
             raise ValueError(f'penalty must be "probability" or "label", got {penalty!r}.')
         if batch_size < 2 or batch_size % 2:
             raise ValueError(f"batch_size must be even, half of it collisions, got {batch_size}.")
+        if stacked < 1 or observations < 1 or observations % stacked:
+            raise ValueError(
+                f"A state of observations={observations} numbers cannot be split into stacked={stacked} observations "
+                f"of equal width: observations= is the width of the whole state, and stacked= how many it holds."
+            )
         super().__init__(base)
         self.observations, self.actions = observations // stacked, actions
         self.penalty: str = penalty
@@ -166,8 +171,8 @@ class LifeGuard(ActorPenalty):
         keys = self.tensor_keys
         state, action = (tensordict.get(key, None) for key in (keys.observation, keys.action))
         if state is None or action is None:
-            missing = keys.observation if state is None else keys.action
-            raise KeyError(f"Expected the entry {missing!r}, found none: set it by set_keys(observation=, action=).")
+            missing = "observation" if state is None else "action"
+            raise self._missing(getattr(keys, missing), tensordict, missing)
         if state.shape[-1] < self.observations or action.shape[-1] != self.actions:
             raise ValueError(
                 f"Expected a state of at least {self.observations} and an action of {self.actions} numbers, got "
@@ -175,13 +180,18 @@ class LifeGuard(ActorPenalty):
             )
         return torch.cat([state[..., -self.observations :], action], -1)
 
+    def _missing(self, key: NestedKey, tensordict: TensorDictBase, name: str, remedy: str = "") -> MissingEntry:
+        """The error about an entry whose key :meth:`set_keys` sets by ``name``."""
+        remedy = f"set the right key by set_keys({name}=KEY){remedy}"
+        return MissingEntry(self, key, "the data contain", tensordict.keys(True, True), remedy)
+
     def _next(self, tensordict: TensorDictBase, name: str) -> Tensor:
-        """The flag ``("next", name)`` as bool ``[*B]``."""
-        key = getattr(self.tensor_keys, name)
-        flag = tensordict.get(("next", key), None)
+        """The flag ``name`` after each step as bool ``[*B]``; its key may begin with ``"next"`` or leave it out."""
+        key = unravel_key((getattr(self.tensor_keys, name),))
+        key = key if isinstance(key, tuple) and key[0] == "next" else unravel_key(("next", key))
+        flag = tensordict.get(key, None)
         if flag is None:
-            hint = " (or pass success_window=None)" if name == "arrived" else ""
-            raise KeyError(f'Expected the entry ("next", {key!r}), found none: set it by set_keys({name}=){hint}.')
+            raise self._missing(key, tensordict, name, ", pass success_window=None" if name == "arrived" else "")
         return flag.reshape(tensordict.batch_size).bool()
 
     def reset_parameters_recursive(self) -> None:

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import GRAVITY, Airframe
+from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.geometry import NEAREST_RETURN, body_to_level, body_to_world, world_to_yaw
@@ -155,7 +155,7 @@ def tilt_acceleration(attitude: Tensor) -> Tensor:
     return GRAVITY * torch.stack([pitch.tan(), -roll.tan() / pitch.cos(), torch.zeros_like(roll)], -1)
 
 
-class Planner(TensorDictModuleBase):
+class Planner(PolicyModule):
     """A policy that flies by what it remembers of its scans; a class of it says how (``steer``).
 
     Args:

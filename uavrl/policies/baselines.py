@@ -5,18 +5,19 @@ from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from uavrl.errors import UavrlError
+from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, Reduction, cell_directions
+from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
+from uavrl_onboard.perception.reductions import Reduction
 from uavrl_onboard.vehicle import VEHICLE
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
@@ -27,7 +28,7 @@ BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
 
 
-class StraightPolicy(TensorDictModuleBase):
+class StraightPolicy(PolicyModule):
     """Turns to the goal on the spot and then flies straight at it at full speed, blind to obstacles.
 
     Args:
@@ -90,7 +91,7 @@ def _counting(cells: Tensor, width: float) -> Tensor:
     return (DIRECTIONS @ cells.T).clamp_min(0) ** width
 
 
-class VectorFieldHistogram(TensorDictModuleBase):
+class VectorFieldHistogram(PolicyModule):
     """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells

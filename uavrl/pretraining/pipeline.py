@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Sample:
+class StateSample:
     """The states for training.
 
     Attributes:
@@ -63,7 +63,7 @@ def pretrain(config: PretrainConfig) -> dict[str, Any]:
     return {**about, "output": str(output)}
 
 
-def draw_sample(source: States, recipe: PretrainRecipe, seed: int) -> Sample:
+def draw_sample(source: States, recipe: PretrainRecipe, seed: int) -> StateSample:
     """Draws states at random, each with the same probability, and the episodes that are held out."""
     total, episodes = len(source), len(source.outcomes)
     count = min(recipe.states, total)
@@ -87,7 +87,7 @@ def draw_sample(source: States, recipe: PretrainRecipe, seed: int) -> Sample:
         raise UavrlError(
             f"Expected states in and out of {pluralize(len(apart), 'held-out episode')}: raise pretrain.states."
         )
-    return Sample(index, centres, torch.from_numpy(held_out))
+    return StateSample(index, centres, torch.from_numpy(held_out))
 
 
 def one_shot_sizes(states: Tensor, frames: int = 3) -> Tensor | None:
@@ -98,7 +98,7 @@ def one_shot_sizes(states: Tensor, frames: int = 3) -> Tensor | None:
     return torch.bincount(OneShotClassifier(states.shape[1] // frames, frames, max_classes=len(states))(states))
 
 
-def _pretrain(source: States, sample: Sample, config: PretrainConfig, output: Path) -> dict[str, Any]:
+def _pretrain(source: States, sample: StateSample, config: PretrainConfig, output: Path) -> dict[str, Any]:
     recipe = config.pretrain
     training: dict[str, Any] = {"seed": config.seed, "progress": config.progress}
     psae, final = train_psae(source.states, sample.centres, recipe, **training)

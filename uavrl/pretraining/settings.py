@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from uavrl.config.settings import MatmulBackend, Threads
+from uavrl.config.settings import MatmulChoice, Threads
 from uavrl_onboard.ranges import Count, Folder, Fraction, Positive, Seed, Widths
 from uavrl_onboard.sentences import require
 
@@ -60,5 +60,5 @@ class PretrainConfig:
     pretrain: PretrainRecipe = field(default_factory=PretrainRecipe)
     seed: Seed = 0
     threads: Threads = 1
-    matmul: MatmulBackend = "mkl"
+    matmul: MatmulChoice = "mkl"
     progress: bool = True

@@ -5,18 +5,20 @@ from __future__ import annotations
 import logging
 import select
 import socket
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from types import ModuleType
 from typing import Any
 
 from uavrl.errors import UavrlError
 from uavrl_onboard.autopilot.mavlink import PORT as AUTOPILOT_PORT
+from uavrl_onboard.autopilot.signing import keep_time, read_key, start_signing
 from uavrl_onboard.lidar.packets import PORT as LIDAR_PORT
 from uavrl_onboard.lidar.udp import address
 
 _logger = logging.getLogger(__name__)
 
 _AT_ONCE = 1000  # datagrams that one call reads at most
+_CAMERA = 100  # MAV_COMP_ID_CAMERA
 
 
 class SitlPorts:
@@ -27,15 +29,22 @@ class SitlPorts:
         lidar: where packets go, ``udp://HOST:PORT``.
         autopilot: where MAVLink goes.
         system: the vehicle's MAVLink system id.
+        signing_key_file: file with the key of a signed link; None for one that is not signed.
 
     Raises:
         UavrlError: for what is no address, or a host that nobody knows.
     """
 
-    def __init__(self, messages: ModuleType, lidar: str, autopilot: str, system: int) -> None:
+    def __init__(
+        self, messages: ModuleType, lidar: str, autopilot: str, system: int, signing_key_file: str | None = None
+    ) -> None:
         self._lidar_to, self._mavlink_to = _found(lidar, LIDAR_PORT), _found(autopilot, AUTOPILOT_PORT)
         self._messages, self._writer = messages, messages.MAVLink(None, srcSystem=system, srcComponent=1)
-        self._sensor = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._camera = messages.MAVLink(None, srcSystem=system, srcComponent=_CAMERA)
+        self._signs = signing_key_file is not None
+        if signing_key_file is not None:
+            start_signing(self._writer, read_key(signing_key_file))
+        self._sensor, self._other_sensor = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._autopilot = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         here = self._mavlink_to[0].startswith("127.")  # then nobody else is heard
         self._autopilot.bind(("127.0.0.1" if here else "", 0))
@@ -45,6 +54,7 @@ class SitlPorts:
     def close(self) -> None:
         """Gives the ports back."""
         self._sensor.close()
+        self._other_sensor.close()
         self._autopilot.close()
 
     def send_packets(self, packets: Iterable[bytes]) -> None:
@@ -52,8 +62,20 @@ class SitlPorts:
         for packet in packets:
             _give(self._sensor, packet, self._lidar_to)
 
+    def send_packets_of_another(self, packets: Iterable[bytes]) -> None:
+        """Sends what another LiDAR sends to the same port, from a port of its own."""
+        for packet in packets:
+            _give(self._other_sensor, packet, self._lidar_to)
+
+    def send_beat_of_camera(self, fields: Mapping[str, int]) -> None:
+        """Sends a heartbeat of a camera on the vehicle."""
+        beat = self._messages.MAVLink_heartbeat_message(**fields)
+        _give(self._autopilot, beat.pack(self._camera), self._mavlink_to)
+
     def send_messages(self, messages: Iterable[Any]) -> None:
         """Sends what the autopilot sends."""
+        if self._signs:
+            keep_time(self._writer)
         for message in messages:
             _give(self._autopilot, message.pack(self._writer), self._mavlink_to)
 
@@ -71,6 +93,7 @@ class SitlPorts:
                 break
             parser = self._messages.MAVLink(None)
             parser.robust_parsing = True  # bytes that are no message come out as such, not as an exception
+            parser.signing = self._writer.signing  # of a signed link, what bears no signature is none
             found += parser.parse_buffer(data) or []
         return found
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from uavrl.errors import UavrlError
-from uavrl.sitl.faults import Faults
+from uavrl.sitl.faults import POSE, Faults
 from uavrl.sitl.ports import SitlPorts
 from uavrl.sitl.simulated_autopilot import FirmwareName, SimulatedAutopilot
-from uavrl.sitl.telemetry import POSE, Telemetry
+from uavrl.sitl.telemetry import Telemetry
 from uavrl_onboard.autopilot.mavlink import PORT as AUTOPILOT_PORT
 from uavrl_onboard.autopilot.mavlink import mavlink
 from uavrl_onboard.lidar.packets import PORT as LIDAR_PORT
@@ -50,6 +50,7 @@ class Result:
     rate: float = 1.0  #: share of the asked speed that was held
     packets_late_ms: tuple[float, float] = (0.0, 0.0)  #: median and most by which LiDAR packets were late
     modes: list[tuple[float, str, str]] = field(default_factory=list)  #: time in s, mode, reason
+    began_at: float | None = None  #: when the first set-point was obeyed, s since 1970
 
     def facts(self) -> dict[str, Any]:
         """By name, with no number that JSON has not."""
@@ -103,7 +104,7 @@ class Sitl:
         self._max_steps, self._patience, self._linger, self._pilot = max_steps, patience, linger, pilot_takes_over
         self.autopilot = SimulatedAutopilot(messages, firmware, armed=armed)
         self._telemetry = Telemetry(messages, self.autopilot)
-        self._ports = SitlPorts(messages, lidar, autopilot, self.autopilot.system)
+        self._ports = SitlPorts(messages, lidar, autopilot, self.autopilot.system, self._faults.signing_key_file)
         self._packets: deque[tuple[float, bytes]] = deque()  # with their times
         self._stream = PacketStream()
         self._lateness: list[float] = []
@@ -213,7 +214,7 @@ class Sitl:
         """Keeps what has come of a piece or a step that ended at ``now``."""
         result = self.result
         if self._wanted is None and self.autopilot.setpoints:
-            self._wanted = now
+            self._wanted, self.result.began_at = now, time.time()
         if self._wanted is None or self._ended is not None:
             return
         result.setpoints = self.autopilot.setpoints
@@ -261,7 +262,9 @@ class Sitl:
             self._lost += behind
 
     def _send(self, packets: list[bytes], now: float) -> None:
-        self._ports.send_packets(self._faults.of_lidar(packets, self._since(now)))
+        since = self._since(now)
+        self._ports.send_packets(self._faults.of_lidar(packets, since))
+        self._ports.send_packets_of_another(self._faults.of_second_sensor(packets, since))
 
     def _since(self, now: float) -> float | None:
         """Seconds since the first obeyed set-point."""
@@ -274,8 +277,9 @@ class Sitl:
         if pose:
             told = {message.get_msgId() for message in due}
             due += [self._telemetry.message(number, now, motion) for number in POSE if number not in told]
-        silent = self._faults.hides_pose(self._since(now))
-        self._ports.send_messages(message for message in due if not (silent and message.get_msgId() in POSE))
+        if (beat := self._faults.camera_beats(now)) is not None:
+            self._ports.send_beat_of_camera(beat)
+        self._ports.send_messages(self._faults.of_telemetry(due, now, self._since(now)))
 
     def _hear_within(self, seconds: float) -> None:
         if self._ports.wait(seconds):

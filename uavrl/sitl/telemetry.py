@@ -16,10 +16,10 @@ from uavrl_onboard.geometry import attitude_of, quaternion
 if TYPE_CHECKING:
     from uavrl.sitl.live import Motion
 
-RATES = {0: 1.0, 1: 2.0, 24: 1.0, 30: 50.0, 31: 50.0, 32: 50.0, 33: 5.0, 147: 1.0, 242: 0.5, 245: 2.0}
+RATES = {0: 1.0, 1: 2.0, 24: 1.0, 30: 50.0, 31: 50.0, 32: 50.0, 33: 5.0, 147: 1.0, 242: 0.5, 245: 2.0, 331: 30.0}
 """Hz at the start: HEARTBEAT, SYS_STATUS, GPS_RAW_INT, ATTITUDE, ATTITUDE_QUATERNION, LOCAL_POSITION_NED,
-GLOBAL_POSITION_INT, BATTERY_STATUS, HOME_POSITION, EXTENDED_SYS_STATE. AUTOPILOT_VERSION is sent when asked for."""
-POSE = (30, 31, 32, 33)  # of them, what says where the vehicle is
+GLOBAL_POSITION_INT, BATTERY_STATUS, HOME_POSITION, EXTENDED_SYS_STATE, ODOMETRY.
+AUTOPILOT_VERSION is sent when asked for."""
 ORIGIN = (47.397742, 8.545594, 488.0)  # latitude, longitude, m: where PX4's own simulators stand
 _EARTH = 6_371_000.0  # m
 _TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from east, north, up
@@ -54,6 +54,7 @@ class Telemetry:
             AUTOPILOT_VERSION: self._version,
             242: self._home,
             245: self._extended,
+            331: self._odometry,
         }
         self._every = {number: 1.0 / rate for number, rate in RATES.items()}
         self._due = dict.fromkeys(self._every, -math.inf)
@@ -116,6 +117,14 @@ class Telemetry:
     def _local(self, boot_ms: int, motion: Motion) -> Any:
         place, speed = swap_world(motion.position.tolist()), swap_world(motion.velocity.tolist())
         return self._messages.MAVLink_local_position_ned_message(boot_ms, *place, *speed)
+
+    def _odometry(self, boot_ms: int, motion: Motion) -> Any:
+        local, body = 1, 12  # MAV_FRAME_LOCAL_NED, MAV_FRAME_BODY_FRD
+        place, turn = swap_world(motion.position.tolist()), quaternion(*euler(motion.rotation))
+        speed = (_TO_FRD @ motion.rotation.T @ motion.velocity).tolist()
+        rates, unknown, vision = (_TO_FRD @ motion.rates).tolist(), [math.nan] * 21, 0
+        first = (boot_ms * 1000, local, body, *place, turn)
+        return self._messages.MAVLink_odometry_message(*first, *speed, *rates, unknown, unknown, 0, vision)
 
     def _place(self, motion: Motion) -> tuple[int, int, int]:
         """Latitude and longitude in 1e-7 degrees, altitude in mm."""

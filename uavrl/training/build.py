@@ -21,16 +21,19 @@ from uavrl.config.build import TARGET, build, find_class, options
 from uavrl.config.context import CONTEXT, refuse_context
 from uavrl.config.parts import STEPPER
 from uavrl.config.settings import TrainConfig
+from uavrl.envs.world import WorldConfig, map_valleys
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import loss_class, make_actor, make_network, network_context, saved_sizes
 from uavrl.evaluation.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
 from uavrl.losses import ActorCriticLoss, ActorPenalty, LifeGuard
+from uavrl.policy_protocol import as_policy
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
 from uavrl.runs.episodes import EpisodeLog
 from uavrl.runs.names import ARTIFACT, EPISODES
 from uavrl.runs.provenance import commit
-from uavrl.training.compiled import chosen_execution
+from uavrl.training.cloning import Cloning
+from uavrl.training.compiled import Execution, chosen_execution
 from uavrl.training.loggers import IntervalLog, make_logger
 from uavrl.training.matmul import with_matmul_backend
 from uavrl.training.replay import EpisodeReplay
@@ -57,12 +60,14 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         env.close()  # another process makes its own
         source = with_matmul_backend(new_env)
     taken = options({**settings.algo, TARGET: STEPPER})
+    execution = chosen_execution(settings.trainer.execution)
     logger = make_logger(
         settings.logger, run_dir, Path(settings.run_dir).name, settings.choices.get("logger", ""), settings.packages
     )
     return EpisodeTrainer(
         loss=loss,
-        stepper=ActorCriticStepper(loss, **taken, execution=chosen_execution(settings.trainer.execution)),
+        stepper=ActorCriticStepper(loss, **taken, execution=execution),
+        cloning=make_cloning(settings, loss, sizes, execution),
         backward_reward=backward_reward,
         replay=EpisodeReplay(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
@@ -119,6 +124,18 @@ def make_loss(
     return loss.to(device)
 
 
+def make_cloning(
+    settings: TrainConfig, loss: ActorCriticLoss, sizes: NetworkSizes, execution: Execution
+) -> Cloning | None:
+    """The first phase of a run, in which the actor clones the demonstrator; None where there is none."""
+    part = settings.cloning
+    demonstrated = settings.demonstrated or part._target_ is None
+    require(demonstrated, "demonstrator", "a scripted controller, such as vfh, which cloning=dagger clones", None)
+    return build(
+        part, Cloning, packages=settings.packages, key="cloning", loss=loss, limit=sizes.limit, execution=execution
+    )
+
+
 def load_risk(
     settings: TrainConfig, checkpoint: Path, device: torch.device
 ) -> Callable[[Tensor, Tensor], Tensor] | None:
@@ -140,17 +157,25 @@ def load_risk(
     return risk
 
 
+def prepare_valleys(settings: TrainConfig) -> None:
+    """Maps the valleys of the run here, with a progress line, for the processes that fly in them."""
+    world = settings.env.get("world")
+    if isinstance(world, WorldConfig) and collector_class(settings).is_remote:
+        map_valleys(world)
+
+
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
     parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
     callable_type: Any = Callable
-    demonstrator = build(settings.demonstrator, callable_type, packages=packages)
-    if demonstrator is None:
+    acts = build(settings.demonstrator, callable_type, packages=packages)
+    if acts is None:
         return make_env(*parts, packages=packages, seed=seed)
+    demonstrator = as_policy(acts)
     env = cast(DemonstratorEnv, make_env(*parts, packages=packages, seed=seed, kind=DemonstratorEnv))
-    require_keys(env, [(getattr(demonstrator, "in_keys", ()), ())], "demonstrator")
+    require_keys(env, [(demonstrator.in_keys, ())], "demonstrator")
     sizes = network_sizes(env)
-    env.append_transform(Demonstrator(demonstrator, getattr(demonstrator, "in_keys", ()), sizes.actions))
+    env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions))
     env.noise = make_noise(settings, sizes, torch.device("cpu"))
     return env
 

@@ -54,7 +54,7 @@ class Progress:
             max_steps,
             learning_starts,
         )
-        self._first = "the scripted controller acts" if demonstrated else "acting at random"
+        self._demonstrated = demonstrated
         self._by_steps = last_step is not None
         self._last_step = math.inf if last_step is None else last_step
         self._goal = "" if until_success is None else f" of {until_success:.0%}"
@@ -83,8 +83,8 @@ class Progress:
         return min(steps if self._by_steps else episodes, self._total)
 
     def _left(self, episodes: int, steps: int) -> str:
-        if steps <= self._learning_starts:
-            return f"{self._first} until step {self._learning_starts:,}"
+        if steps <= self._learning_starts and not self._demonstrated:
+            return f"acting at random until step {self._learning_starts:,}"
         if self._compiled:  # the first updates are compiled meanwhile
             now = time.monotonic()
             self._times.append((now, steps))
@@ -93,7 +93,7 @@ class Progress:
         self._compiled = True
         speed = self._speed()
         if speed is None:
-            return "time left not known yet"
+            return "the scripted controller flies" if steps <= self._learning_starts else "time left not known yet"
         done, before = self._before
         length = (steps - before) / max(episodes - done, 1)
         left = min(steps_left(self._episodes - episodes, length, self._max_steps), max(self._last_step - steps, 0))

@@ -53,12 +53,13 @@ class EpisodeReplay:
         self._owed -= updates
         return updates
 
-    def batches(self, count: int) -> Iterator[TensorDictBase]:
+    def batches(self, count: int, size: int | None = None) -> Iterator[TensorDictBase]:
         """``count`` batches of random transitions; a prioritised buffer draws each when the one before is learned."""
+        size = self.batch_size if size is None else size
         at_once = 1 if self.prioritized else BATCHES_AT_ONCE
         for done in range(0, count, at_once):
-            drawn = self.buffer.sample(min(at_once, count - done) * self.batch_size)
-            yield from [drawn] if self.prioritized else drawn.split(self.batch_size)
+            drawn = self.buffer.sample(min(at_once, count - done) * size)
+            yield from [drawn] if self.prioritized else drawn.split(size)
 
     def draw(self, count: int) -> TensorDictBase:
         """``count`` transitions, each as likely as the next whatever the sampler."""

@@ -27,7 +27,7 @@ from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFI
 from uavrl.runs.provenance import processor, versions
 from uavrl.runs.shared_memory import hint_of_shared_memory, shared_memory_explained
 from uavrl.runs.trust import check_links
-from uavrl.training.build import build_trainer
+from uavrl.training.build import build_trainer, prepare_valleys
 from uavrl.training.compiled import chosen_execution
 from uavrl.training.loggers import close, truncate_logs
 from uavrl.training.matmul import chosen_matmul, denormals_flushed, matmul_backend, matmul_here
@@ -120,6 +120,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     _drop_unfinished_checkpoints(run_dir)
     try:
         warn_of_late_learning(settings)
+        prepare_valleys(settings)
         with StallNotice("The world and the networks are still being built: large ones take minutes."):
             trainer = build_trainer(settings, config, run_dir)
     except Exception:
@@ -217,7 +218,7 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
         "episodes": trainer.episode_log.count,
         "steps": trainer.collected_frames,
         "steps_flown": trainer.steps_flown,
-        "updates": trainer.stepper.updates,
+        "updates": trainer.updates,
         "minutes": trainer.seconds / 60,
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),

@@ -20,6 +20,7 @@ from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
 from uavrl.runs.episodes import EpisodeLog, split_episodes, summarize
 from uavrl.runs.interrupts import Stop
+from uavrl.training.cloning import Cloning
 from uavrl.training.loggers import IntervalLog
 from uavrl.training.progress import Progress
 from uavrl.training.replay import EpisodeReplay
@@ -79,6 +80,7 @@ class EpisodeTrainer:
     stats_start: int  # steps; episodes that ended before are a scripted controller's, and say nothing of the policy
     seed: int
     checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
+    cloning: Cloning | None = None  # the first phase, if there is one
     reward_terms: RewardTerms | None = None  # the named terms of the reward
     progress: Progress = field(default_factory=lambda: Progress(0, 1, enabled=False))
     stop: Stop = field(default_factory=Stop)
@@ -91,7 +93,7 @@ class EpisodeTrainer:
         self._last_save = 0
         self._began = time.monotonic()
         self._stall_notice = StallNotice(self._waited_for)
-        relabelling = {} if self.backward_reward is None else {"backward_reward": self.backward_reward}
+        optional = {"backward_reward": self.backward_reward, "cloning": self.cloning}
         self.checkpoint = Checkpoint(
             policy=self.policy,
             loss_module=self.loss,
@@ -99,7 +101,7 @@ class EpisodeTrainer:
             collector=self.collector,
             replay=self.replay,
             replay_data=BufferState(self.replay.buffer),
-            **relabelling,
+            **{name: part for name, part in optional.items() if part is not None},
             episode_log=self.episode_log,
             log=self.log,
             trainer=self,
@@ -119,7 +121,9 @@ class EpisodeTrainer:
                 updates = self.replay.store(stored)
                 self.stepper.observe(episode, self.replay.draw)  # the classifier c learns
                 self.record(episode)
-                if self.collected_frames >= self.learning_starts:
+                if self.cloning is not None and not self.cloning.finished:
+                    self.clone(self.cloning)
+                elif self.collected_frames >= self.learning_starts:
                     self.learn(updates, actor=len(stored) > 0)
                 if self.finished:
                     self.save()
@@ -140,6 +144,14 @@ class EpisodeTrainer:
                 self._write()
             raise
 
+    def clone(self, cloning: Cloning) -> None:
+        """Updates the actor towards the demonstrator's actions, on random states flown so far."""
+        due = cloning.due(self.collected_frames) if len(self.replay.buffer) else 0  # a filter may keep none at first
+        batches = self.replay.batches(due, cloning.batch_size)
+        if (loss := cloning.learn(batches, self.collected_frames)) is not None:
+            self._require_finite(loss, "The distance to the demonstrator", cloning.updates)
+            self.log.add({"loss_cloning": loss}, self.collected_frames)
+
     def learn(self, updates: int, *, actor: bool) -> None:
         """Updates critics and models, and every so many times the actor and the targets, on random batches."""
         self.stepper.actor_learns = actor
@@ -150,12 +162,15 @@ class EpisodeTrainer:
             losses = new if losses is None else losses * done / (done + 1) + new / (done + 1)  # their mean
         if losses is None:
             return
-        if not math.isfinite(value := losses["loss_value"].item()):
-            raise UavrlError(
-                f"The critic's loss became {value} after {pluralize(self.stepper.updates, 'update')}: lower the "
-                f"learning rates; the last checkpoint is untouched."
-            )
+        self._require_finite(losses["loss_value"].item(), "The critic's loss", self.stepper.updates)
         self.log.add({"optim_steps": self.stepper.updates, **losses}, self.collected_frames)
+
+    def _require_finite(self, value: float, name: str, updates: int) -> None:
+        if not math.isfinite(value):
+            raise UavrlError(
+                f"{name} became {value} after {pluralize(updates, 'update')}: lower the learning rates; the last "
+                f"checkpoint is untouched."
+            )
 
     def record(self, batch: TensorDictBase) -> None:
         """Writes the episodes of a batch to ``episodes.csv``, the progress line and the logger."""
@@ -176,6 +191,11 @@ class EpisodeTrainer:
         for part in (self.stepper, self.backward_reward, self.replay):
             values |= {} if part is None else part.diagnostics()
         self.log.add(values, self.collected_frames)
+
+    @property
+    def updates(self) -> int:
+        """How often the actor cloned the demonstrator, and critics or models were updated."""
+        return self.stepper.updates + (0 if self.cloning is None else self.cloning.updates)
 
     @property
     def seconds(self) -> float:

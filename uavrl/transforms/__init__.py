@@ -4,7 +4,7 @@ from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.motion import MotionSight, MovingObjects
 from uavrl.transforms.observation import LastAction, NavigationObservation, navigation_observation
-from uavrl.transforms.range_image import RangeImage
+from uavrl.transforms.range_image import RangeGrid, RangeImage
 from uavrl.transforms.reduction import PointCloudReduction
 from uavrl.transforms.rewards import (
     NavigationReward,
@@ -29,6 +29,7 @@ __all__ = [
     "NavigationReward",
     "NavigationState",
     "PointCloudReduction",
+    "RangeGrid",
     "RangeImage",
     "SumOfTerms",
     "Threats",

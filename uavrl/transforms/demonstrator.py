@@ -1,6 +1,5 @@
 """A demonstrator, such as a scripted controller: it flies the first steps, and acts beside the policy in each state."""
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -10,11 +9,10 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from uavrl.entries import Shown, entry
+from uavrl.policy_protocol import Acts
 from uavrl.transforms.waypoint import heading_to_waypoint
 
 DEMONSTRATOR_ACTION = "demonstrator_action"
-
-Acts = Callable[[TensorDictBase], TensorDictBase]
 
 
 class Demonstrator(Shown, Transform):

@@ -10,9 +10,10 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.entries import Shown, entry
 from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
-from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, Reduction, cell_directions
+from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.perception.cells import RangeGrid
+from uavrl_onboard.perception.reductions import Reduction
 
 __all__ = ["Mirror", "mirror_action", "mirror_observation"]
 

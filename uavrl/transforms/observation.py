@@ -1,7 +1,7 @@
 """The policy's observation: the reduction's cells, the altitude, the two goal angles, and the action that led to it."""
 
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -10,9 +10,9 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import ObservationTransform, Transform
 
 from uavrl.entries import Shown, entry, entry_spec
+from uavrl_onboard.perception.observation import Angles
 from uavrl_onboard.vehicle import VEHICLE
 
-Angles = Literal["folded", "turns", "raw"]
 # Beside the cells stand, in this order: altitude, heading, elevation
 BESIDE_SIGNS = (1.0, -1.0, 1.0)  # what a mirror that exchanges left and right multiplies each by
 HEADING = -2  # the heading's place, counted from their end

@@ -121,13 +121,15 @@ class RangeImage(PointCloudReduction):
         rows: int = 3,
         elevation: tuple[float, float] = (-15.0, 15.0),
         borders: Sequence[float] | None = None,
-        **kwargs: Any,
+        radius: float = 4.0,
+        statistic: Statistic | None = None,
+        del_keys: bool = True,
     ) -> None:
         self.grid = RangeGrid(columns, rows, elevation, None if borders is None else tuple(borders))
         if self.grid != VLP16_GRID:  # of this instance; the class's are those of the default grid
             self.reduced = partial(range_image, grid=self.grid)
             self.directions = partial(range_image_directions, self.grid)
-        super().__init__(in_keys, out_keys, **kwargs)
+        super().__init__(in_keys, out_keys, radius=radius, statistic=statistic, del_keys=del_keys)
 
     @classmethod
     def for_sensor(cls, rays: Tensor, columns: int = 24, rows: int = 3, **kwargs: Any) -> "RangeImage":

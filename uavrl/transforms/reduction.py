@@ -28,7 +28,8 @@ def check_points(points: Tensor, radius: float, statistic: Statistic) -> None:
             f"points must be a tensor [*B, P, 3], got a {type(points).__name__}: pass torch.tensor(points)."
         )
     if points.ndim < 2 or points.shape[-1] != 3:
-        raise ValueError(f"points must have shape [*B, P, 3], got {tuple(points.shape)}.")
+        hint = ": pass points[..., :3]" if points.ndim > 1 and points.shape[-1] > 3 else ""
+        raise ValueError(f"points must have shape [*B, P, 3], got {tuple(points.shape)}{hint}.")
     if points.dtype not in (torch.float32, torch.float64):
         raise ValueError(f"points must be float32 or float64, got {points.dtype}.")
     check_radius(radius)

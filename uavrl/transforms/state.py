@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import torch
 from pydantic import Field
@@ -14,17 +14,18 @@ from uavrl.entries import Shown
 from uavrl.errors import UavrlError
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.motion import MovingObjects
-from uavrl.transforms.observation import Angles, LastAction, NavigationObservation
+from uavrl.transforms.observation import LastAction, NavigationObservation
 from uavrl.transforms.range_image import RangeImage, range_image_directions
 from uavrl.transforms.reduction import PointCloudReduction, Statistic
 from uavrl.transforms.threats import Threats
 from uavrl.transforms.waypoint import Waypoint
 from uavrl_onboard.perception.cells import FAR_EVERY, VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.sight import scales
+from uavrl_onboard.perception.observation import Angles
+from uavrl_onboard.perception.reductions import Reduction
 from uavrl_onboard.ranges import Positive
 from uavrl_onboard.vehicle import VEHICLE
 
-Reduction = Literal["truncated_icosahedron", "range_image"]
 REDUCTIONS: dict[Reduction, type[PointCloudReduction]] = {
     "truncated_icosahedron": TruncatedIcosahedron,
     "range_image": RangeImage,

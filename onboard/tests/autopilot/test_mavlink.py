@@ -13,7 +13,7 @@ from uavrl_onboard.autopilot.frames import to_goal
 from uavrl_onboard.autopilot.mavlink import Autopilot
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.flight.safety import Cycle, SafetyLayer, State
+from uavrl_onboard.flight.safety import Cycle, SafetyLayer, SafetyState
 
 SET_MODE, ARM, SET_INTERVAL = 176, 400, 511
 
@@ -329,7 +329,7 @@ def test_numbers_that_are_none_reach_the_safety_layer_and_stop_there() -> None:
             record = layer.step(Cycle(peer.time, (1.0, 0.0, 0.0, 0.0), peer.time, *place, in_control))
             peer.step(record.setpoint)
             if tick == 25:
-                assert record.state is State.FLYING
+                assert record.state is SafetyState.FLYING
         assert str(record.reason) == "pose_not_finite"
         sent = [setpoint.vx for setpoint in peer.setpoints()]
         assert sent[-5:] == [0.0] * 5
@@ -347,7 +347,7 @@ def test_a_roll_that_is_none_stops_no_flight() -> None:
             place = (pose.stamp, pose.position, pose.yaw) if pose else (None, None, None)
             record = layer.step(Cycle(peer.time, (1.0, 0.0, 0.0, 0.0), peer.time, *place, in_control))
             peer.step(record.setpoint)
-        assert record.state is State.FLYING and record.setpoint == (1.0, 0.0, 0.0, 0.0)
+        assert record.state is SafetyState.FLYING and record.setpoint == (1.0, 0.0, 0.0, 0.0)
         assert pose is not None and math.isnan(pose.roll) and math.isinf(pose.pitch)
         assert pose.rotation == pytest.approx((math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))  # north, level
 

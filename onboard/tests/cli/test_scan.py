@@ -12,9 +12,8 @@ import pytest
 from onboard.tests.lidar.test_senders import capture
 from tests.helpers.captures import KINDS
 from tests.helpers.commands import in_process
-from tests.helpers.flights import unpack
 from tests.helpers.packets import RECORDED, turns
-from tests.helpers.pages import Page
+from tests.helpers.pages import Page, unpack
 from tests.helpers.recordings import CLOUD, cloud_message, store, write_bag
 
 from uavrl_onboard.cli import scan

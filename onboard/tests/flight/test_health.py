@@ -11,7 +11,7 @@ from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.flight.health import Doubts
 from uavrl_onboard.flight.interfaces import FlightCycle
-from uavrl_onboard.flight.safety import Reason, SafetyStatus, State
+from uavrl_onboard.flight.safety import Reason, SafetyState, SafetyStatus
 from uavrl_onboard.lidar.scans import Scan
 
 WALL, NOTHING = np.array([[3.0, 0.0, 0.0]], np.float32), np.full((5, 3), np.nan, np.float32)
@@ -23,7 +23,7 @@ def cycle(
     """One with a scan or without, and with a pose of some age or without."""
     pose = None if age is None else Pose(time - age, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0), 0.0)
     scan = None if points is None else Scan(time, points, 1, 0)
-    status = SafetyStatus(time, State.FLYING, Reason.IN_CONTROL, "", False, 0.0, None, (), None, None)
+    status = SafetyStatus(time, SafetyState.FLYING, Reason.IN_CONTROL, "", False, 0.0, None, (), None, None)
     return FlightCycle(time, scan, None, pose, None, None, VehicleStatus(control, "says the test"), status, None)
 
 

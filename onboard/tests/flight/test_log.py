@@ -28,7 +28,7 @@ from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.log import FlightLog
 from uavrl_onboard.flight.log_messages import ACTION, CELLS, CHANGES, POINTS, POSE, SETPOINT, STATUS, TOPICS, VELOCITY
 from uavrl_onboard.flight.logged_flight import LoggedFlight
-from uavrl_onboard.flight.safety import State
+from uavrl_onboard.flight.safety import SafetyState
 from uavrl_onboard.lidar.sources import ScanSource
 
 NEAR = {"abs": 2e-9}  # s: a log's times are whole nanoseconds
@@ -72,7 +72,12 @@ def test_every_quantity_of_every_cycle_comes_back(logged: tuple[Path, list[Fligh
     assert len(found) == len(written) == 60
     for one, other in zip(found, written, strict=True):
         same(one, other)
-    assert {cycle.status.state for cycle in found} == {State.SILENT, State.STANDBY, State.FLYING, State.HOLDING}
+    assert {cycle.status.state for cycle in found} == {
+        SafetyState.SILENT,
+        SafetyState.STANDBY,
+        SafetyState.FLYING,
+        SafetyState.HOLDING,
+    }
 
 
 @pytest.mark.parametrize("yaw", [math.pi, -math.pi, -3.0, 1e-3, math.nan])
@@ -311,7 +316,14 @@ def test_what_is_no_log_ends_in_one_sentence(tmp_path: Path, logged: tuple[Path,
         writer.add_metadata("uavrl.flight", {"format": "uavrl.flight 1", "goal": "[1,2]"})
         writer.add_attachment(0, 0, "contract.json", "application/json", b"{}")
 
+    def earlier(writer: Any) -> None:
+        terms = json.loads(contract().to_text())
+        del terms["cells"]["offsets"]
+        writer.add_metadata("uavrl.flight", {"format": "uavrl.flight 1", "goal": "[1,2,3]"})
+        writer.add_attachment(0, 0, "contract.json", "application/json", json.dumps(terms).encode())
+
     for name, write, said in (
+        ("earlier", earlier, "was written by an earlier uavrl: its contract has no cells.offsets, and what it saw"),
         ("nowhere", None, "nowhere.mcap cannot be read"),
         ("text", None, "text.mcap is no MCAP file"),
         ("head", None, "is an MCAP file, and not the log of a flight"),

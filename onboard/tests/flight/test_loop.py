@@ -20,7 +20,7 @@ from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.loop import Flight, fly, rehearse
-from uavrl_onboard.flight.safety import Reason, SafetyLayer, State
+from uavrl_onboard.flight.safety import Reason, SafetyLayer, SafetyState
 from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Navigator
@@ -100,7 +100,7 @@ class Rig:
     def airborne(self) -> FlightCycle:
         """The first cycle in which the policy flies."""
         for _ in range(20):
-            if (cycle := self.scan()).status.state is State.FLYING:
+            if (cycle := self.scan()).status.state is SafetyState.FLYING:
                 return cycle
         raise AssertionError("it never flew")
 
@@ -228,11 +228,11 @@ def test_a_sensor_that_falls_silent_stops_the_vehicle_and_then_the_stream() -> N
     rig = Rig()
     rig.airborne()
     states = [rig.nothing().status for _ in range(8)]
-    assert [status.state for status in states[:2]] == [State.FLYING, State.HOLDING]
+    assert [status.state for status in states[:2]] == [SafetyState.FLYING, SafetyState.HOLDING]
     assert states[1].reason is Reason.OLD_SCAN and states[1].setpoint == (0.0, 0.0, 0.0, 0.0)
-    assert states[-1].state is State.SILENT and rig.link.sent[-1] is None
+    assert states[-1].state is SafetyState.SILENT and rig.link.sent[-1] is None
     calls, resets = len(rig.policy.seen), rig.policy.resets
-    assert rig.scan().status.state is State.SILENT, "first all must be well for a second"
+    assert rig.scan().status.state is SafetyState.SILENT, "first all must be well for a second"
     assert len(rig.policy.seen) == calls + 1 and rig.policy.resets == resets + 1
 
 
@@ -258,8 +258,8 @@ def test_a_policy_that_fails_stops_the_vehicle_and_is_told_once(caplog: pytest.L
     fail.reset, fail.last_action, fail.cells = (lambda: None), None, None  # type: ignore[attr-defined]
     with caplog.at_level(logging.WARNING):
         first, second = rig.scan().status, rig.scan().status
-    assert (first.state, first.reason, first.setpoint) == (State.HOLDING, Reason.NO_ACTION, (0.0, 0.0, 0.0, 0.0))
-    assert second.state is State.HOLDING
+    assert (first.state, first.reason, first.setpoint) == (SafetyState.HOLDING, Reason.NO_ACTION, (0.0, 0.0, 0.0, 0.0))
+    assert second.state is SafetyState.HOLDING
     assert [record.getMessage() for record in caplog.records] == [
         "The policy gives no action: policy.onnx answers with numbers that are not finite: do not fly it."
     ]
@@ -282,7 +282,7 @@ def test_at_the_goal_it_hovers() -> None:
     assert [rig.scan().arrived for _ in range(3)] == [False, False, True]
     rig.link.place = (18.8, 0.0, 3.5)
     cycle = rig.scan()
-    assert cycle.arrived and cycle.status.setpoint == (0.0, 0.0, 0.0, 0.0) and cycle.status.state is State.FLYING
+    assert cycle.arrived and cycle.status.setpoint == (0.0, 0.0, 0.0, 0.0) and cycle.status.state is SafetyState.FLYING
     assert rig.flight.arrived == pytest.approx(rig.now - 0.1)
 
 

@@ -13,7 +13,7 @@ from onboard.tests.flight.test_loop import Rig
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
-from uavrl_onboard.flight.safety import Reason, State
+from uavrl_onboard.flight.safety import Reason, SafetyState
 from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.guards.map import Navigator
 
@@ -131,7 +131,7 @@ def test_a_jump_to_the_goal_holds_and_does_not_arrive_at_once() -> None:
     rig.airborne()
     resets = rig.policy.resets
     jumped, *after = moved(rig, (20.0, 0.0, 3.0), 8)
-    assert (jumped.status.state, jumped.status.reason) == (State.HOLDING, Reason.POSITION_JUMPED)
+    assert (jumped.status.state, jumped.status.reason) == (SafetyState.HOLDING, Reason.POSITION_JUMPED)
     assert jumped.status.sentence.startswith("the position jumped by 20.0 m in 0.10 s, and")
     assert jumped.status.setpoint == (0.0, 0.0, 0.0, 0.0) and jumped.status.changed
     assert rig.policy.resets > resets, "the policy starts anew"
@@ -163,5 +163,5 @@ def test_a_yaw_that_jumps_holds_the_flight(yaw: float) -> None:
     rig = Rig()
     rig.airborne()
     rig.link.pose = lambda: Pose(rig.now, (0.0, 0.0, 3.5), STILL, yaw)  # type: ignore[method-assign]
-    assert rig.scan().status.state is (State.HOLDING if yaw else State.FLYING)
-    assert [rig.scan().status.state for _ in range(4)][-1] is State.FLYING
+    assert rig.scan().status.state is (SafetyState.HOLDING if yaw else SafetyState.FLYING)
+    assert [rig.scan().status.state for _ in range(4)][-1] is SafetyState.FLYING

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.limits import SafetyLimits, limit
-from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyStatus, State
+from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState, SafetyStatus
 
 START = 100.0  # of the clock, s
 
@@ -47,7 +47,7 @@ class Flight:
 @pytest.fixture
 def flying() -> Flight:
     flight = Flight()
-    assert flight.steps(12)[-1].state is State.FLYING
+    assert flight.steps(12)[-1].state is SafetyState.FLYING
     return flight
 
 
@@ -90,7 +90,7 @@ FAULTS = {
 @pytest.mark.parametrize("reason", FAULTS)
 def test_a_broken_rule_stops_the_vehicle_at_once_and_is_named(flying: Flight, reason: Reason) -> None:
     status = flying.step(**FAULTS[reason])
-    assert (status.state, status.reason, status.changed) == (State.HOLDING, reason, True)
+    assert (status.state, status.reason, status.changed) == (SafetyState.HOLDING, reason, True)
     assert status.setpoint == ZEROS
     assert status.sentence
 
@@ -115,7 +115,7 @@ def test_zeros_for_half_a_second_and_then_silence(flying: Flight, reason: Reason
     ],
 )
 def test_what_is_just_within_the_rules_flies(flying: Flight, known: dict[str, Any]) -> None:
-    assert flying.step(**known).state in (State.FLYING, State.FENCED)
+    assert flying.step(**known).state in (SafetyState.FLYING, SafetyState.FENCED)
 
 
 @pytest.mark.parametrize("action", [(1.0, 2.0), np.zeros((1, 4)), "abcd", [1j, 0, 0, 0], [[1], 2, 3, 4], [10**400] * 4])
@@ -126,7 +126,7 @@ def test_what_is_no_action_is_none(flying: Flight, action: Any) -> None:
 def test_a_loop_that_hangs_is_named(flying: Flight) -> None:
     flying.cycle += 5
     status = flying.step()
-    assert (status.state, status.reason) == (State.HOLDING, Reason.LATE_CYCLE)
+    assert (status.state, status.reason) == (SafetyState.HOLDING, Reason.LATE_CYCLE)
     assert flying.step(now=START).reason is Reason.CLOCK
 
 
@@ -136,19 +136,19 @@ def test_a_clock_that_does_not_run_is_followed_by_silence(flying: Flight, now: A
     assert [status.setpoint for status in statuses] == [ZEROS] * 5 + [None] * 3
     assert names(statuses) == [("holding", "clock"), ("silent", "clock")]
     assert flying.step().reason is Reason.LATE_CYCLE
-    assert flying.steps(13)[-1].state is State.FLYING
+    assert flying.steps(13)[-1].state is SafetyState.FLYING
 
 
 def test_after_a_short_fault_the_policy_flies_when_all_rules_have_held_for_a_while(flying: Flight) -> None:
     statuses = [*flying.steps(2, scan_age=0.3), *flying.steps(5)]
     assert names(statuses) == [("holding", "old_scan"), ("holding", "settling"), ("flying", "in_control")]
-    assert [status.state is State.FLYING for status in statuses] == [False] * 5 + [True] * 2
+    assert [status.state is SafetyState.FLYING for status in statuses] == [False] * 5 + [True] * 2
 
 
 def test_a_sensor_that_comes_and_goes_does_not_hold_the_vehicle_for_ever(flying: Flight) -> None:
     statuses = [flying.step(scan_age=0.3 if tick % 2 == 0 else 0.0) for tick in range(30)]
-    assert [status.state for status in statuses[:7]] == [State.HOLDING] * 6 + [State.SILENT]
-    assert {status.state for status in statuses[6:]} == {State.SILENT}
+    assert [status.state for status in statuses[:7]] == [SafetyState.HOLDING] * 6 + [SafetyState.SILENT]
+    assert {status.state for status in statuses[6:]} == {SafetyState.SILENT}
 
 
 def test_after_silence_it_takes_a_second_and_a_cycle_of_zeros(flying: Flight) -> None:
@@ -156,13 +156,13 @@ def test_after_silence_it_takes_a_second_and_a_cycle_of_zeros(flying: Flight) ->
     statuses = flying.steps(12)
     assert [status.setpoint for status in statuses[:10]] == [None] * 10
     assert statuses[10].setpoint == ZEROS
-    assert statuses[11].state is State.FLYING
+    assert statuses[11].state is SafetyState.FLYING
 
 
 def test_when_the_pilot_takes_over_zeros_are_streamed_from_the_next_cycle(flying: Flight) -> None:
     status = flying.step(in_control=False)
-    assert (status.state, status.reason, status.setpoint) == (State.STANDBY, Reason.NOT_IN_CONTROL, ZEROS)
-    assert flying.step().state is State.FLYING
+    assert (status.state, status.reason, status.setpoint) == (SafetyState.STANDBY, Reason.NOT_IN_CONTROL, ZEROS)
+    assert flying.step().state is SafetyState.FLYING
 
 
 def test_clip_and_slew(flying: Flight) -> None:
@@ -194,7 +194,7 @@ def test_the_fence_takes_what_leads_out(
     flight.steps(12)
     status = [flight.step(position=position, yaw=yaw, action=action) for _ in range(2)][-1]
     assert str(status.reason) == reason
-    assert status.state is (State.FLYING if reason == "in_control" else State.FENCED)
+    assert status.state is (SafetyState.FLYING if reason == "in_control" else SafetyState.FENCED)
     assert status.setpoint == pytest.approx(setpoint)
 
 
@@ -269,19 +269,19 @@ def test_whatever_comes_in_what_goes_out_is_finite_and_within_limits(runs: list[
         assert status.sentence
         assert isinstance(status.reason, Reason)
         if status.setpoint is None:
-            assert status.state is State.SILENT
+            assert status.state is SafetyState.SILENT
             if before is not None and before.setpoint is not None:  # silence begins
                 assert zeros_since is not None
                 assert status.time - zeros_since + 0.1 * max(clockless - 1, 0) >= 0.5 - 1e-5
         else:
             assert np.isfinite(status.setpoint).all()
             assert (np.abs(status.setpoint) <= most).all()
-        if status.state in (State.FLYING, State.FENCED):
+        if status.state in (SafetyState.FLYING, SafetyState.FENCED):
             assert in_control
             assert before is not None
-            assert before.state is not State.SILENT
+            assert before.state is not SafetyState.SILENT
             change = np.abs(np.array(status.setpoint) - np.array(before.setpoint))
-            assert status.state is State.FENCED or (change <= 20.0 * elapsed + 1e-9).all()
+            assert status.state is SafetyState.FENCED or (change <= 20.0 * elapsed + 1e-9).all()
         elif status.setpoint is not None:
             assert status.setpoint == ZEROS
         if status.setpoint != ZEROS:

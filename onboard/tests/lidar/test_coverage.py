@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from onboard.tests.flight.test_loop import Rig
 
-from uavrl_onboard.flight.safety import Reason, State
+from uavrl_onboard.flight.safety import Reason, SafetyState
 from uavrl_onboard.lidar.coverage import EMPTY, WATCHED, Coverage, Doubt
 
 AZIMUTHS = np.radians(np.arange(0.1, 360.0, 0.4))
@@ -111,20 +111,20 @@ def test_few_or_narrow_scans_are_not_judged(points: np.ndarray) -> None:
 def test_a_half_scan_stops_the_flight_and_names_the_reason() -> None:
     rig = Rig()
     states = [rig.scan(cut(90.0, 270.0)).status for _ in range(30)]
-    assert State.FLYING in {status.state for status in states[:WATCHED]}
+    assert SafetyState.FLYING in {status.state for status in states[:WATCHED]}
     stopped = states[WATCHED - 1]
-    assert (stopped.state, stopped.reason) == (State.HOLDING, Reason.HALF_SCAN)
+    assert (stopped.state, stopped.reason) == (SafetyState.HOLDING, Reason.HALF_SCAN)
     assert stopped.sentence == (
         "no return has ever come from 90° to 270° (0° is ahead, 90° left): does the driver's window cut it off?"
     )
-    assert states[-1].state is State.SILENT
+    assert states[-1].state is SafetyState.SILENT
     assert rig.nothing().status.reason is Reason.HALF_SCAN, "without a scan it is not over"
 
 
 def test_a_window_that_may_be_open_terrain_is_told_and_flown() -> None:
     rig = Rig()
     cycles = [rig.scan(cut(100.0, 265.0)) for _ in range(30)]
-    assert cycles[-1].status.state is State.FLYING
+    assert cycles[-1].status.state is SafetyState.FLYING
     assert cycles[-1].doubt is not None and "is nothing in range there, or does the driver's" in cycles[-1].doubt
 
 
@@ -134,13 +134,13 @@ def test_the_vehicle_s_own_parts_count_as_seen() -> None:
     for points, doubted in ((mast, False), (cut(160.0, 200.0), True)):
         rig = Rig(box=(np.full(3, -0.7), np.full(3, 0.7)))
         cycles = [rig.scan(points) for _ in range(30)]
-        assert (cycles[-1].doubt is not None) is doubted and cycles[-1].status.state is State.FLYING
+        assert (cycles[-1].doubt is not None) is doubted and cycles[-1].status.state is SafetyState.FLYING
 
 
 def test_empty_scans_stop_the_flight() -> None:
     rig = Rig()
     rig.airborne()
     states = [rig.scan(np.zeros((0, 3))).status for _ in range(20)]
-    assert states[8].state is State.FLYING
-    assert (states[9].state, states[9].reason) == (State.HOLDING, Reason.EMPTY_SCANS)
-    assert states[-1].state is State.SILENT
+    assert states[8].state is SafetyState.FLYING
+    assert (states[9].state, states[9].reason) == (SafetyState.HOLDING, Reason.EMPTY_SCANS)
+    assert states[-1].state is SafetyState.SILENT

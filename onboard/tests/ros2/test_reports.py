@@ -13,7 +13,7 @@ from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, until
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.flight.limits import SafetyLimits
-from uavrl_onboard.flight.safety import State
+from uavrl_onboard.flight.safety import SafetyState
 from uavrl_onboard.lidar.ros_messages import DIAGNOSTICS, MARKERS
 from uavrl_onboard.perception.reductions import range_image
 from uavrl_onboard.ros2.dds import idl_type
@@ -28,9 +28,17 @@ def test_levels_and_sentences() -> None:
     assert {tuple(status.name for status in each) for each in told} == {
         ("uavrl: flight", "uavrl: LiDAR", "uavrl: vehicle")
     }
-    levels = {State.FLYING: OK, State.STANDBY: OK, State.FENCED: OK, State.HOLDING: WARN, State.SILENT: ERROR}
+    levels = {
+        SafetyState.FLYING: OK,
+        SafetyState.STANDBY: OK,
+        SafetyState.FENCED: OK,
+        SafetyState.HOLDING: WARN,
+        SafetyState.SILENT: ERROR,
+    }
     assert [each[0].level for each in told] == [levels[cycle.status.state] for cycle in flown]
-    assert {State.SILENT, State.STANDBY, State.FLYING, State.HOLDING} <= {cycle.status.state for cycle in flown}
+    assert {SafetyState.SILENT, SafetyState.STANDBY, SafetyState.FLYING, SafetyState.HOLDING} <= {
+        cycle.status.state for cycle in flown
+    }
     flight, lidar, vehicle = told[25]
     assert flight.message == f"flying: {flown[25].status.sentence}" and lidar.message == "the scan is 0.01 s old"
     assert (lidar.level, vehicle.level) == (OK, OK) and vehicle.message.startswith("in_control: PX4 flies by")

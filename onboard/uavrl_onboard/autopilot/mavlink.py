@@ -11,7 +11,7 @@ import numpy as np
 
 from uavrl_onboard.autopilot.frames import Pose, to_command
 from uavrl_onboard.autopilot.signing import INVALID, keep_time, read_key, start_signing
-from uavrl_onboard.autopilot.vehicle_state import Control, Vehicle, VehicleStatus
+from uavrl_onboard.autopilot.vehicle_state import AutopilotMonitor, Control, VehicleStatus
 from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.udp import listen
 
@@ -79,7 +79,7 @@ class Autopilot:
         self._parser, self._sender = self._new_parser(), ("", 0)
         self._peer: tuple[str, int] | None = None
         self._told = set[str]()
-        self.vehicle = Vehicle(system, signs=key is not None)
+        self.vehicle = AutopilotMonitor(system, signs=key is not None)
         self._wants = {"mode": set_mode, "arm": arm}
         self._tries = {"mode": 0, "arm": 0}
         self._answer = ""
@@ -158,6 +158,11 @@ class Autopilot:
     def status(self, now: float) -> VehicleStatus:
         """Who flies the vehicle."""
         return self.vehicle.status(now)
+
+    @property
+    def signs(self) -> bool:
+        """Whether what is sent bears a signature."""
+        return bool(self._writer.signing.sign_outgoing)
 
     @property
     def answer(self) -> str:

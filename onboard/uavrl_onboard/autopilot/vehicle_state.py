@@ -57,7 +57,7 @@ class _Latest:
             self.stamp, self.fields = stamp, message
 
 
-class Vehicle:
+class AutopilotMonitor:
     """Collects an autopilot's messages.
 
     Args:
@@ -72,7 +72,7 @@ class Vehicle:
         refused: how many messages had no signature of our key.
 
     Examples:
-        >>> vehicle = Vehicle()
+        >>> vehicle = AutopilotMonitor()
         >>> vehicle.status(0.0).sentence
         'no autopilot has been heard yet'
     """

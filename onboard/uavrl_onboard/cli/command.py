@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import wraps
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Any, NamedTuple, NoReturn, TypeVar, get_type_hints
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -26,6 +26,7 @@ from uavrl_onboard.sentences import did_you_mean
 from uavrl_onboard.values import to_plain, validated
 
 T = TypeVar("T")
+SLIP = 0.85  # of a key: one so near to another was meant as that
 LONGEST = 24  # characters of a key beside its meaning
 _ARGUMENT = re.compile(r"^(\w+): ", re.MULTILINE)
 
@@ -81,17 +82,23 @@ def settings(about: About, kind: type[T], arguments: Sequence[str]) -> T:
 
 
 def _require_key_and_value(about: About, argument: str, known: Sequence[str]) -> None:
-    key, equals, value = argument.lstrip("-").partition("=")
+    key, equals, _ = argument.partition("=")
     if argument.startswith("-"):
-        if key in known:
-            raise UavrlError(f"{about.name} has no option {argument}: write {key}={value or 'VALUE'}.")
-        otherwise = "values are written KEY=VALUE, and --help explains the keys."
-        raise UavrlError(f"{about.name} has no option {argument}{did_you_mean(key, known, ': ', otherwise, 0.85)}")
+        refuse_option(about.name, argument, known)
     if not equals:
         raise UavrlError(f"{argument!r} is no KEY=VALUE: write KEY=VALUE, as in {about.name} {about.examples[0]}.")
     groups = {each.rpartition(".")[0] for each in known}
     if key not in known and key not in groups:
         raise UavrlError(f"There is no key {key!r}" + did_you_mean(key, known, ": ", "--help=all lists all keys."))
+
+
+def refuse_option(command: str, option: str, known: Sequence[str]) -> NoReturn:
+    """Refuses what looks like an option, and says how its key is written."""
+    key, _, value = option.lstrip("-").partition("=")
+    if key in known:
+        raise UavrlError(f"{command} has no option {option}: write {key}={value or 'VALUE'}.")
+    otherwise = "values are written KEY=VALUE, and --help explains the keys."
+    raise UavrlError(f"{command} has no option {option}{did_you_mean(key, known, ': ', otherwise, SLIP)}")
 
 
 def keys(kind: type[Any], prefix: str = "") -> Iterator[tuple[str, Any, str]]:

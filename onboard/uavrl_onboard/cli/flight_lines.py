@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uavrl_onboard.flight.interfaces import FlightCycle
-from uavrl_onboard.flight.safety import Reason, State
+from uavrl_onboard.flight.safety import Reason, SafetyState
 from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.geometry import is_return
 
@@ -18,7 +18,7 @@ class FlightLines:
     """A line for each change of state, and one each second; fewer where nothing is flown for want of scans or poses."""
 
     def __init__(self) -> None:
-        self._state: State | None = None
+        self._state: SafetyState | None = None
         self._told: dict[Reason, float] = {}  # in this state
         self._waits_since: float | None = None
         self._line_at = 0.0  # of the latest line that was due by its second
@@ -28,7 +28,7 @@ class FlightLines:
         status, seconds = cycle.status, summary.seconds
         if status.state is not self._state:
             self._state, self._told = status.state, {}
-        waits = status.state is State.SILENT and status.reason in _WAITS
+        waits = status.state is SafetyState.SILENT and status.reason in _WAITS
         self._waits_since = None if not waits else seconds if self._waits_since is None else self._waits_since
         if status.changed and seconds - self._told.get(status.reason, -AGAIN) >= AGAIN:
             self._told[status.reason] = seconds

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
 from uavrl_onboard.autopilot.dry_run import DryRun
 from uavrl_onboard.autopilot.mavlink import Autopilot
-from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.flight_end import conclude, until_the_end, writes
 from uavrl_onboard.cli.flight_lines import FlightLines
 from uavrl_onboard.cli.lidar_keys import LidarKeys
 from uavrl_onboard.cli.nonblocking_output import beside
 from uavrl_onboard.cli.process import terminable
 from uavrl_onboard.cli.ros2_keys import ROS2, Ros2Config, ros2_feed, ros2_link, ros2_reports
 from uavrl_onboard.errors import Stopped, UavrlError
-from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.files import writable
 from uavrl_onboard.flight.health import Doubts
 from uavrl_onboard.flight.interfaces import FlightCycle, VehicleLink
 from uavrl_onboard.flight.limits import SafetyLimits
@@ -36,7 +35,6 @@ from uavrl_onboard.guards.map import Navigator
 from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.sources import ScanSource
-from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.policy.policy import Policy
 from uavrl_onboard.ranges import Folder, NonNegative, Positive
 from uavrl_onboard.sentences import require
@@ -87,14 +85,14 @@ class FlyConfig(LidarKeys):
         standing: pose of the vehicle in a dry run: x, y, z in m, yaw from east to the left in rad
         radius: horizontal distance from the goal, in m, at which the vehicle has arrived; it then hovers there
         hold: time of hovering at the goal before the flight ends, in s; null: until Ctrl-C, or until the pilot takes
-        over seconds: time after which the flight ends, wherever the vehicle is, in s; null: never
+            over
+        seconds: time after which the flight ends, wherever the vehicle is, in s; null: never
         log: file for the flight log; null: none
         json: file for the flight's numbers; null: none
         progress: print a line each second
         ros2: set-points and reports by ROS 2
         memory: range in m up to which scans enter a map of the flight, which leads the policy out of dead ends, e.g.
-            12;
-            null: as in the policy's training, mostly no map
+            12; null: as in the policy's training, mostly no map
         evade: range in m up to which moving objects are detected and evaded, e.g. 12; null: no evasion
         shield: limits the speed near obstacles
         safety: limits of the safety layer
@@ -171,24 +169,21 @@ def main(settings: FlyConfig) -> None:
     summary, lines, stopped = FlightSummary(), FlightLines(), None
     with ExitStack() as opened:
         if numbers is not None:
-            opened.push(_writes(summary, numbers))  # comes last
+            opened.push(writes(summary, numbers))  # comes last
         if settings.is_live:
             opened.enter_context(beside())
-        link = opened.enter_context(closing(_link(settings)))
+        link = opened.enter_context(closing(open_link(settings)))
         assert settings.goal is not None
-        led = map_for(policy.contract, settings.memory)
-        vehicle = _vehicle(settings, policy)
-        stages: dict[str, Any] = {"evasion": _evasion(settings, vehicle), "shield": _shield(settings, vehicle)}
-        stages["memory"] = led
+        stages = make_guards(settings, policy)
         layer, box = SafetyLayer(settings.safety), settings.box
         flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, **stages)
-        log = _log(settings, policy, led, stages["shield"])
+        log = _log(settings, policy, stages["memory"], stages["shield"])
         if log is not None:
             opened.callback(_told, log.close)
         cycles, report = _cycles(settings, flight, link, opened), _reports(settings, policy, link, opened)
         try:
             with terminable():
-                for cycle in _until_the_end(cycles, settings):
+                for cycle in until_the_end(cycles, settings.hold, settings.seconds):
                     summary.add(cycle)
                     report(cycle)
                     if log is not None:
@@ -199,20 +194,21 @@ def main(settings: FlyConfig) -> None:
             stopped = error
         finally:
             if summary.cycles:
-                _conclude(summary.facts(), log)
+                conclude(summary.facts(), log)
     if stopped is not None:
         number = getattr(stopped, "number", signal.SIGINT)
         raise Stopped("stopped: no more set-points are sent.", number) from stopped
 
 
-def _link(settings: FlyConfig) -> VehicleLink:
+def open_link(settings: FlyConfig, **instead: Any) -> VehicleLink:
+    """Return the way to the vehicle, or to none in a dry run; ``instead`` of settings of MAVLink."""
     if settings.autopilot is None:
         x, y, z, yaw = settings.standing
         return DryRun((x, y, z), yaw)
     if settings.autopilot.startswith(ROS2):
         return ros2_link(settings.autopilot, settings.ros2)
     told = {key: getattr(settings, key) for key in ("set_mode", "arm", "system", "signing_key_file")}
-    return Autopilot(settings.autopilot, **told)
+    return Autopilot(settings.autopilot, **told | instead)
 
 
 def _log(settings: FlyConfig, policy: Policy, led: Navigator | None, shield: Shield | None) -> FlightLog | None:
@@ -234,7 +230,17 @@ def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
         print(f"uavrl: {error}", file=sys.stderr)
 
 
-def _vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
+def make_guards(settings: FlyConfig, policy: Policy) -> dict[str, Any]:
+    """Return the guards of a `Flight`, by the names of its arguments."""
+    vehicle = make_vehicle(settings, policy)
+    return {
+        "evasion": _evasion(settings, vehicle),
+        "shield": _shield(settings, vehicle),
+        "memory": map_for(policy.contract, settings.memory),
+    }
+
+
+def make_vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
     """Return the policy's vehicle with the hull and the LiDAR of the command line, within its safety limits."""
     told, limits = settings.shield, settings.safety
     return replace(
@@ -266,7 +272,7 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
         source = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
         opened.callback(_tell_skipped, source)
         return _doubted(rehearse(flight, source, link), Doubts(lambda: "", 1.0 / flight.period))
-    feed = opened.enter_context(closing(_feed(settings, link)))
+    feed = opened.enter_context(closing(open_feed(settings, link)))
     doubts = Doubts(
         feed.trouble,
         1.0 / flight.period,
@@ -283,7 +289,8 @@ def _tell_skipped(source: ScanSource) -> None:
         print(f"uavrl: {sentence}", file=sys.stderr)
 
 
-def _feed(settings: FlyConfig, link: VehicleLink) -> UdpScans | Ros2Scans:
+def open_feed(settings: FlyConfig, link: VehicleLink) -> UdpScans | Ros2Scans:
+    """Return the scans of the sensor."""
     if settings.lidar.startswith(ROS2):
         return ros2_feed(settings.lidar, link)
     return UdpScans(settings.lidar, settings.model, settings.product)
@@ -307,54 +314,6 @@ def _doubted(cycles: Iterable[FlightCycle], doubts: Doubts) -> Iterator[FlightCy
         yield cycle
         for sentence in doubts.of(cycle):
             print(sentence, flush=True)
-
-
-def _until_the_end(cycles: Iterable[FlightCycle], settings: FlyConfig) -> Iterator[FlightCycle]:
-    """The cycles until the vehicle has hovered at the goal for long enough, was taken over there, or time is up."""
-    first, arrived = None, None
-    for cycle in cycles:
-        yield cycle
-        first = cycle.time if first is None else first
-        arrived = cycle.time if arrived is None and cycle.arrived else arrived
-        arrived = arrived if cycle.arrived else None
-        hovered = arrived is not None and settings.hold is not None and cycle.time - arrived >= settings.hold
-        taken_over = arrived is not None and cycle.control.control in (Control.TAKEN_OVER, Control.DISARMED)
-        if hovered or taken_over or (settings.seconds is not None and cycle.time - first >= settings.seconds):
-            return
-
-
-def _writes(summary: FlightSummary, path: Path) -> Callable[[object, BaseException | None, object], None]:
-    """Returns what writes the numbers of a flight that has begun, at its end; an error of the flight comes first."""
-
-    def write(_kind: object, error: BaseException | None, _trace: object) -> None:
-        if not summary.cycles:
-            return
-        try:
-            with replacing(path) as partial:
-                partial.write_text(json.dumps(summary.facts(), indent=2) + "\n", encoding="utf-8")
-        except OSError as failure:
-            if error is None:
-                raise
-            print(f"uavrl: {path} was not written ({failure.strerror}).", file=sys.stderr)
-        else:
-            print(f"Written to {path}")
-
-    return write
-
-
-def _conclude(facts: dict[str, Any], log: FlightLog | None) -> None:
-    """Says how it ended, before any file is written: a disk may be full."""
-    after = cast(float | None, facts["arrived_after_s"])
-    ended = "it did not arrive" if after is None else f"it arrived after {after:.1f} s"
-    least = f", {facts['least_distance_m']:.1f} m from the goal at the nearest" if facts["least_distance_m"] else ""
-    print(f"{facts['seconds']:.1f} s, {pluralize(facts['scans'], 'scan')}: {ended}{least}.")
-    if (latency := facts["latency_ms"])["median"] is not None:
-        print(
-            f"From a scan's last packet to the set-point: {latency['median']:.1f} ms (median), "
-            f"{latency['p99']:.1f} ms (99 %)."
-        )
-    if log is not None:
-        print(f"Log: {log.path}, which uavrl-replay flight={log.path} shows", flush=True)
 
 
 if __name__ == "__main__":

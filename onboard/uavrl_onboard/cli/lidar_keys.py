@@ -16,7 +16,8 @@ class LidarKeys:
 
     Args:
         model: sensor that sends the packets: VLP16, PuckHiRes, HDL32E, VLP32A, VLP32B or VLP32C; a PointCloud2 needs
-        none topic: topic of a ROS recording that has several topics with scans
+            none
+        topic: topic of a ROS recording that has several topics with scans
         product: product byte of the packets, if the sensor carries another than its model's, e.g. 33
         vehicle: box around the vehicle whose points are left out, in m from the sensor: least corner, greatest corner,
             e.g. [-0.4,-0.4,-0.4,0.4,0.4,0.1]

@@ -35,12 +35,12 @@ class ScanConfig(LidarKeys):
 
     Args:
         source: udp://:2368 listens to a sensor; or a file: a capture (pcap), packets alone (.bin), a rosbag of ROS 1
-            or 2,
-            an MCAP file
+            or 2, an MCAP file
         seconds: how long to listen to a sensor, in s
         reduction: cells on the page: the 32 faces of a truncated_icosahedron, or the 72 cells of a range_image
         statistic: what a cell reports: face, range or proximity; null: face for the faces, proximity for the range
-        image radius: radius of the ball that the cells divide, in m
+            image
+        radius: radius of the ball that the cells divide, in m
         output: file for the page; null: none
         json: file for the numbers; null: none
     """

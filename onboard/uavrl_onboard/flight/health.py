@@ -58,6 +58,10 @@ class Doubts:
         pose_age: greatest age of a pose by which the safety layer lets it fly, s.
         stamped: whether scans bear a stamp of their sender; else they have that of their arrival.
         remarks: gives what else is odd about the source of scans, each sentence again and again.
+
+    Attributes:
+        told: the latest sentence of each kind that was told: ``silent``, ``slow``, ``doubt`` and ``old scans`` of the
+            scans, ``late poses`` and ``old poses``; remarks by their own sentence.
     """
 
     def __init__(
@@ -77,14 +81,15 @@ class Doubts:
         self._stamps: deque[float] = deque(maxlen=LOOKED_AT)
         self._scan_ages: deque[float] = deque(maxlen=LOOKED_AT)
         self._pose_ages: deque[float] = deque(maxlen=_POSES_LOOKED_AT)
-        self._told = set[str]()
+        self.told: dict[str, str] = {}
 
     def of(self, cycle: FlightCycle) -> list[str]:
         """The sentences that are new."""
         found = dict(self._found(cycle))
-        new = [sentence for kind, sentence in found.items() if kind not in self._told]
-        self._told.update(found)
-        return [*self._late_scans(cycle), *self._late_poses(cycle), *new]
+        new = {kind: sentence for kind, sentence in found.items() if kind not in self.told}
+        late = [*self._late_scans(cycle), *self._late_poses(cycle)]
+        self.told |= new
+        return [*late, *new.values()]
 
     def _late_scans(self, cycle: FlightCycle) -> Iterator[str]:
         """What is told of scans that do not come."""
@@ -92,7 +97,8 @@ class Doubts:
         self._heard = now if self._heard is None or cycle.scan is not None else self._heard
         since = self._heard if now - self._heard > _GAP else None
         if self._scans.tells(now, since):
-            yield f"No scan has come for {now - self._heard:.0f} s: {self._trouble()}"
+            self.told["silent"] = f"No scan has come for {now - self._heard:.0f} s: {self._trouble()}"
+            yield self.told["silent"]
         if (lasted := self._scans.ends(now, since)) is not None:
             yield f"Scans come again; none had come for {lasted:.0f} s."
 
@@ -105,7 +111,8 @@ class Doubts:
         late = stamp is None or now - stamp > self._pose_age
         since = now if late else None
         if self._poses.tells(now, since):
-            yield self._why_late(cycle, stamp, now - self._posed[1])
+            self.told["late poses"] = self._why_late(cycle, stamp, now - self._posed[1])
+            yield self.told["late poses"]
         if (lasted := self._poses.ends(now, since)) is not None:
             yield f"Poses are in time again; they were missing or too old for {lasted:.0f} s."
 

@@ -11,11 +11,13 @@ import numpy as np
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import VehicleStatus
 from uavrl_onboard.flight.safety import SafetyStatus
-from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.lidar.scans import Scan, Skipped
 
 
 class ScanFeed(Protocol):
     """Scans as they come: packets by UDP, clouds of another process, a recording. Nothing waits in it."""
+
+    skipped: Skipped  #: how much was left out so far, by reason
 
     def poll(self, now: float) -> Scan | None:
         """The newest scan that has come since the last call, stamped on the loop's clock; ``None`` for no new one.
@@ -23,6 +25,12 @@ class ScanFeed(Protocol):
         Args:
             now: the loop's clock, s.
         """
+
+    def trouble(self) -> str:
+        """Why no scan came out, as a sentence's second half."""
+
+    def remarks(self) -> list[str]:
+        """What the user should know of the source, though scans come."""
 
     def fileno(self) -> int | None:
         """What the system can wait for, ``None`` where there is no such thing."""

@@ -13,7 +13,7 @@ import numpy as np
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.flight.interfaces import FlightCycle
-from uavrl_onboard.flight.safety import Reason, SafetyStatus, State
+from uavrl_onboard.flight.safety import Reason, SafetyState, SafetyStatus
 from uavrl_onboard.geometry import Quaternion, roll_pitch_yaw
 from uavrl_onboard.libraries import needed
 from uavrl_onboard.lidar.bags import CLOUD, cloud_points
@@ -105,7 +105,7 @@ class FlightMessages:
         }
         told = json.loads(found[STATUS].data)
         safety, vehicle = told["safety"], told["vehicle"]
-        safety |= {"state": State(safety["state"]), "reason": Reason(safety["reason"])}
+        safety |= {"state": SafetyState(safety["state"]), "reason": Reason(safety["reason"])}
         safety |= {"limited": tuple(safety["limited"]), "setpoint": _action(found.get(SETPOINT))}
         action, cells = _action(found.get(ACTION)), found.get(CELLS)
         return FlightCycle(
@@ -180,7 +180,7 @@ class FlightMessages:
         ]
 
     def _change(self, status: SafetyStatus, now: float) -> Any:
-        level = _INFO if status.state in (State.FLYING, State.STANDBY, State.FENCED) else _WARNING
+        level = _INFO if status.state in (SafetyState.FLYING, SafetyState.STANDBY, SafetyState.FENCED) else _WARNING
         text = f"{status.state} ({status.reason}): {status.sentence}"
         where = {"name": "uavrl.safety", "file": "", "function": "", "line": 0}
         return self._type(TOPICS[CHANGES])(stamp=self._header(now, "").stamp, level=level, msg=text, **where)

@@ -65,11 +65,21 @@ class LoggedFlight:
             if not max(map(abs, [*self.goal, *self.sensor_position, self.radius])) < FARTHEST:
                 raise ValueError("a place beyond all flights")
             offset = int(self.about["clock_offset_ns"])
-        except (ValidationError, ValueError, KeyError) as error:
+        except ValidationError as error:
+            raise UavrlError(self._unread(error)) from error
+        except (ValueError, KeyError) as error:
             raise UavrlError(f"The head of {path} is damaged: {REMEDY}.") from error
         if (wrong := self.contract.contradiction()) is not None:
             raise UavrlError(f"{path} is damaged, or another uavrl's ({wrong}): {REMEDY}.")
         self._messages = FlightMessages(offset, self.goal, self.sensor_position)
+
+    def _unread(self, error: ValidationError) -> str:
+        """Why the head cannot be read. Terms that a contract lacks are not guessed: cells could not be checked."""
+        lacks = [".".join(map(str, each["loc"])) for each in error.errors() if each["type"] == "missing"]
+        if error.title != "Contract" or "format" in lacks or len(lacks) < error.error_count():
+            return f"The head of {self.path} is damaged: {REMEDY}."
+        lacking = f"its contract has no {', '.join(lacks)}, and what it saw cannot be checked without"
+        return f"{self.path} was written by an earlier uavrl: {lacking}. Read it with the one that wrote it."
 
     def _head(self) -> tuple[dict[str, str], bytes]:
         """What the log says of itself, and the contract in it."""

@@ -17,7 +17,7 @@ from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
-from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, State
+from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Navigator
@@ -37,7 +37,7 @@ _LATE = 1.2  # of a cycle: after that it goes on without a scan
 _ARRIVING = 3  # cycles in a row at the goal, by plausible poses, after which the vehicle has arrived
 _FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
 _TICK = 0.005  # s between two looks at what the system cannot wait for
-_FLIES = (State.FLYING, State.FENCED)
+_FLIES = (SafetyState.FLYING, SafetyState.FENCED)
 
 
 def map_for(contract: Contract, sight: float | None = None) -> Navigator | None:
@@ -79,6 +79,8 @@ class Flight:
 
     Attributes:
         arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
+        doubt: what is wrong with the latest scans; ``None`` for nothing.
+        refusal: why the policy gave no action when it last gave none; "" where it always did.
     """
 
     def __init__(
@@ -103,16 +105,16 @@ class Flight:
         self._radius, self._box, self._evasion, self._shield = radius, box, evasion, shield
         self._memory = map_for(policy.contract) if memory is None else memory
         self._poses, self._coverage = PoseCheck(), Coverage()
-        self._doubt: Doubt | None = None  # about the latest scans
+        self.doubt: Doubt | None = None
         self._there = 0  # cycles in a row at the goal
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
         self._action: np.ndarray | None = None  # of the latest scan, None where that gave none
         self._turn: float | None = None  # of the latest scan, where a memory leads
         self._acted = -math.inf  # when the policy last gave one
-        self._state = State.SILENT
+        self._state = SafetyState.SILENT
         self._control: Control | None = None  # who flew in the cycle before
-        self._told = ""
+        self.refusal = ""
 
     def wants(self, scan: Scan | None) -> bool:
         """Whether a scan begins a cycle: of a sensor that turns faster than the policy acts, not every one does."""
@@ -154,7 +156,7 @@ class Flight:
             self.arrived = now
         cells = None if scan is None else self._policy.cells
         arrived, turn = self.arrived is not None, None if scan is None else self._turn
-        doubt = None if self._doubt is None or self._doubt.certain else self._doubt.sentence
+        doubt = None if self.doubt is None or self.doubt.certain else self.doubt.sentence
         return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, arrived, turn, doubt)
 
     def _check(self, scan: Scan | None, pose: Pose | None) -> Implausible | None:
@@ -164,9 +166,9 @@ class Flight:
             _logger.warning("Pose: %s: the policy starts anew", implausible.sentence)  # whatever else is wrong now
             self._start_anew()
         if scan is not None:
-            self._doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
-        if implausible is None and self._doubt is not None and self._doubt.certain:
-            return Implausible(Reason(self._doubt.kind), self._doubt.sentence)
+            self.doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
+        if implausible is None and self.doubt is not None and self.doubt.certain:
+            return Implausible(Reason(self.doubt.kind), self.doubt.sentence)
         return implausible
 
     def _start_anew(self) -> None:
@@ -200,9 +202,9 @@ class Flight:
             if self._shield is not None:
                 action[:3] = self._shielded(self._shield, action[:3], scan, pose)
         except UavrlError as error:
-            if str(error) != self._told:
+            if str(error) != self.refusal:
                 _logger.warning("The policy gives no action: %s", error)
-            self._told = str(error)
+            self.refusal = str(error)
             return None
         self._acted, self._read_stamp = now, scan.stamp
         return action

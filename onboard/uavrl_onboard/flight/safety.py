@@ -26,7 +26,7 @@ _AHEAD = 0.05  # s that a stamp may lie ahead of the cycle's time
 _CYCLE = VEHICLE.period  # s that a cycle takes, at the policies' rate, where the clock does not say
 
 
-class State(StrEnum):
+class SafetyState(StrEnum):
     """What the layer does."""
 
     SILENT = "silent"  #: sends nothing, so that the autopilot refuses Offboard, or leaves it
@@ -85,7 +85,7 @@ class SafetyStatus:
     """The record of one cycle."""
 
     time: float  #: of the cycle, s
-    state: State
+    state: SafetyState
     reason: Reason
     sentence: str  #: the reason for people
     changed: bool  #: whether state or reason are others than in the cycle before
@@ -123,7 +123,7 @@ class SafetyLayer:
 
     def __init__(self, limits: SafetyLimits | None = None) -> None:
         self.limits = limits or SafetyLimits()
-        self._state, self._reason, self._since = State.SILENT, Reason.STARTING, 0.0
+        self._state, self._reason, self._since = SafetyState.SILENT, Reason.STARTING, 0.0
         self._now: float | None = None
         self._sane_since: float | None = None  # when all rules began to hold
         self._sent = np.zeros(4)
@@ -141,39 +141,45 @@ class SafetyLayer:
         fault = fault or self._outside(place) or _unfit(action)
         self._sane_since = None if fault else now if self._sane_since is None else self._sane_since
         state, (reason, sentence) = self._next(now, fault, cycle.in_control)
-        setpoint: SetPoint | None = None if state is State.SILENT else ZEROS
+        setpoint: SetPoint | None = None if state is SafetyState.SILENT else ZEROS
         by: tuple[str, ...] = ()
-        if state is State.FLYING:
+        if state is SafetyState.FLYING:
             assert action is not None and place is not None and yaw is not None
             found, by, side = limit(action, self._sent, elapsed, place, float(yaw[0]), self.limits)
             setpoint = tuple(found.tolist())
             if side is not None:
-                state, reason, sentence = State.FENCED, Reason(side), f"the fence's {side} is near: slower towards it"
+                state, reason, sentence = (
+                    SafetyState.FENCED,
+                    Reason(side),
+                    f"the fence's {side} is near: slower towards it",
+                )
         self._sent = np.array(setpoint or ZEROS)
         changed = (state, reason) != (self._state, self._reason)
         self._since = self._since if state is self._state and self._reason is not Reason.STARTING else now
         self._state, self._reason = state, reason
         return SafetyStatus(now, state, reason, sentence, changed, self._since, setpoint, by, *ages)
 
-    def _next(self, now: float, fault: _Why | None, in_control: bool) -> tuple[State, _Why]:
+    def _next(self, now: float, fault: _Why | None, in_control: bool) -> tuple[SafetyState, _Why]:
         """The state that follows, and why; whether the fence is near is not yet considered."""
         limits = self.limits
         if fault:
-            if self._state is State.SILENT:
-                return State.SILENT, fault
+            if self._state is SafetyState.SILENT:
+                return SafetyState.SILENT, fault
             held = now - self._since + _CYCLE * max(self._clockless - 1, 0)
-            if self._state is State.HOLDING and held >= limits.hold - _ROUNDING:
-                return State.SILENT, (fault[0], f"{fault[1]}, and zeros were sent for {limits.hold:g} s")
-            return State.HOLDING, fault
+            if self._state is SafetyState.HOLDING and held >= limits.hold - _ROUNDING:
+                return SafetyState.SILENT, (fault[0], f"{fault[1]}, and zeros were sent for {limits.hold:g} s")
+            return SafetyState.HOLDING, fault
         assert self._sane_since is not None
-        waits = {State.SILENT: limits.return_after_silence, State.HOLDING: limits.recovery}.get(self._state, 0.0)
+        waits = {SafetyState.SILENT: limits.return_after_silence, SafetyState.HOLDING: limits.recovery}.get(
+            self._state, 0.0
+        )
         if now - self._sane_since < waits - _ROUNDING:
             return self._state, (Reason.SETTLING, f"all rules must hold for {waits:g} s first")
-        if self._state is State.SILENT:
-            return State.STANDBY, (Reason.SETTLING, f"all rules have held for {waits:g} s")
+        if self._state is SafetyState.SILENT:
+            return SafetyState.STANDBY, (Reason.SETTLING, f"all rules have held for {waits:g} s")
         if not in_control:
-            return State.STANDBY, (Reason.NOT_IN_CONTROL, "the autopilot does not fly by set-points")
-        return State.FLYING, (Reason.IN_CONTROL, "the policy flies")
+            return SafetyState.STANDBY, (Reason.NOT_IN_CONTROL, "the autopilot does not fly by set-points")
+        return SafetyState.FLYING, (Reason.IN_CONTROL, "the policy flies")
 
     def _advance(self, now: float) -> tuple[_Why | None, float]:
         """Moves the layer's time on; the time since the last cycle, and what is wrong with it."""

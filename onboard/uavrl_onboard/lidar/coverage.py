@@ -20,9 +20,10 @@ UNSEEN = 30
 """Degrees of the horizon without a return, as in a turn of packets: two columns of a range image."""
 LOST = 90
 """Degrees that no obstacle covers alone, so that they do not become empty at once in flight."""
+JUDGED = 60
+"""Returns of a scan from which on its directions are judged."""
 TURNED = math.radians(20.0)
 """Yaw after which the borders of open terrain have moved in the sensor's frame, and those of a window have not."""
-_FEWEST = 60  # returns of a scan whose directions are judged
 _EDGE = 3  # degrees within which a window's border is met in every scan
 _ALIGNED = 1  # degrees between the border of a half or a quarter of the circle and the last return
 _FILLED = 0.9  # of the directions outside a window that have returns
@@ -76,7 +77,7 @@ class Coverage:
         if self._empty >= EMPTY:
             cause = "is the sensor covered, its laser off, or its driver's range too short?"
             return Doubt("empty_scans", f"{self._empty} scans in a row hold no return at all: {cause}", True)
-        if points.shape[0] < _FEWEST:
+        if points.shape[0] < JUDGED:
             return None
         self._count(points)
         if yaw is not None and math.isfinite(yaw):

@@ -122,12 +122,23 @@ class RangeGrid:
 
     def __post_init__(self) -> None:
         """Checks the sizes; borders that are the default's are not kept, so that equal grids are equal."""
+        if not all(isinstance(size, int | np.integer) for size in (self.columns, self.rows)):
+            raise UavrlError(
+                f"A range image has whole numbers of columns and rows, got columns={self.columns!r} and "
+                f"rows={self.rows!r}."
+            )
         if min(self.columns, self.rows) < 1 or self.columns * self.rows > MOST_CELLS:
             raise UavrlError(
                 f"A range image has at least one column and one row and at most {MOST_CELLS:,} cells, got "
                 f"columns={self.columns} and rows={self.rows}."
             )
-        low, high = map(float, self.elevation)
+        try:
+            low, high = map(float, self.elevation)
+        except (TypeError, ValueError) as error:
+            raise UavrlError(
+                f"elevation must be the lowest and the highest elevation in degrees, for example (-15, 15), got "
+                f"{self.elevation!r}."
+            ) from error
         object.__setattr__(self, "elevation", (low, high))
         borders = self._default_borders() if self.borders is None else tuple(map(float, self.borders))
         ascending = all(a < b for a, b in pairwise([low, *borders, high]))

@@ -53,7 +53,7 @@ def navigation_observation(
     return np.concatenate([scaled, [np.float32(altitude) / flight_level - 1], turned]).astype(np.float32)
 
 
-class NavigationState:
+class FrameStack:
     """The last observations in a row, oldest first, zeros before the first: what a policy reads.
 
     Args:
@@ -62,7 +62,7 @@ class NavigationState:
         action_limit: what a network reads as 1: m/s for the three velocities, rad/s for the yaw rate.
 
     Examples:
-        >>> state = NavigationState(frames=3)
+        >>> state = FrameStack(frames=3)
         >>> state(np.ones(2)).tolist(), state(np.full(2, 5.0)).tolist()
         ([0.0, 0.0, 0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 1.0, 5.0, 5.0])
     """

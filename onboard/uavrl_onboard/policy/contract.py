@@ -26,14 +26,14 @@ from uavrl_onboard.policy.contract_parts import (
     Action,
     Cells,
     Cloud,
+    ContractPart,
     Entry,
     MemoryTerms,
     MotionTerms,
     Network,
-    Part,
     Quantity,
     Scale,
-    State,
+    StateTerms,
     alike,
 )
 from uavrl_onboard.vehicle import Vehicle
@@ -45,7 +45,7 @@ REMEDY = "export the policy again with uavrl-export"
 EXPORT = "write one by uavrl-export policy=best output=FOLDER, or with run=RUN_FOLDER, and give that folder"
 
 
-class Contract(Part):
+class Contract(ContractPart):
     """What a program needs to give a policy its inputs and to obey its actions."""
 
     format: str
@@ -58,7 +58,7 @@ class Contract(Part):
     pose: dict[str, str] = says.POSE
     observation: Annotated[list[Entry], Field(min_length=4, max_length=7)]
     scaling: str = says.SCALING
-    state: State
+    state: StateTerms
     action: Action
     motion: MotionTerms | None = None  #: None for a policy that does not detect moving objects
     memory: MemoryTerms | None = None  #: None for a policy that no map leads
@@ -119,7 +119,7 @@ class Contract(Part):
             pose=says.POSE | more,
             observation=observation,
             scaling=says.SCALING + (says.DIVISORS if motion is not None else ""),
-            state=State(frames=frames, padding=0, size=size, dtype="float32"),
+            state=StateTerms(frames=frames, padding=0, size=size, dtype="float32"),
             action=Action(order=tuple(ACTION), low=low, high=high),  # type: ignore[arg-type]  # there are four
             motion=motion,
             memory=memory,

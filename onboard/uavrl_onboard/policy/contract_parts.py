@@ -43,7 +43,7 @@ ANGLES: dict[str, Scale] = {
 ACTION = {"l_x": "m/s, forward", "l_y": "m/s, left", "l_z": "m/s, up", "a_z": "rad/s, counter-clockwise from above"}
 
 
-class Part(BaseModel):
+class ContractPart(BaseModel):
     """A part of a contract: strict about types, and without NaN and infinity."""
 
     model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
@@ -55,7 +55,7 @@ class Part(BaseModel):
         return {name: value for name, value in dump(self).items() if value is not None or fields[name].is_required()}
 
 
-class Cloud(Part):
+class Cloud(ContractPart):
     """A scan, and which of its points count."""
 
     shape: tuple[str, int] = ("points", 3)
@@ -74,7 +74,7 @@ class Cloud(Part):
         return cls(sensor_position=sensor_position, squared_range=return_bounds(radius), blind=blind)
 
 
-class Cells(Part):
+class Cells(ContractPart):
     """What the reduction reports."""
 
     reduction: Reduction
@@ -146,7 +146,7 @@ class Cells(Part):
         return self
 
 
-class Entry(Part):
+class Entry(ContractPart):
     """One of the quantities in an observation, and how it is scaled."""
 
     name: Quantity
@@ -167,7 +167,7 @@ class Entry(Part):
         return 1.0 if isinstance(self.divisor, list) else self.divisor
 
 
-class State(Part):
+class StateTerms(ContractPart):
     """How many observations the policy reads."""
 
     frames: Annotated[int, Field(ge=1, le=1000)]
@@ -177,7 +177,7 @@ class State(Part):
     dtype: Literal["float32"]
 
 
-class Action(Part):
+class Action(ContractPart):
     """The limits of what the policy gives."""
 
     order: Texts
@@ -189,7 +189,7 @@ class Action(Part):
     holds: str = says.HOLDS
 
 
-class Rays(Part):
+class Rays(ContractPart):
     """Which points of a scan are searched for motion, as in :mod:`uavrl_onboard.perception.motion.rays`."""
 
     counts: str = says.RAYS
@@ -198,7 +198,7 @@ class Rays(Part):
     every: int
 
 
-class ThreatTerms(Part):
+class ThreatTerms(ContractPart):
     """What threats are made with, as :mod:`uavrl_onboard.perception.motion.threats` has it."""
 
     speed: Annotated[float, Field(gt=0, le=1000)]
@@ -211,7 +211,7 @@ class ThreatTerms(Part):
     directions: Directions
 
 
-class MotionTerms(Part):
+class MotionTerms(ContractPart):
     """How a policy detects moving objects."""
 
     max_range: Annotated[float, Field(gt=NEAREST_RETURN, le=1000)]
@@ -251,7 +251,7 @@ class MotionTerms(Part):
         return next((words for words, holds in wrong.items() if holds), None)
 
 
-class MemoryTerms(Part):
+class MemoryTerms(ContractPart):
     """The map that leads a policy to its waypoints, as :mod:`uavrl_onboard.guards.map` keeps it."""
 
     sight: Annotated[float, Field(gt=0, le=40)]
@@ -269,7 +269,7 @@ class MemoryTerms(Part):
         return None if sound else "memory is another map"
 
 
-class Network(Part):
+class Network(ContractPart):
     """The file of the network."""
 
     file: str
@@ -285,7 +285,7 @@ def rounded(numbers: np.ndarray) -> list[Any]:
     return listed
 
 
-def alike(found: Part, made: Part, *names: str, rtol: float = 1e-6, atol: float = 0.0) -> bool:
+def alike(found: ContractPart, made: ContractPart, *names: str, rtol: float = 1e-6, atol: float = 0.0) -> bool:
     """Return whether these numbers of two parts are the same."""
     for pair in ((getattr(found, name), getattr(made, name)) for name in names):
         if None in pair:

@@ -100,7 +100,7 @@ class Node:
     Readers ask for best effort, as ROS's do for sensor data, and so get what is sent with either reliability and
     durability. Writers offer reliable and volatile, which readers of either reliability take. Only the newest message
     is kept. Of several writers of a topic the first is heard, and another one only when that has fallen silent: two
-    estimators would make a vehicle that jumps between two places.
+    estimators would make a vehicle that jumps between two places. Where they publish in turn, that is logged once.
 
     Args:
         domain: number of the domain.
@@ -122,6 +122,8 @@ class Node:
         self._newest: dict[str, Arrived] = {}
         self._unreadable = set[str]()
         self._heard: dict[str, tuple[int, float]] = {}  # by topic: the writer, and when it was last heard
+        self._others = set[str]()  # topics of which another writer was heard since
+        self._shared = set[str]()  # topics of which that was told
         self._woken, self._waker = os.pipe()
         os.set_blocking(self._woken, False)
         os.set_blocking(self._waker, False)
@@ -211,7 +213,12 @@ class Node:
         """Whether a writer is the one that is heard."""
         first, at = self._heard.get(topic, (writer, now))
         if writer != first and now - at <= SILENCE:
+            self._others.add(topic)
             return False
+        if writer == first and topic in self._others - self._shared:  # it is no driver that has started again
+            self._shared.add(topic)
+            _logger.warning("Two nodes publish on %s: only the first is read. Give each a topic of its own.", topic)
+        self._others.discard(topic)
         self._heard[topic] = writer, now
         return True
 

@@ -12,7 +12,7 @@ import numpy as np
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.limits import SafetyLimits
-from uavrl_onboard.flight.safety import State
+from uavrl_onboard.flight.safety import SafetyState
 from uavrl_onboard.geometry import quaternion, rotate
 from uavrl_onboard.lidar.ros_messages import DIAGNOSTICS, MARKERS
 from uavrl_onboard.policy.contract import Cells, Contract
@@ -22,7 +22,7 @@ from uavrl_onboard.ros2.vehicle import header_at
 DIAGNOSTICS_TOPIC, MARKERS_TOPIC = "/diagnostics", "/uavrl/markers"
 OK, WARN, ERROR = 0, 1, 2  # DiagnosticStatus's levels
 _EVERY = 1.0  # s between two diagnostics, the rate that rqt_robot_monitor and the aggregator expect
-_LEVELS = {State.HOLDING: WARN, State.SILENT: ERROR}
+_LEVELS = {SafetyState.HOLDING: WARN, SafetyState.SILENT: ERROR}
 _CONTROL_LEVELS = {Control.IN_CONTROL: OK, Control.LOST: ERROR, Control.UNSUPPORTED: ERROR}
 _ARROW, _CYLINDER, _SPHERES = 0, 3, 7  # Marker's types
 _ADD, _DELETE = 0, 2

@@ -25,7 +25,7 @@ LIGHT = {
     "train": {
         "algo=typo": "algo must be one of ddpg, sac, td3",
         "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",
-        "lifeguard.capacity=3": "choose lifeguard=linear or mlp",
+        "lifeguard.capacity=3": "lifeguard.capacity belongs to another choice of lifeguard than the one made",
         "trainer.episodes=-1": "trainer.episodes must be at least 1, got -1",
         "reward._target_=os.system": "os is no package that you have listed",
     },

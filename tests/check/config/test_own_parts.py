@@ -12,8 +12,8 @@ import pytest
 from torchrl.checkpoint import Checkpoint
 
 from tests.helpers.commands import in_process
-from tests.helpers.flights import unpack
 from tests.helpers.own_parts import CHOSEN, CONFIG_DIR, SMALL, TRUSTED
+from tests.helpers.pages import unpack
 from uavrl.cli import replay as replay_command
 from uavrl.cli import train as train_command
 from uavrl.evaluation.recording import RecordedFlight, load_recording

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -55,6 +56,18 @@ main()
     assert done.returncode == 0 and done.stderr == "", done.stderr
     assert json.loads((tmp_path / "facts.json").read_text())["scans"] == 2
     assert (tmp_path / "scan.html").stat().st_size > 1_000_000
+
+
+def test_its_own_tests_pass_without_what_trains() -> None:
+    run = f"""
+import pytest
+options = ["-o", "addopts=--import-mode=importlib", "-p", "no:cacheprovider", "-q", {str(ROOT / "onboard/tests")!r}]
+sys.exit(pytest.main(options))
+"""
+    code = WITHOUT.format(blocked=TRAINS, run=run)
+    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # Hydra brings a plugin of pytest's
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=environment)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-1000:]
 
 
 def test_it_is_installed_and_flies_in_an_empty_environment(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from tests.helpers.folders import ROOT
 from uavrl.config import compose, validate
 from uavrl.config.settings import EvaluateConfig
-from uavrl_onboard.cli import fly, scan
+from uavrl_onboard.cli import check, fly, scan
 from uavrl_onboard.cli.command import settings
 
 YAML = {
@@ -26,7 +26,11 @@ YAML = {
     "export": "export",
     "sitl": "sitl",
 }
-ON_BOARD = {"scan": (scan.ABOUT, scan.ScanConfig), "fly": (fly.ABOUT, fly.FlyConfig)}
+ON_BOARD = {
+    "scan": (scan.ABOUT, scan.ScanConfig),
+    "check": (check.ABOUT, fly.FlyConfig),
+    "fly": (fly.ABOUT, fly.FlyConfig),
+}
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 

@@ -33,10 +33,9 @@ main()
 """
 
 
-@pytest.fixture(scope="module")
-def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(ROOT)]
+def built(source: Path, folder: Path) -> Path:
+    """The wheel of the package in a folder."""
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(folder), str(source)]
     try:
         import hatch_fancy_pypi_readme  # noqa: F401
         import hatchling  # noqa: F401
@@ -45,7 +44,14 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     else:
         command.append("--no-build-isolation")
     subprocess.run(command, check=True, capture_output=True, timeout=600)
-    (wheel,) = folder.glob("uavrl-*.whl")
+    (wheel,) = folder.glob("uavrl*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    wheel = built(ROOT, folder)
     assert wheel.stat().st_size <= 4_000_000
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder / "unpacked")
@@ -69,6 +75,19 @@ def test_the_wheel_holds_the_package_and_its_configuration_alone(unpacked: Path)
     assert f"/uavrl/blob/v{uavrl.__version__}/docs/results.md" in told
     assert not re.search(r"\]\((?!https?:|#)", told.partition("# uavrl")[2])
     assert "Requires-Dist: uavrl-onboard" in told
+
+
+@pytest.mark.slow
+def test_the_wheel_of_what_flies_holds_all_of_its_package_and_its_commands(tmp_path: Path) -> None:
+    source = ROOT / "onboard"
+    with zipfile.ZipFile(built(source, tmp_path)) as archive:
+        packed = set(archive.namelist())
+        (entry_points,) = [archive.read(name).decode() for name in packed if name.endswith("/entry_points.txt")]
+    files = [path for path in (source / "uavrl_onboard").rglob("*") if path.is_file()]
+    assert {str(path.relative_to(source)) for path in files if "__pycache__" not in path.parts} <= packed
+    assert {name.partition("/")[0].partition("-")[0] for name in packed} == {"uavrl_onboard"}
+    for command in ("fly", "scan"):
+        assert f"uavrl-{command} = uavrl_onboard.cli.{command}:main" in entry_points
 
 
 @pytest.mark.slow

@@ -32,6 +32,8 @@ SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=
 DECAY = ["actor_penalty.final_weight=0.2", "actor_penalty.decay_steps=400", "smoothness=action_rate"]
 GUIDED = ["demonstrator=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
 
+CLONED = ["cloning=dagger", "cloning.steps=120", "cloning.batch_size=16", *GUIDED]  # and TD3 after that
+
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 
 
@@ -107,7 +109,7 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
 @pytest.mark.parametrize(
     "overrides",
     [
-        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED),
+        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED, CLONED),
         *(pytest.param(o, marks=pytest.mark.slow) for o in (DDPG, SAC)),
     ],
 )

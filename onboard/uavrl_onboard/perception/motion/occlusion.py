@@ -33,7 +33,9 @@ class Grid(NamedTuple):
         return row, np.where(column < 0, column + self.columns, column)
 
 
-Cells = tuple[np.ndarray, np.ndarray]  # which returns lie in a grid, and in which of the cells of all clouds in turn
+CellIndices = tuple[
+    np.ndarray, np.ndarray
+]  # which returns lie in a grid, and in which of the cells of all clouds in turn
 
 
 class Returns(NamedTuple):
@@ -43,7 +45,7 @@ class Returns(NamedTuple):
     ranges: np.ndarray
     clouds: np.ndarray
 
-    def in_cells(self, grid: Grid) -> Cells:
+    def in_cells(self, grid: Grid) -> CellIndices:
         """Which of them lie in ``grid``, and in which of all its cells, those of each cloud in turn."""
         row, column = grid.cells(self.points, self.ranges)
         rows = np.rint(row).astype(np.int64)
@@ -65,7 +67,7 @@ def find_returns(clouds: np.ndarray, max_range: float) -> Returns:
     return Returns(points, np.sqrt(x * x + y * y + z * z), kept // max(each, 1))
 
 
-def range_images(seen: Returns, count: int, grid: Grid, cells: Cells | None = None) -> np.ndarray:
+def range_images(seen: Returns, count: int, grid: Grid, cells: CellIndices | None = None) -> np.ndarray:
     """The least range in each cell of ``count`` clouds: ``[count, rows, columns]`` in m, infinite without a return.
 
     ``cells`` are those of ``seen`` in ``grid``, if they are known.
@@ -120,7 +122,9 @@ class EarlierScans:
         """Forgets in which columns the sensors ``which``, ``bool [N]``, have had returns."""
         self.ever[which] = False
 
-    def add(self, seen: Returns, cells: Cells, rotations: np.ndarray, positions: np.ndarray, which: np.ndarray) -> None:
+    def add(
+        self, seen: Returns, cells: CellIndices, rotations: np.ndarray, positions: np.ndarray, which: np.ndarray
+    ) -> None:
         """Keeps scans as the newest of the sensors ``which``, ``bool [N]``.
 
         Args:

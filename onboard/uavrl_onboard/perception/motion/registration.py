@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavrl_onboard.geometry import rotation_about
-from uavrl_onboard.perception.motion.occlusion import Cells, Grid, Returns
+from uavrl_onboard.perception.motion.occlusion import CellIndices, Grid, Returns
 
 THINNED = 5  # of the columns, one is looked at
 SAMPLES = 256  # points of a scan that are compared
@@ -47,7 +47,7 @@ class Alignment(NamedTuple):
     agreeing: np.ndarray
 
 
-def point_images(seen: Returns, count: int, grid: Grid, cells: Cells | None = None) -> np.ndarray:
+def point_images(seen: Returns, count: int, grid: Grid, cells: CellIndices | None = None) -> np.ndarray:
     """The return in each cell of ``count`` clouds, ``[3, count, rows, columns]`` in m; zeros without one.
 
     ``cells`` are those of ``seen`` in ``grid``, if they are known.

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 
 from uavrl_onboard.geometry import body_to_world, yaw_rotation
-from uavrl_onboard.perception.motion.occlusion import Cells, EarlierScans, Grid, Returns, find_returns
+from uavrl_onboard.perception.motion.occlusion import CellIndices, EarlierScans, Grid, Returns, find_returns
 from uavrl_onboard.perception.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
-from uavrl_onboard.perception.motion.tracks import AROUND, Scan, Track, follow, squared_distances
+from uavrl_onboard.perception.motion.tracks import AROUND, LabelledReturns, Track, follow, squared_distances
 from uavrl_onboard.vehicle import VEHICLE
 
 OBJECT = ("forward", "left", "up", "forward velocity", "left velocity", "up velocity", "size")
@@ -116,7 +116,7 @@ class MotionSight:
         self._ages = np.where(which, np.minimum(self._ages + 1, DEPTH), self._ages)
         for one in np.flatnonzero(which).tolist():
             mine = slice(bounds[one], bounds[one + 1])
-            scan = Scan(world[:, mine].T, moving[mine], fresh[mine])
+            scan = LabelledReturns(world[:, mine].T, moving[mine], fresh[mine])
             if self._tracks[one] or scan.fresh.any():
                 self._tracks[one] = follow(self._tracks[one], scan, partial(self._before, one), elapsed)
             self._last[one] = scan.points
@@ -125,7 +125,7 @@ class MotionSight:
     def _move(
         self,
         seen: Returns,
-        cells: Cells,
+        cells: CellIndices,
         velocities: np.ndarray,
         attitudes: np.ndarray,
         which: np.ndarray,
@@ -184,13 +184,13 @@ class MotionSight:
         masks[0, moving], masks[1, moving[fresh]] = True, True
         return masks[0], masks[1]
 
-    def _before(self, sensor: int, place: np.ndarray) -> Scan:
+    def _before(self, sensor: int, place: np.ndarray) -> LabelledReturns:
         """What was ``AROUND`` a place in the last scan, and what of it is now seen through."""
         points = self._last[sensor]
         points = points[squared_distances(points, place) < AROUND**2]
         clouds = np.full(len(points), sensor)
         left = self._scans.beyond(points.T, clouds, np.ones_like(self._ages)) > MARGIN
-        return Scan(points, left, left)
+        return LabelledReturns(points, left, left)
 
     def _report(self, yaws: np.ndarray) -> np.ndarray:
         """The nearest tracks that count, ``[N, K, 7]``."""

@@ -80,7 +80,7 @@ class Track:
         return self.missed > (min(self.seen, COASTING) if self.is_confirmed else 1)
 
 
-class Scan(NamedTuple):
+class LabelledReturns(NamedTuple):
     """The returns of a scan in the world ``[M, 3]``, and which of them may be of a moving body and are fresh, ``[M]``.
 
     What may be of a moving body was not there before; of this, what an earlier scan saw through is fresh.
@@ -151,7 +151,9 @@ def body_around(place: np.ndarray, points: np.ndarray, moving: np.ndarray) -> np
     return whole if squared[whole].max() < REACH_WHOLE**2 else seeds
 
 
-def follow(tracks: list[Track], scan: Scan, before: Callable[[np.ndarray], Scan], dt: float) -> list[Track]:
+def follow(
+    tracks: list[Track], scan: LabelledReturns, before: Callable[[np.ndarray], LabelledReturns], dt: float
+) -> list[Track]:
     """The bodies after another scan: those that are still seen or believed in, and new ones.
 
     Args:
@@ -173,7 +175,9 @@ def follow(tracks: list[Track], scan: Scan, before: Callable[[np.ndarray], Scan]
     return kept + list(islice(_new(scan, before, free, dt), max(MOST_TRACKS - len(kept), 0)))
 
 
-def _new(scan: Scan, before: Callable[[np.ndarray], Scan], free: np.ndarray, dt: float) -> Iterator[Track]:
+def _new(
+    scan: LabelledReturns, before: Callable[[np.ndarray], LabelledReturns], free: np.ndarray, dt: float
+) -> Iterator[Track]:
     """The bodies that begin with fresh returns, and with where they were in the last scan if that is seen."""
     fresh = np.flatnonzero(scan.fresh & free)
     if len(fresh) < LEAST_RETURNS:

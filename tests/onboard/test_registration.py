@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.helpers.scenes import box, terrain
 
+from tests.helpers.scenes import box, terrain
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.world import World, WorldConfig
 from uavrl_onboard.geometry import body_to_world

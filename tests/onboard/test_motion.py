@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
-from tests.helpers.commands import VALLEY
-from tests.helpers.exported import edit_contract, exported, refusal
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from tests.helpers.commands import VALLEY
+from tests.helpers.exported import edit_contract, exported, refusal
 from uavrl.config import validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
@@ -27,7 +27,7 @@ from uavrl_onboard.autopilot.dry_run import DryRun
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.loop import Flight
-from uavrl_onboard.flight.safety import SafetyLayer, State
+from uavrl_onboard.flight.safety import SafetyLayer, SafetyState
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.policy.policy import Policy
 
@@ -139,7 +139,7 @@ def test_the_contract_says_where_it_stands_and_what_it_is(terms: dict[str, Any])
 
 
 def test_its_inputs_are_printed_as_a_table(made: Path) -> None:
-    example = runpy.run_path(str(Path(__file__).parents[3] / "docs/figures/inputs_table.py"))
+    example = runpy.run_path(str(Path(__file__).parents[2] / "docs/figures/inputs_table.py"))
     table = example["table"](made / "contract.json")
     objects, threats = (
         next(row for row in table.splitlines() if name in row) for name in ("moving objects", "threats;")
@@ -207,7 +207,7 @@ def test_it_does_not_take_off_by_what_tells_no_velocity(made: Path, caplog: pyte
         now = 100.0 + 0.1 * step
         link.receive(now)
         states.append(flight.step(now, Scan(now, np.ones((1, 3), np.float32), 1, 0)).status)
-    assert State.FLYING not in [status.state for status in states[:25]] and states[-1].state is State.FLYING
+    assert SafetyState.FLYING not in [status.state for status in states[:25]] and states[-1].state is SafetyState.FLYING
     told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
     assert len(told) == 1 and told[0].startswith("The policy gives no action: This policy sees what moves"), told
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.helpers.moving import BODY, Vehicle, straight, valley
 
+from tests.helpers.moving import BODY, Vehicle, straight, valley
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl_onboard.geometry import body_to_world
 from uavrl_onboard.lidar.packets import decode_vlp16, encode_scan

@@ -11,14 +11,14 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
-from tests.helpers.commands import in_process
 from torch.testing import assert_close
 
+from tests.helpers.commands import in_process
 from uavrl.cli import evaluate
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import WorldConfig
 from uavrl.evaluation.guarded import GuardedPolicy
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.guards.shield import Shield, fitted
 from uavrl_onboard.vehicle import Vehicle
@@ -104,9 +104,9 @@ class Forward:
 def test_behind_it_the_blind_do_not_collide() -> None:
     world = WorldConfig(size=(16.0, 14.0), obstacles=12, min_goal_distance=5.0, min_clearance=1.0)
     env = NavigationEnv(4, world=world, max_steps=60, measure_clearance=True)
-    ends = [flight.outcome for flight in fly(env, Forward(), 4)]
+    ends = [flight.outcome for flight in rollout_episodes(env, Forward(), 4)]
     env.set_seed(0)
-    shielded = [flight.outcome for flight in fly(env, GuardedPolicy(Forward(), shield=Shield()), 4)]
+    shielded = [flight.outcome for flight in rollout_episodes(env, GuardedPolicy(Forward(), shield=Shield()), 4)]
     assert ends.count("collided") > shielded.count("collided") == 0
 
 

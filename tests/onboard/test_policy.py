@@ -16,11 +16,11 @@ import torch
 from onnx import TensorProto, helper
 from safetensors.torch import load_file
 from tensordict import TensorDict, TensorDictBase
-from tests.helpers.exported import edit_contract, exported, put_network
-from tests.helpers.recorded import READ, SCANNED, SCANS, RecordedScans
 from torchrl.envs import InitTracker, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from tests.helpers.exported import edit_contract, exported, put_network
+from tests.helpers.recorded import READ, SCANNED, SCANS, RecordedScans
 from uavrl.config import validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import build

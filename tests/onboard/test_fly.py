@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from onboard.tests.lidar.test_senders import capture
 from tests.helpers.commands import in_process
 from tests.helpers.exported import exported
@@ -21,8 +22,7 @@ from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
 from tests.helpers.recordings import CLOUD, cloud_message, store, write_bag
-
-from uavrl_onboard.cli import fly
+from uavrl_onboard.cli import flight_end, fly
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.flight.loop import Flight
@@ -170,7 +170,7 @@ def test_how_a_flight_ended_is_told_before_its_numbers_are_written(
     rehearse, numbers, log = fly.rehearse, tmp_path / "a.json", tmp_path / "a.mcap"
     if fails:
         monkeypatch.setattr(fly, "rehearse", broken)
-    monkeypatch.setattr(fly, "replacing", full)
+    monkeypatch.setattr(flight_end, "replacing", full)
     recording = [*(each for each in RECORDING if each != "log=null"), f"log={log}", f"json={numbers}"]
     assert in_process(fly.main, f"policy={policy}", GOAL, *recording) == 1
     out, err = capsys.readouterr()

@@ -7,13 +7,13 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from tests.helpers.clouds import CloudEnv
 from torchrl.envs import CatFrames, TransformedEnv
 
+from tests.helpers.clouds import CloudEnv
 from uavrl.transforms import navigation_observation as in_torch
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.perception.goal import goal_elevation_deg, goal_heading_deg
-from uavrl_onboard.perception.observation import NavigationState, navigation_observation
+from uavrl_onboard.perception.observation import FrameStack, navigation_observation
 
 
 @pytest.mark.parametrize("angles", ["folded", "turns", "raw"])
@@ -42,7 +42,7 @@ def test_an_unknown_scaling_is_refused() -> None:
 @pytest.mark.parametrize("frames", [1, 3])
 def test_frames_stand_as_training_stacks_them(frames: int) -> None:
     stack = CatFrames(frames, dim=-1, in_keys=["cloud"], padding="constant", padding_value=0.0)
-    env, state = TransformedEnv(CloudEnv(key="cloud"), stack), NavigationState(frames)
+    env, state = TransformedEnv(CloudEnv(key="cloud"), stack), FrameStack(frames)
     for episode in range(2):
         state.reset()
         stacked = env.rollout(5)["cloud"][:, 0].numpy()  # of the first point, [5, 3 * frames]
@@ -52,7 +52,7 @@ def test_frames_stand_as_training_stacks_them(frames: int) -> None:
 
 
 def test_the_last_action_stands_behind_each_observation_scaled() -> None:
-    state = NavigationState(frames=2, last_action=True)
+    state = FrameStack(frames=2, last_action=True)
     assert state(np.array([1.0])).tolist() == [0.0] * 5 + [1.0, 0.0, 0.0, 0.0, 0.0]
     action = np.array([2.0, -1.0, 0.5, -2.0])
     assert state(np.array([3.0]), action).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 3.0, 1.0, -0.5, 0.25, -1.0]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tests.helpers.numpy_reductions import MISSES, PAIRS, check_clouds
 
+from tests.helpers.numpy_reductions import MISSES, PAIRS, check_clouds
 from uavrl.transforms import REDUCTIONS
 from uavrl.transforms.reduction import is_return as torch_is_return
 from uavrl_onboard.errors import UavrlError

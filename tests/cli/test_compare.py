@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.commands import in_process
+from uavrl.cli import compare as compare_command
+from uavrl.cli.compare import CompareConfig, compare, main
+
+FAILS_OFTEN = "SC" * 50
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> dict[str, str]:
+    """Files of a policy that always succeeds, one that fails every second task, and a suite of both."""
+    outcomes = {"good": "S" * 100, "bad": FAILS_OFTEN}
+    for name, letters in outcomes.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps({"seed": 20_000, "outcomes": letters}))
+    (tmp_path / "suite.json").write_text(json.dumps({"dense": {"outcomes": "T" * 100}, "static": {"episodes": 3}}))
+    return {path.stem: str(path) for path in tmp_path.glob("*.json")}
+
+
+def test_recorded_evaluations_are_compared_until_one_is_better(recorded: dict[str, str]) -> None:
+    found, outcomes = compare(CompareConfig(recorded["bad"], recorded["good"], block=10))
+    assert found.better == "second" and found.tasks < 100 and found.won == 0
+    assert outcomes == {"first": FAILS_OFTEN[: found.tasks], "second": "S" * found.tasks}
+
+
+def test_equal_policies_take_all_tasks_and_neither_is_better(recorded: dict[str, str]) -> None:
+    found, _ = compare(CompareConfig(recorded["good"], recorded["good"], block=30))
+    assert (found.better, found.tasks, found.difference) == (None, 100, 0.0)
+
+
+def test_the_row_of_a_suite_is_the_one_that_is_asked_for(recorded: dict[str, str]) -> None:
+    found, _ = compare(CompareConfig(recorded["good"], recorded["suite"], row="dense"))
+    assert found.better == "first"
+
+
+def test_the_verdict_is_printed_and_written(
+    recorded: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "result/found.json"
+    assert in_process(main, recorded["good"], recorded["bad"], "row=dense", f"json={file}") == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].startswith(recorded["good"]) and "success rate 100.0 % (95 % CI " in told[0]
+    assert told[-1].startswith(f"{recorded['good']} succeeds more often than {recorded['bad']} in dense, by at least ")
+    result = json.loads(file.read_text())
+    assert result["better"] == "first" and 0 < result["low"] < result["difference"] < result["high"]
+    assert result["second"]["outcomes"] == FAILS_OFTEN[: result["tasks"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["best"], "Name two policies to compare"),
+        (["best", "bst"], "did you mean best?"),
+        (["best", "vfh", "row=dens"], "did you mean dense?"),
+        (["best", "vfh", "error=0.7"], "error must be"),
+        (["best", "vfh", "taks=3"], "did you mean tasks?"),
+        (["best", "'vfh"], "cannot be read"),
+        (["best", "none.json"], "none.json cannot be read"),
+    ],
+)
+def test_mistakes_are_told_before_anything_flies(
+    words: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert in_process(main, *words) == 1
+    err = capsys.readouterr().err
+    assert says in err and err.startswith("uavrl: ") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("text", ["[]", "{", '{"outcomes": "SXS"}', '{"static": {"episodes": 3}}'])
+def test_a_file_without_outcomes_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.json").write_text(text)
+    assert in_process(main, str(tmp_path / "a.json"), "best", "row=static") == 1
+    assert "holds no outcomes of static" in capsys.readouterr().err
+
+
+def test_files_of_other_tasks_are_refused(recorded: dict[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert in_process(main, recorded["good"], recorded["bad"], "seed=7") == 1
+    assert "tasks of seed 20000, not 7: add seed=20000." in capsys.readouterr().err
+
+
+def test_a_side_may_have_keys_of_its_own() -> None:
+    asked = CompareConfig("best", "vfh", row="static", tasks=9, seed=5)
+    made = compare_command._overrides("vfh perception.radius=3", asked)
+    assert made == ['policy="vfh"', "perception.radius=3", "env=static", "episodes=9", "seed=5", "progress=false"]

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from uavrl.evaluation.sequential import Comparison, rate_bounds, stops_after
+
+
+def test_the_bounds_of_one_success_in_one_trial_are_worked_out_by_hand() -> None:
+    """The mixture gives one success the probability 1/2, so that p is kept while 1/2 / p < 20."""
+    low, high = rate_bounds(1, 1, 0.05)
+    assert low == pytest.approx(1 / 40) and high == 1.0
+    assert rate_bounds(0, 1, 0.05) == (0.0, pytest.approx(39 / 40))
+
+
+def test_the_bounds_keep_their_error_rate_however_often_one_looks() -> None:
+    """Of 400 sequences of 300 trials, looked at after each, at most about 5 % ever exclude the truth."""
+    rng = np.random.default_rng(0)
+    known = {
+        n: [rate_bounds(k, n, 0.05) for k in range(n + 1)] for n in (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 300)
+    }
+    misses = 0
+    for _ in range(400):
+        sums = (rng.random(300) < 0.9).cumsum()
+        misses += any(not known[n][sums[n - 1]][0] <= 0.9 <= known[n][sums[n - 1]][1] for n in known)
+    assert misses <= 400 * 0.05
+
+
+def test_bounds_narrow_with_trials_and_widen_with_certainty() -> None:
+    widths = [np.diff(rate_bounds(n // 2, n, 0.05)).item() for n in (10, 100, 1000)]
+    assert widths[0] > widths[1] > widths[2]
+    assert np.diff(rate_bounds(50, 100, 0.001)).item() > widths[1]
+
+
+def test_a_difference_is_that_of_the_rates_and_lies_within_its_bounds() -> None:
+    found = Comparison.of("S" * 80 + "C" * 20, "S" * 60 + "T" * 40)
+    low, high = found.bounds
+    assert (found.won, found.lost, found.tasks) == (20, 0, 100)
+    assert math.isclose(found.difference, 0.2) and 0 < low < 0.2 < high and found.better == "first"
+    mirrored = Comparison(found.lost, found.won, found.tasks)
+    assert mirrored.bounds == pytest.approx((-high, -low)) and mirrored.better == "second"
+
+
+def test_the_verdict_is_that_of_the_tasks_in_which_the_policies_differ() -> None:
+    """Tasks that end alike for both say how large the difference is, not which policy is better."""
+    assert Comparison(12, 2, 20).better == Comparison(12, 2, 2000).better
+    assert Comparison(3, 0, 10).better is None, "three of three is chance"
+
+
+def test_it_stops_at_the_first_block_that_answers() -> None:
+    ours, theirs = "S" * 100, "C" * 100
+    stopped = stops_after(ours, theirs, block=5)
+    assert stopped.tasks == next(n for n in range(5, 100, 5) if Comparison(n, 0, n).better)
+    assert stops_after("SC" * 20, "CS" * 20, block=7).tasks == 40, "an unclear answer takes all tasks"
+
+
+def test_outcomes_of_different_tasks_are_refused() -> None:
+    with pytest.raises(ValueError, match="argument 2 is shorter"):
+        Comparison.of("SS", "S")

@@ -1,0 +1,260 @@
+"""``uavrl-compare A B``: flies two policies in the same tasks until it is clear which one succeeds more often."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field
+
+from uavrl.cli.logs import configure_logging
+from uavrl.config import EvaluateConfig, validate
+from uavrl.config.yaml_files import compose
+from uavrl.errors import UavrlError
+from uavrl.evaluation.policies import require_policy
+from uavrl.runs.episodes import LETTERS, outcomes_of, wilson
+from uavrl.runs.progress_line import ProgressLine
+from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.process import one_sentence
+from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.ranges import Count, Folder
+
+if TYPE_CHECKING:
+    from uavrl.evaluation.sequential import Comparison
+
+SIDES = ("first", "second")
+ABOUT = About(
+    "uavrl-compare",
+    "Flies two policies in the same tasks until it is clear which one succeeds more often.",
+    [
+        "best vfh row=dense",
+        "runs/mine best",
+        "'best guards=none' best row=busy",
+        "mine/suite.json theirs/suite.json row=dense",
+    ],
+    "first second row tasks block error json",
+)
+
+
+@dataclass
+class CompareConfig:
+    """The keys of ``uavrl-compare``.
+
+    Args:
+        first: a policy, as in uavrl-evaluate policy=; the folder of a run or of an exported policy; or a JSON file that
+            uavrl-evaluate wrote. Further keys of uavrl-evaluate may follow in the same quotes
+        second: the policy to compare it with
+        row: the scenario, one of those that uavrl-evaluate suite= takes
+        tasks: when to stop if neither policy is better so far
+        block: number of tasks between two looks at the outcomes
+        error: probability of a wrong verdict, however early the comparison stops
+        seed: seed of the tasks
+        json: file for the result; null: none
+    """
+
+    first: str | None = None
+    second: str | None = None
+    row: str = "held_out"
+    tasks: Count = 500
+    block: Count = 25
+    error: Annotated[float, Field(gt=0, lt=0.5)] = 0.05
+    seed: Annotated[int, Field(ge=0)] = 20_000
+    json: Folder | None = None
+
+    def __post_init__(self) -> None:
+        """Check that there are two policies and a scenario."""
+        if self.first is None or self.second is None:
+            raise UavrlError("Name two policies to compare, for example: uavrl-compare best vfh row=dense.")
+        _changes(self.row)
+
+
+@command(ABOUT, CompareConfig)
+def _main(settings: CompareConfig) -> None:
+    if settings.json is not None:
+        writable(Path(settings.json))
+    comparison, outcomes = compare(settings)
+    print(_sentences(settings, comparison, outcomes))
+    if settings.json is not None:
+        low, high = comparison.bounds
+        result = {"row": settings.row, "seed": settings.seed, "error": settings.error, "better": comparison.better}
+        result |= {"tasks": comparison.tasks, "difference": comparison.difference, "low": low, "high": high}
+        result |= {name: {"policy": getattr(settings, name), "outcomes": outcomes[name]} for name in SIDES}
+        with replacing(Path(settings.json)) as partial:
+            partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Reads the command line; the first two words without ``=`` before them name the policies."""
+    names = iter(SIDES)
+    sys.argv[1:] = [word if _is_key(word) else f"{next(names, 'second')}={word!r}" for word in sys.argv[1:]]
+    _main()
+
+
+def _is_key(word: str) -> bool:
+    """Whether an argument is an option or KEY=VALUE, and not a policy with its keys."""
+    name = word.split()[0] if word.split() else word
+    return word.startswith("-") or "=" in name
+
+
+def compare(settings: CompareConfig) -> tuple[Comparison, dict[str, str]]:
+    """Fly both policies block by block, and stop when one is better or all tasks are flown.
+
+    Returns:
+        the comparison, and the outcomes of both policies in its tasks.
+    """
+    # Imported here: --help and a mistyped key answer without loading SciPy.
+    from uavrl.evaluation.sequential import Comparison
+
+    known, flying = {}, {}
+    for name in SIDES:
+        side = str(getattr(settings, name))
+        if (file := Path(side)).suffix == ".json":
+            known[name] = _recorded(file, settings)
+        else:
+            flying[name] = _overrides(side, settings)
+    tasks = min([settings.tasks, *(len(outcomes) for outcomes in known.values())])
+    found = Comparison(0, 0, 0, settings.error)
+    with _flights(flying, tasks) as flown, ProgressLine(tasks, "tasks", enabled=bool(flying)) as line:
+        for end in [*range(settings.block, tasks, settings.block), tasks]:
+            outcomes = {name: known[name][:end] if name in known else flown[name].first(end) for name in SIDES}
+            found = Comparison.of(outcomes["first"], outcomes["second"], settings.error)
+            line.set(end)
+            if found.better:
+                break
+    return found, outcomes
+
+
+def _overrides(side: str, settings: CompareConfig) -> list[str]:
+    """The overrides of ``uavrl-evaluate`` for one side."""
+    try:
+        name, *rest = shlex.split(side)
+    except ValueError as error:
+        raise UavrlError(f"{side!r} cannot be read ({error}): write POLICY, or 'POLICY KEY=VALUE …'.") from error
+    if (Path(name) / "config.yaml").is_file():
+        policy = f"run={json.dumps(name, ensure_ascii=False)}"
+    else:
+        require_policy(name)
+        policy = f"policy={json.dumps(name, ensure_ascii=False)}"
+    fixed = [f"episodes={settings.tasks}", f"seed={settings.seed}", "progress=false"]
+    return [policy, *rest, *_changes(settings.row), *fixed]
+
+
+def _changes(row: str) -> list[str]:
+    """The overrides of a scenario of the suite."""
+    from uavrl.evaluation.summary import scenarios
+
+    return scenarios([row])[row]
+
+
+def _recorded(file: Path, settings: CompareConfig) -> str:
+    """The outcomes that ``uavrl-evaluate`` wrote, in a file of one scenario or of the suite."""
+    try:
+        result = json.loads(file.read_text(encoding="utf-8"))
+        result = result.get(settings.row, result)
+        outcomes, seed = outcomes_of(result), result.get("seed", settings.seed)
+    except OSError as error:
+        raise UavrlError(f"{file} cannot be read ({error.strerror}): give a file that uavrl-evaluate wrote.") from error
+    except (ValueError, AttributeError, KeyError, TypeError):
+        outcomes, seed = None, settings.seed
+    if not isinstance(outcomes, str) or not outcomes or set(outcomes) - set(LETTERS.values()):
+        raise UavrlError(f"{file} holds no outcomes of {settings.row}: give a file that uavrl-evaluate wrote.")
+    if seed != settings.seed:
+        raise UavrlError(f"{file} holds tasks of seed {seed}, not {settings.seed}: add seed={seed}.")
+    return outcomes
+
+
+class _Flight:
+    """One policy that flies in a process of its own."""
+
+    def __init__(self, overrides: list[str]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._ended, theirs = context.Pipe(duplex=False)
+        self._process = context.Process(target=_fly, args=(overrides, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._outcomes: dict[int, str] = {}
+
+    def first(self, count: int) -> str:
+        """Wait for tasks 0 to ``count - 1`` and return their outcomes; longer tasks are not left out."""
+        while any(task not in self._outcomes for task in range(count)):
+            try:
+                told = self._ended.recv()
+            except EOFError as error:
+                raise UavrlError("A flight's process was killed, often for want of memory: start it again.") from error
+            if isinstance(told, str):
+                raise UavrlError(told)
+            self._outcomes[told[0]] = told[1]
+        return "".join(self._outcomes[task] for task in range(count))
+
+    def stop(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.join()
+
+
+@contextmanager
+def _flights(flying: dict[str, list[str]], tasks: int) -> Iterator[dict[str, _Flight]]:
+    started: dict[str, _Flight] = {}
+    try:
+        for name, overrides in flying.items():
+            started[name] = _Flight([*overrides, f"episodes={tasks}"])
+        yield started
+    finally:
+        for flight in started.values():
+            flight.stop()
+
+
+def _fly(overrides: list[str], ended: Connection) -> None:
+    """Send each outcome as ``(task, letter)``, or the sentence of an error."""
+    configure_logging()
+    from uavrl.cli.evaluate import flown
+    from uavrl.evaluation.rollout import episodes_as_they_end
+
+    try:
+        config = compose(*overrides, name="evaluate")
+        settings, told = validate(config, EvaluateConfig), dict[str, Any]()
+        with flown(settings, config, overrides, told) as (chosen, env):
+            for each in episodes_as_they_end(env, chosen.policy, settings.episodes):
+                ended.send((each.task, LETTERS[each.outcome]))
+    except UavrlError as error:
+        ended.send(str(error))
+    except BrokenPipeError:  # nobody waits for the rest
+        pass
+
+
+def _sentences(settings: CompareConfig, comparison: Comparison, outcomes: dict[str, str]) -> str:
+    """The rates, their difference and the verdict."""
+    points = [f"{100 * value:+.1f}" for value in (comparison.difference, *comparison.bounds)]
+    names = {name: str(getattr(settings, name)) for name in SIDES}
+    width = max(map(len, names.values()))
+    lines = []
+    for name in SIDES:
+        rate = wilson(outcomes[name].count("S"), comparison.tasks)
+        shown = "{:.1f} % (95 % CI {:.1f}–{:.1f} %, {} tasks)"
+        values = [100 * rate[key] for key in ("rate", "low", "high")]
+        lines.append(f"{names[name]:<{width}}  success rate {shown.format(*values, comparison.tasks)}")
+    certain = f"{100 * (1 - settings.error):g} %"
+    lines.append(f"Difference: {points[0]} points ({certain} confidence sequence {points[1]} to {points[2]}).")
+    if comparison.better is None:
+        lines.append(f"Neither policy is better in {settings.row} after {comparison.tasks} tasks.")
+    else:
+        other = SIDES[1 - SIDES.index(comparison.better)]
+        least = min(abs(bound) for bound in comparison.bounds)
+        lines.append(
+            f"{names[comparison.better]} succeeds more often than {names[other]} in {settings.row}, by at least "
+            f"{100 * least:.1f} points (error rate {100 * settings.error:g} %)."
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    with one_sentence():
+        main()
