@@ -77,7 +77,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             "algo.gamma got several values, 0.9,0.8: give one, or add -m to train with each of them",
         ),
         (["preset=bst"], "got 'bst': did you mean best?"),
-        (["preset=fast"], "preset must be one of best, thesis, got 'fast'."),
+        (["preset=fast"], "preset must be one of best, td3_bc, thesis, got 'fast'."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
         (["--seed", "1"], "uavrl-train has no option --seed: write seed=VALUE."),
         (["--seeds=1"], "uavrl-train has no option --seeds=1: did you mean seed?"),
