@@ -78,7 +78,7 @@ def help_text(name: str, *, every_key: bool = False) -> str:
         lines += ["", f"All keys: {command} --help=all    The resolved configuration: {command} … --cfg job"]
     if name in BUILDS_VALLEYS:
         kept = f"Built valleys are kept in {valley_folder()}, at most {MOST_BYTES / 1e6:.0f} MB"
-        lines += ["", f"{kept}.", f"The environment variable {FOLDER} names another folder."]
+        lines += [f"{kept}.", f"The environment variable {FOLDER} names another folder."]
     return "\n".join(lines)
 
 
