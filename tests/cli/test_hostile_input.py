@@ -140,7 +140,7 @@ def test_a_full_disk_names_the_file_and_how_to_go_on(
     run_dir = tmp_path / "run"
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}")
     assert f"{run_dir / 'episodes.csv'} cannot be written (No space left on device)" in sentence
-    assert f"go on with uavrl-train resume={run_dir}" in sentence
+    assert f"resume with uavrl-train resume={run_dir}" in sentence
     monkeypatch.undo()
     assert in_process(train_command.main, f"resume={run_dir}") == 0
 
@@ -154,7 +154,7 @@ def test_a_checkpoint_is_not_begun_where_it_has_no_room(
     run_dir = tmp_path / "run"
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}", "trainer.episodes=50")
     assert f"{run_dir} cannot be written" in sentence and "MB are needed and 0.0 MB are left" in sentence
-    assert f"go on with uavrl-train resume={run_dir}" in sentence
+    assert f"resume with uavrl-train resume={run_dir}" in sentence
     assert len(list((run_dir / "checkpoints").iterdir())) == 2
 
 
