@@ -5,7 +5,7 @@
 Each row trains in the static valley, on a quiet machine with two cores, one run after the other, until `--success` of
 the last `--window` training flights arrive or `--episodes` are flown. "default" is `uavrl-train` with PyTorch's own
 products (`collector=sync`, one update a step, multiplied by MKL). "fast" learns from random actions, too, with what
-docs/journal/fast.md lists. Stable-Baselines3 trains on `uavrl/Valley-v0` with
+docs/results.md#training-from-random-actions lists. Stable-Baselines3 trains on `uavrl/Valley-v0` with
 the default's reward, networks and noise, and is given up after `--patience` minutes.
 Minutes are those of training, compiling included, building the valley left out.
 

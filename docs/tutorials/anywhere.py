@@ -1,8 +1,9 @@
 # %% [markdown]
-# # The reduction and LifeGuard in an environment of somebody else
+# # The reduction and LifeGuard in another environment
 #
-# Nothing in uavrl's parts knows the valley. Here they meet a Gymnasium environment that knows nothing of uavrl: a ball in a room with pillars, which
-# senses points. You will see how a cloud becomes 32 numbers, and how LifeGuard learns which actions end in a crash. `shell` is [a file of two helpers](index.md#what-they-share).
+# uavrl's parts do not depend on the valley. In this tutorial you use them in a Gymnasium environment that has nothing to do with uavrl: a ball with a
+# sensor moves in a room with pillars. You will see how a point cloud becomes 32 numbers, and how LifeGuard learns which actions end in a crash.
+# `shell` is [a file with two helpers](index.md#what-they-share).
 
 # %%
 import gymnasium
@@ -29,8 +30,8 @@ _ = torch.manual_seed(0)
 # %% [markdown]
 # ## An environment
 #
-# The room is 4 m wide. Four pillars stand in it; to touch one, or a wall, is a crash. The sensor gives points on the pillars, in metres, seen from
-# the ball: any LiDAR, radar or depth camera would do. The reward is for being near the goal, in the corner.
+# The room is 4 m wide and has four pillars. Touching a pillar or a wall is a crash. The sensor returns points on the pillars in metres, relative to
+# the ball. A LiDAR, a radar or a depth camera returns such points. The reward is higher near the goal, which is in a corner.
 
 # %%
 PILLARS = np.array([[-0.8, -0.8], [0.8, -0.8], [-0.8, 0.8], [0.8, 0.8]])
@@ -62,8 +63,8 @@ class Room(gymnasium.Env):
 # %% [markdown]
 # ## The cloud becomes 32 numbers
 #
-# {class}`~uavrl.transforms.TruncatedIcosahedron` is a TorchRL transform. Name your key, and say how large the ball around the sensor is: what is farther
-# away does not count. The cloud is dropped on the way.
+# {class}`~uavrl.transforms.TruncatedIcosahedron` is a TorchRL transform. Pass the key of your point cloud and the radius of the ball around the
+# sensor. Points farther away do not count. The transform removes the cloud from the output.
 
 # %%
 env = TransformedEnv(
@@ -77,13 +78,14 @@ env = TransformedEnv(
 env.set_seed(0)
 begin = env.reset()
 print("keys:", sorted(begin.keys()))
-print("faces that see something:", int((begin["faces"] > 0).sum()), "of 32")
+print("faces with a point:", int((begin["faces"] > 0).sum()), "of 32")
 
 # %% [markdown]
 # ## A loss, and LifeGuard around it
 #
-# {class}`~uavrl.losses.LifeGuard` wraps TorchRL's own TD3, DDPG, SAC, REDQ and CrossQ losses, and ours. It needs to know what a failure is called: here every end that is not a
-# time-out is a crash, so `terminated`. The room has no goal to arrive at that ends a flight; with `success_window=None` LifeGuard does not ask.
+# {class}`~uavrl.losses.LifeGuard` wraps TorchRL's own TD3, DDPG, SAC, REDQ and CrossQ losses, and ours. Pass it the key of a failure. Here every
+# end of an episode other than a time-out is a crash, so the key is `terminated`. Reaching the goal does not end an episode, so there is no success
+# rate. `success_window=None` makes LifeGuard's weight independent of success.
 
 # %%
 spec = env.full_action_spec["action"]
@@ -105,8 +107,8 @@ loss = LifeGuard(
 loss.set_keys(collided="terminated")
 
 # %% [markdown]
-# The rest is TorchRL as everywhere. Two lines are LifeGuard's: `observe` shows it a flight, `fit` trains its classifier. It wants whole flights, so the
-# collector hands over one at a time.
+# The rest is standard TorchRL, except for two lines: `observe` passes an episode to LifeGuard, and `fit` trains its classifier. LifeGuard needs whole
+# episodes, so the collector yields one at a time.
 
 # %%
 adam = [torch.optim.Adam(p.parameters(), lr=1e-3) for p in (loss.critic_network_params, loss.actor_network_params)]
@@ -138,21 +140,21 @@ for episode in collector:
 collector.shutdown()
 half = len(crashed) // 2
 print(
-    f"{sum(crashed[:half])} of the first {half} flights crashed, {sum(crashed[half:])} of the last {len(crashed) - half}"
+    f"{sum(crashed[:half])} of the first {half} episodes crashed, {sum(crashed[half:])} of the last {len(crashed) - half}"
 )
-print("does the actor hear of LifeGuard?", loss.active)
+print("LifeGuard's penalty is enabled:", loss.active)
 
 # %% [markdown]
-# How much of the second number is LifeGuard's and how much TD3's, one training cannot say: for that, train with and without it, with several seeds
-# ([the next tutorial](new_reward.py) shows how to read that). What can be seen here is what its classifier has learned.
+# One training cannot show how much of this is due to LifeGuard. For that, train with and without it, with several seeds ([another
+# tutorial](new_reward.py) shows how to read the result). Here we look at what its classifier has learned.
 #
-# ## What it holds for dangerous
+# ## The predicted risk
 #
-# Two places, each half a metre from the middle of a pillar. One is on the way to the goal, where many flights crashed; to the other
-# few flights came. For each direction of full speed we ask for the risk of a crash. 0° is straight at the pillar; a step that turns
-# less than 49° from there touches it.
+# We compare two positions, each half a metre from the middle of a pillar. One is on the way to the goal, where many episodes crashed. Few episodes
+# reached the other. For each direction at full speed, we compute the predicted risk of a crash. 0° points straight at the pillar. A step within 49°
+# of that direction touches it.
 
-# %% mystnb={"image": {"alt": "The risk that LifeGuard sees by the direction of the action, at a place on the way to the goal and at one off it"}}
+# %% mystnb={"image": {"alt": "The predicted risk by the direction of the action, at a position on the way to the goal and at one off it"}}
 room = Room()
 angles = torch.linspace(-np.pi, np.pi, 73)
 touches = angles.abs() < np.deg2rad(49)
@@ -168,11 +170,11 @@ for name, place, bearing in (("on the way", (0.45, 0.45), np.pi / 4), ("off the 
     plt.plot(angles.rad2deg(), risk, label=name)
 plt.axvspan(-49, 49, alpha=0.15, label="touches the pillar")
 plt.xlabel("direction of the action, degrees from the pillar")
-plt.ylabel("risk that LifeGuard sees")
+plt.ylabel("predicted risk")
 plt.ylim(0, 1)
 plt.legend()
 plt.show()
 
 # %% [markdown]
-# LifeGuard knows what it has lived through. Where flights crashed it tells the directions apart; where none came, it has little to say, and its
-# penalty does not help. The 32 faces are the same kind of numbers at both pillars, yet a few dozen crashes are too few to carry over.
+# LifeGuard learns from the collisions that it has seen. Where episodes crashed, it distinguishes the directions. Elsewhere it does not, and its penalty
+# does not help. The 32 faces look alike at both pillars, but a few dozen crashes are too few to generalise from one to the other.

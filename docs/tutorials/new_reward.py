@@ -1,9 +1,9 @@
 # %% [markdown]
-# # A new reward, a sweep, and what the report says
+# # A new reward, a sweep and a report
 #
-# You write a reward, train it with two values and three seeds each, and read the report. The environment is the corridor of
-# [examples/own_parts](../own_parts.md), in which a training takes seconds: a point flies 2 m along a corridor without touching its walls.
-# In the valley the steps are the same. `shell` is [a file of two helpers](index.md#what-they-share).
+# In this tutorial you write a reward, train with two values of a setting and three seeds each, and read the report. The environment is the corridor
+# of [examples/own_parts](../own_parts.md), in which a point flies 2 m without touching the walls. A training takes seconds there. In the valley you
+# would follow the same steps. `shell` is [a file with two helpers](index.md#what-they-share).
 
 # %%
 import os
@@ -21,10 +21,10 @@ folder = Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## The reward
 #
-# A reward is a TorchRL transform that writes `reward`. This one pays for arriving, punishes a collision, and lets every step cost something.
-# `step_cost` is what we want to know about: does it help to be in a hurry?
+# A reward is a TorchRL transform that writes `reward`. This one rewards success, and penalises collisions and every step. We want to know whether
+# the cost of a step, `step_cost`, helps.
 #
-# The annotations say which values have a sense. They are checked before anything is trained.
+# The annotations define which values are valid. They are checked before the training starts.
 
 # %%
 (folder / "my_parts").mkdir()
@@ -49,15 +49,15 @@ class Hurry(Transform):
 )
 
 # %% [markdown]
-# A yaml file makes it a choice of `reward=`. Its keys are the constructor's arguments.
+# A YAML file makes the class a choice of `reward=`. Its keys are the constructor's arguments.
 
 # %%
 (folder / "conf" / "reward").mkdir(parents=True)
 _ = (folder / "conf" / "reward" / "mine.yaml").write_text(
     """
 _target_: my_parts.rewards.Hurry
-prize: 10.0      # for arriving, and lost for colliding
-step_cost: 0.1   # of every step
+prize: 10.0      # reward for success; a collision costs as much
+step_cost: 0.1   # cost of every step
 """,
     encoding="utf-8",
 )
@@ -66,8 +66,8 @@ os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), str(examples), *filter(
 # %% [markdown]
 # ## The sweep
 #
-# `-m` trains each combination of the values that commas part: two costs and three seeds are six runs. Started again, it skips what is finished.
-# `packages` is your word that the code in them may run. The corridor's yaml lies in the examples, so we put a copy beside ours.
+# `-m` trains each combination of the comma-separated values. Two costs and three seeds are six runs. If you start it again, it skips finished runs.
+# `packages` lists the packages whose code may be executed. The corridor's YAML file is in the examples, so we copy it next to ours.
 
 # %%
 (folder / "conf" / "env").mkdir()
@@ -84,13 +84,13 @@ sh(
 # %% [markdown]
 # ## The report
 #
-# One command makes a page of all runs below a folder. In the terminal it says who is ahead.
+# One command makes a page about all runs below a folder. It also prints which group is ahead.
 
 # %%
 sh(f"uavrl-report runs={folder / 'runs'} window={FLIGHTS // 3} output={folder / 'report.html'}")
 
 # %% [markdown]
-# The page opens with a table of groups, best first. The same facts can be had in Python, and here they are.
+# The page starts with a table of groups, best first. The same facts are available in Python:
 
 # %%
 report = make_report([folder / "runs"], window=FLIGHTS // 3)
@@ -98,16 +98,16 @@ for group in report.groups:
     success = group["last"]["success"]
     seeds = ", ".join(f"{100 * rate:.0f}" for rate in group["success_by_seed"])
     print(
-        f"{group['label']}: {100 * success['rate']:.0f} % arrived "
+        f"{group['label']}: success rate {100 * success['rate']:.0f} % "
         f"({100 * success['low']:.0f} to {100 * success['high']:.0f}); by seed {seeds} %"
     )
 
 # %% [markdown]
 # ## How to read it
 #
-# - **Do the intervals overlap?** Then these flights do not tell the groups apart.
-# - **Do the seeds of one group differ more than the groups?** Then what you see is the luck of a seed, however narrow the interval: it counts the flights of all
-#   seeds together and knows nothing of the spread between trainings.
-# - **Three seeds are few.** If every seed of one group is above every seed of the other, that happens by chance in 1 of 10 cases for a difference in either
-#   direction. More seeds are one word: `seed=0,1,2,3,4`. What is finished stays.
-# - **Success is not the return.** The groups have different rewards, so their returns cannot be compared. Success can.
+# - **Do the intervals overlap?** Then these episodes show no significant difference between the groups.
+# - **Do the seeds of one group differ more than the groups?** Then the difference may be due to the seeds, even if the intervals are narrow. An
+#   interval counts the episodes of all seeds together. It does not cover the spread between trainings.
+# - **Three seeds are few.** Even if every seed of one group is above every seed of the other, this happens by chance in 1 of 10 cases (in either
+#   direction). To add seeds, change one argument: `seed=0,1,2,3,4`. Finished runs are kept.
+# - **Compare success rates, not returns.** The groups have different rewards, so their returns are not comparable.

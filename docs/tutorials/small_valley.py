@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Train in a small valley and watch
 #
-# You train a policy where training is quick, see what it learned, and look at a flight. The valley is half as wide as usual and nearly empty, so
-# two minutes of training are enough. The commands are those for the real valley; only the values differ.
+# In this tutorial you train a policy, evaluate it, and watch one of its episodes. The valley is half as wide as usual and nearly empty, so two
+# minutes of training are enough. For the full valley you use the same commands with other values.
 #
-# `sh` types a command. In a terminal you would type the line yourself. `shell` is [a file of two helpers](index.md#what-they-share).
+# `sh` runs a command that you would otherwise type in a terminal. `shell` is [a file with two helpers](index.md#what-they-share).
 
 # %%
 import csv
@@ -24,9 +24,9 @@ run = folder / "run"
 # %% [markdown]
 # ## Train
 #
-# `preset=best` chooses what `make train` trains: a scripted controller flies the first `algo.learning_starts` steps, then the policy flies and
-# learns what the controller would do in each state that it reaches. The words after it make valley, networks and training small. Every word is a key of a yaml file;
-# `uavrl-train --help` shows the ones used most.
+# `preset=best` selects the recipe of `make train`. A scripted controller flies the first `algo.learning_starts` steps. Then the policy flies, and
+# learns the controller's action in each state that it reaches. The other arguments make the valley, the networks and the training small. Each
+# argument is a key of a YAML file. `uavrl-train --help` shows the most common keys.
 
 # %%
 sh(
@@ -37,10 +37,10 @@ sh(
 )
 
 # %% [markdown]
-# ## What it learned
+# ## The learning curve
 #
-# A run folder holds one row for each flight in `episodes.csv`. The first flights are the scripted controller's. The policy flies the others, with
-# noise; in so easy a valley it keeps up with the controller from the beginning.
+# The run folder contains `episodes.csv`, with one row for each episode. The scripted controller flies the first episodes. The policy flies the
+# others, with exploration noise. In such an easy valley it is as good as the controller from the beginning.
 
 # %%
 with (run / "episodes.csv").open(encoding="utf-8") as file:
@@ -48,24 +48,24 @@ with (run / "episodes.csv").open(encoding="utf-8") as file:
 arrived = [row["outcome"] == "arrived" for row in flights]
 third = len(flights) // 3
 for name, part in (("first", arrived[:third]), ("second", arrived[third : 2 * third]), ("last", arrived[2 * third :])):
-    print(f"{name} third: {sum(part)} of {len(part)} flights arrived")
+    print(f"{name} third: {sum(part)} of {len(part)} episodes successful")
 
-# %% mystnb={"image": {"alt": "Share of the last flights that arrived, over all flights of the training"}}
+# %% mystnb={"image": {"alt": "Success rate of the last episodes, over all episodes of the training"}}
 window = max(len(arrived) // 5, 1)
 rate = [100 * sum(arrived[i - window : i]) / window for i in range(window, len(arrived) + 1)]
 plt.figure(figsize=(7, 3))
 plt.plot(range(window, len(arrived) + 1), rate)
-plt.xlabel("flights")
-plt.ylabel(f"% of the last {window} that arrived")
+plt.xlabel("episodes")
+plt.ylabel(f"success rate of the last {window}, %")
 plt.ylim(0, 100)
 plt.grid(alpha=0.3)
 plt.show()
 
 # %% [markdown]
-# ## Measure it
+# ## Evaluate
 #
-# Training flights are flown with noise, and each meets another policy. `uavrl-evaluate` flies fixed tasks without noise. The interval says how much
-# the number of tasks leaves open: with few tasks, much.
+# Training episodes have exploration noise, and each has a different policy. `uavrl-evaluate` rolls out the trained policy in fixed tasks without
+# noise. The confidence interval is wide because there are few tasks.
 
 # %%
 sh(f"uavrl-evaluate run={run} episodes={size('TASKS', 20)} progress=false")
@@ -73,13 +73,13 @@ sh(f"uavrl-evaluate run={run} episodes={size('TASKS', 20)} progress=false")
 # %% [markdown]
 # ## Watch
 #
-# `flight.html` plays the flight in any browser: press space, drag to turn, choose a view. `data=` keeps the numbers of the same flight, from which
-# we draw it here as seen from above: obstacles grey, the way of the quadrotor, and the goal as a circle.
+# `flight.html` plays the episode in any browser. Press space to play, drag to turn, or choose a view. `data=` also writes the numbers of the
+# episode. From these we draw it here from above, with grey obstacles, the path of the quadrotor, and the goal as a circle.
 
 # %%
 sh(f"uavrl-replay run={run} task=0 output={folder / 'flight.html'} data={folder / 'flight.npz'} progress=false")
 
-# %% mystnb={"image": {"alt": "The flight from above: obstacles grey, the way of the quadrotor from its start, the goal as a circle"}}
+# %% mystnb={"image": {"alt": "The episode from above: grey obstacles, the path of the quadrotor from its start, the goal as a circle"}}
 recording = load_recording(folder / "flight.npz")
 flight = recording.flights[0]
 valley = recording.scenery(flight)
@@ -100,7 +100,7 @@ axes.legend()
 plt.show()
 
 # %% [markdown]
-# ## The real thing
+# ## The full training
 #
-# `make train` is this in 48 valleys of 40 m × 30 m with 45 or 90 obstacles and vehicles that differ from what their controllers believe, with larger networks and more flights, and measures it in valleys
-# that the policy never saw. [What it gave](../results.md#which-policy-flies-best).
+# `make train` does the same with 48 valleys of 40 m × 30 m, 45 or 90 obstacles, domain randomisation, larger networks and more episodes. It
+# evaluates the policy in unseen valleys. See [the results](../results.md#which-policy-flies-best).

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Take a policy with you
 #
-# You export the policy of a run, fly it with plain PyTorch, and ask it what it would do about a recorded scan. This is what it takes to fly a policy
-# where uavrl's training is not wanted. `shell` is [a file of two helpers](index.md#what-they-share).
+# In this tutorial you export the policy of a run, run it in plain PyTorch, and compute its action for a recorded scan. This is all you need to use a
+# policy without uavrl's trainer. `shell` is [a file with two helpers](index.md#what-they-share).
 
 # %%
 import tempfile
@@ -22,7 +22,7 @@ folder = Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## From a run to an exported policy
 #
-# Any run will do. This one flies a few times and learns nothing: we only want its files.
+# You can export any run. This one has only two episodes and learns nothing, because we only need its files.
 
 # %%
 sh(
@@ -36,13 +36,13 @@ for path in sorted((folder / "my_policy").iterdir()):
     print(f"{path.name:20} {path.stat().st_size:7,} bytes")
 
 # %% [markdown]
-# The run itself holds optimisers and every state that was flown, for going on. The policy is four small files: weights without any pickle, what
-# they are, the configuration, and `contract.json`, which says what the policy reads and writes.
+# The run also contains the optimisers and the replay buffer, so that it can be resumed. The policy consists of four small files: the weights
+# (without a pickle), their description, the configuration, and `contract.json`, which specifies the policy's inputs and outputs.
 #
 # ## In plain PyTorch
 #
-# From here on we take `best`, a policy that comes with uavrl and was exported in the same way. The actor is linear layers with ReLU between, and
-# 2 tanh at the end: forward, left and up in m/s, and a yaw rate in rad/s.
+# From here on we use `best`, a policy that comes with uavrl and was exported in the same way. The actor consists of linear layers with ReLU between
+# them, and 2 tanh at the end. Its output is the velocity forward, left and up in m/s, and the yaw rate in rad/s.
 
 # %%
 weights = load_file(PACKAGED / "best" / "policy.safetensors")
@@ -57,7 +57,7 @@ def act(state: torch.Tensor) -> torch.Tensor:
 
 
 # %% [markdown]
-# Fly it. The Gymnasium environment has reduction, last action and frames inside, so the loop is the one of every tutorial on Gymnasium.
+# Roll it out in the simulator. The Gymnasium environment includes the reduction, the last action and the stacked frames, so this is the usual loop.
 
 # %%
 env = gymnasium.make("uavrl:uavrl/Valley-v0", reduction="range_image", last_action=True)
@@ -72,15 +72,16 @@ for seed in range(size("FLIGHTS", 3)):
 env.close()
 
 # %% [markdown]
-# A few flights show that it works, not how well. [500 fixed tasks](../policies.md) do.
+# A few episodes show that it works, but not how well. For that, see [500 fixed tasks](../policies.md#how-they-fly).
 #
 # ## From a recorded scan
 #
-# On a real vehicle there is no environment, only a scan. A recorded flight has some: `data=` keeps what was seen, `points=` says how much of each scan.
+# On a real vehicle there is no environment, only a scan. We take a scan from a recorded episode: `data=` writes the recording, and `points=` sets how
+# many points of each scan it contains.
 
 # %%
 sh(
-    "uavrl-replay policy=best env=static task=0 points=100000 progress=false "  # points that a page shows at most: here all
+    "uavrl-replay policy=best env=static task=0 points=100000 progress=false "  # more points than a scan has: keep all
     f"output={folder / 'flight.html'} data={folder / 'flight.npz'}"
 )
 flight = load_recording(folder / "flight.npz").flights[0]
@@ -89,16 +90,17 @@ cloud = torch.tensor(flight.cloud(moment))  # [P, 3] in metres, in the sensor's 
 print(f"{len(cloud):,} points, the nearest {cloud.norm(dim=-1).min():.2f} m away")
 
 # %% [markdown]
-# The reduction makes 72 numbers of it, each 4 m minus the distance to the nearest point in a cell. The recording says what the policy saw in flight, so we can compare.
+# The reduction turns it into 72 numbers, each 4 m minus the distance to the nearest point in a cell. The recording contains the numbers that the
+# policy received in the episode, so we can compare.
 
 # %%
 cells = range_image(cloud, radius=4.0)
-print(f"{int((cells > 0).sum())} of 72 cells see something")
+print(f"{int((cells > 0).sum())} of 72 cells contain a point")
 print(f"largest difference to the cells in flight: {(cells - torch.tensor(flight.faces[moment])).abs().max():.4f} m")
 
 # %% [markdown]
-# The state is the last three observations, each of 72 cells over 4 m, altitude, two angles and the last action. Replace the newest cells by ours, and
-# ask the policy.
+# The state consists of the last three observations. Each contains the 72 cells divided by 4 m, the altitude, two angles and the last action. We
+# replace the newest cells by ours, and compute the action.
 
 # %%
 state = torch.tensor(flight.observations[moment], dtype=torch.float32).clone()
@@ -108,6 +110,6 @@ for name, ours, flown in zip(("forward", "left", "up", "yaw rate"), command, fli
     print(f"{name:9} {ours:+.3f}   in flight {flown:+.3f}")
 
 # %% [markdown]
-# The same command. What you need for another vehicle: clouds in metres in the frame of the sensor, the altitude above the ground of the start, the two
-# angles to the goal, and something that follows velocities. [Its contract](../elsewhere.md#the-contract) says all of it.
-# A real sensor is noisier than the simulated one, which no policy here has met: try `perception.lidar.range_noise=0.02` in `uavrl-evaluate` first.
+# The actions are the same. On another vehicle you need point clouds in metres in the sensor's frame, the altitude above the ground of the start, the
+# two angles to the goal, and a controller that follows velocities. [The contract](../elsewhere.md#the-contract) specifies all of these.
+# A real sensor is noisier than the simulated one. Try `perception.lidar.range_noise=0.02` in `uavrl-evaluate` first.

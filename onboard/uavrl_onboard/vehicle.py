@@ -17,7 +17,7 @@ Place = tuple[float, float, float]
 class Vehicle:
     """A vehicle as everything around a policy sees it: its hull, its LiDAR, its limits and its flight level.
 
-    The simulator makes it from an airframe (:meth:`uavrl.envs.quadrotor.Airframe.vehicle`), and a flight makes it from
+    The simulator makes it from an airframe (:meth:`uavrl.envs.Airframe.vehicle`), and a flight makes it from
     a policy's contract (:attr:`uavrl_onboard.policy.contract.Contract.vehicle`). The defaults describe the simulated
     quadrotor: Chansuparp (2022), Table 4.1, for limits, control rate and flight level; the hull is ours.
 

@@ -56,7 +56,7 @@ def test_a_run_folder_in_use_is_left_alone(lost: str | None, run_dir: Path, refu
         (run_dir / lost).unlink()
     before = content(run_dir)
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}")
-    assert "holds a run already" in sentence and f"resume={run_dir}" in sentence
+    assert "already contains a run" in sentence and f"resume={run_dir}" in sentence
     assert content(run_dir) == before
 
 
@@ -68,7 +68,7 @@ def test_resuming_a_missing_folder_is_refused(tmp_path: Path, refused: Callable[
     assert f"Expected a run folder at {tmp_path / 'none'} and found none" in sentence
     (tmp_path / "none").mkdir()
     sentence = refused(train_command.main, f"resume={tmp_path / 'none'}")
-    assert f"The folder {tmp_path / 'none'} holds no run, for want of config.yaml" in sentence
+    assert f"The folder {tmp_path / 'none'} contains no run, because config.yaml is missing" in sentence
     assert not list((tmp_path / "none").iterdir())
 
 
@@ -262,4 +262,5 @@ def test_ctrl_c_in_the_middle_of_an_update_is_still_ctrl_c(
     assert in_process(train_command.main, *TINY, f"run_dir={tmp_path / 'run'}") == 130
     _, err = capfd.readouterr()
     assert [line for line in err.splitlines() if line.startswith("uavrl: ")] == err.splitlines()[-1:]
-    assert f"uavrl-train resume={tmp_path / 'run'} goes on after 0 and repeats" in err and "Traceback" not in err
+    assert f"uavrl-train resume={tmp_path / 'run'} continues after episode 0 and repeats" in err
+    assert "Traceback" not in err

@@ -65,8 +65,11 @@ def test_an_unknown_run_and_a_taken_folder_are_refused(
     new = f"output={tmp_path / 'new'}"
     for arguments, said in [
         ([f"run={tmp_path / 'nothing'}", new], "Expected a run folder"),
-        ([f"run={run_dir}", f"output={policy}"], "holds a policy or a run already: choose another with output=FOLDER"),
-        ([f"run={run_dir}", f"output={run_dir}"], "holds a policy or a run already"),
+        (
+            [f"run={run_dir}", f"output={policy}"],
+            "already contains a policy or a run: choose another with output=FOLDER",
+        ),
+        ([f"run={run_dir}", f"output={run_dir}"], "already contains a policy or a run"),
         ([f"run={run_dir}", new, "checkpoint=none.zip"], "Expected a checkpoint"),
         ([f"run={run_dir}", "policy=best", new], "Give either run=RUN_FOLDER or policy=NAME, and not both"),
         (

@@ -1,4 +1,4 @@
-"""``--help`` fits a screen, explains the keys that are used most, and lists all on demand."""
+"""``--help`` fits a screen, explains the most common keys, and lists all on demand."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_full_help_tells_the_default_of_the_default_choice(name: str, key: str, 
 def test_what_is_asked_for_is_shown_and_nothing_else_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     for command in (train, evaluate, replay):
         assert in_process(command.main, "--help", "env=nonsense") == 0
-        assert "Keys that are used most" in capsys.readouterr().out
+        assert "Most common keys" in capsys.readouterr().out
 
 
 def test_one_name_for_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,5 +71,5 @@ def test_one_name_for_all_commands(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_another_help_is_refused_with_those_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
     assert in_process(train.main, "--help=al") == 1
-    told = "uavrl: uavrl-train has no --help=al: --help shows the most used keys, --help=all all.\n"
+    told = "uavrl: uavrl-train has no --help=al: --help shows the most common keys, and --help=all shows all keys.\n"
     assert capsys.readouterr().err == told

@@ -39,9 +39,9 @@ MISTAKES = {
     "env.world.min_clearance=9": "min_clearance",
     "episodes=60": "did you mean trainer.episodes?",
     "reward_preset=t": "reward_preset must be one of abr, abr_plus",
-    "learner=td3_lg fork=on": "learner=td3_lg stands for fork=none, and fork=on was chosen",
-    "reward_preset=tr reward=navigation": "stands for reward=traditional, and reward=navigation was chosen",
-    "backward_reward=none reward_preset=abr": "stands for backward_reward=abr, and backward_reward=none was",
+    "learner=td3_lg fork=on": "learner=td3_lg selects fork=none, but the command line selects fork=on",
+    "reward_preset=tr reward=navigation": "selects reward=traditional, but the command line selects reward=navigation",
+    "backward_reward=none reward_preset=abr": "selects backward_reward=abr, but the command line selects backward_rew",
     "algo=null": "Config group override must be a string",
     "lifeguard.capacity=3": "lifeguard.capacity belongs to another choice of lifeguard than the one made",
     "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
@@ -140,7 +140,7 @@ def test_a_full_disk_names_the_file_and_how_to_go_on(
     run_dir = tmp_path / "run"
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}")
     assert f"{run_dir / 'episodes.csv'} cannot be written (No space left on device)" in sentence
-    assert f"go on with uavrl-train resume={run_dir}" in sentence
+    assert f"resume with uavrl-train resume={run_dir}" in sentence
     monkeypatch.undo()
     assert in_process(train_command.main, f"resume={run_dir}") == 0
 
@@ -154,7 +154,7 @@ def test_a_checkpoint_is_not_begun_where_it_has_no_room(
     run_dir = tmp_path / "run"
     sentence = refused(train_command.main, *TINY, f"run_dir={run_dir}", "trainer.episodes=50")
     assert f"{run_dir} cannot be written" in sentence and "MB are needed and 0.0 MB are left" in sentence
-    assert f"go on with uavrl-train resume={run_dir}" in sentence
+    assert f"resume with uavrl-train resume={run_dir}" in sentence
     assert len(list((run_dir / "checkpoints").iterdir())) == 2
 
 

@@ -52,7 +52,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
     group, _, name = choice.partition("=")
     sentence = refused(train_command.main, choice)
     assert f"{group} must be one of " in sentence and f"got '{name}'" in sentence
-    assert sentence.endswith("One of your own needs --config-dir FOLDER.")
+    assert sentence.endswith("A choice of your own needs --config-dir FOLDER.")
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             "algo.gamma got several values, 0.9,0.8: give one, or add -m to train with each of them",
         ),
         (["preset=bst"], "got 'bst': did you mean best?"),
-        (["preset=fast"], "preset must be one of best, thesis, got 'fast'."),
+        (["preset=fast"], "preset must be one of best, td3_bc, thesis, got 'fast'."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
         (["--seed", "1"], "uavrl-train has no option --seed: write seed=VALUE."),
         (["--seeds=1"], "uavrl-train has no option --seeds=1: did you mean seed?"),
@@ -114,7 +114,7 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
         (["policy=best", "episode=3"], "did you mean episodes?"),
         (["policy=best", "num_uavs=1000000"], "num_uavs must be in [1, 512], got 1000000"),
         (["policy=best", "algo.gamma=0.9"], "There is no key 'algo.gamma': --help=all lists"),
-        (["policy=best", "env=corridor"], "One of your own needs --config-dir FOLDER."),
+        (["policy=best", "env=corridor"], "A choice of your own needs --config-dir FOLDER."),
         (
             [*CONFIG_DIR, TRUSTED, "policy=best", "env=corridor", "reward=hurry"],
             "The policy and env=corridor do not go",

@@ -30,7 +30,7 @@ def test_each_value_of_a_sweep_gets_its_own_run(tmp_path: Path) -> None:
 def test_a_launcher_that_is_not_installed_is_named_with_what_to_install() -> None:
     for launcher in ("joblib", "submitit_slurm"):
         error = MissingConfigException("none", f"hydra/launcher/{launcher}", ["basic"])
-        told = f"hydra/launcher={launcher} needs a plugin of Hydra's: install it by pip install 'uavrl[launchers]'."
+        told = f"hydra/launcher={launcher} needs a plugin of Hydra: install it with pip install 'uavrl[launchers]'."
         assert explained(error, "config") == told
     near = explained(MissingConfigException("none", "hydra/launcher/basics", ["basic"]), "config")
     assert near.startswith("hydra/launcher must be one of basic, got 'basics': did you mean basic?")
@@ -41,13 +41,11 @@ def test_a_job_of_a_cluster_that_was_cut_off_is_told_with_how_to_go_on() -> None
     killed = submitit.FailedJobError("Job 7_0 (task: 0) has not produced any output (state: TIMEOUT)\nError stream …")
     for error in (submitit.UncompletedJobError("Job not requeued because: timed-out too many times."), killed):
         told = explained(error, "config")
-        assert told.startswith(
-            f"A job of the sweep has not come to its end ({str(error).splitlines()[0].rstrip('.')}): "
-        )
+        assert told.startswith(f"A job of the sweep did not finish ({str(error).splitlines()[0].rstrip('.')}): ")
         assert "start the same command again" in told and told.count("\n") == 0
 
 
 def test_resume_in_a_sweep_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sweep(tmp_path, "resume=one,two") == 1
-    assert "leave out -m and experiment" in capsys.readouterr().err
+    assert "drop -m and experiment=" in capsys.readouterr().err
     assert not list(tmp_path.glob("run*"))

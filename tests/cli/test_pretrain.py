@@ -111,13 +111,13 @@ def test_a_taken_folder_is_refused_before_the_states_are_read(
     monkeypatch.setattr(pipeline, "read_states", lambda _: pytest.fail("the states were read"))
     (tmp_path / "pretrained").mkdir()
     (tmp_path / "pretrained" / ARTIFACT.json).write_text("{}", encoding="utf-8")
-    assert "holds an artifact already" in refused(command.main, f"run={tmp_path}", *SMALL_PRETRAINING)
+    assert "already contains an artifact" in refused(command.main, f"run={tmp_path}", *SMALL_PRETRAINING)
 
 
 def test_an_artifact_is_not_overwritten(run: Path, refused: Callable[..., str]) -> None:
     (run / "pretrained").mkdir()
     (run / "pretrained" / "artifact.json").write_text("kept")
-    assert "holds an artifact already" in refused(command.main, f"run={run}", *SMALL_PRETRAINING)
+    assert "already contains an artifact" in refused(command.main, f"run={run}", *SMALL_PRETRAINING)
     assert (run / "pretrained" / "artifact.json").read_text() == "kept"
 
 

@@ -154,7 +154,7 @@ def test_an_empty_run_folder_and_a_missing_checkpoint_are_named(
     run_dir: Path, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     (tmp_path / "empty").mkdir()
-    assert "holds no run, for want of config.yaml" in refused(command.main, f"run={tmp_path / 'empty'}")
+    assert "contains no run, because config.yaml is missing" in refused(command.main, f"run={tmp_path / 'empty'}")
     assert "reward belongs to the run" in refused(command.main, f"run={run_dir}", "reward=navigation")
     missing = run_dir / "checkpoints/none.torchrl"
     assert f"Expected a checkpoint at {missing}" in refused(command.main, f"run={run_dir}", f"checkpoint={missing}")

@@ -74,4 +74,6 @@ def test_a_folder_of_two_combinations_is_told_whichever_processes_trained_them(
     with pytest.raises(SystemExit) as end:
         train.main()
     assert end.value.code == 1
-    assert capsys.readouterr().err.startswith("uavrl: Two combinations of the sweep mean the same run a: they differ")
+    assert capsys.readouterr().err.startswith(
+        "uavrl: Two combinations of the sweep have the same run folder a, because"
+    )

@@ -73,7 +73,7 @@ def test_one_of_your_own_flies_a_run_and_what_was_learned_is_kept_when_it_dies(t
         "trainer.checkpoint_interval=100000",  # so that none is due before
     )
     run_dir = create_run(config)
-    told = rf"\(the wind blew it away\); .* after episode 7, which is saved: go on with uavrl-train resume={run_dir}"
+    told = rf"\(the wind blew it away\); .* after episode 7, which is saved: resume with uavrl-train resume={run_dir}"
     with pytest.raises(FlyingEnded, match=told):
         train(config, run_dir)
     episodes = read_episodes(run_dir / "episodes.csv")

@@ -246,7 +246,7 @@ def archive(**arrays: np.ndarray) -> bytes:
 )
 def test_another_file_is_refused(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "f.npz").write_bytes(content)
-    with pytest.raises(UavrlError, match="holds no flights, or is damaged"):
+    with pytest.raises(UavrlError, match="contains no episodes, or is damaged"):
         load_recording(tmp_path / "f.npz")
 
 
@@ -255,7 +255,7 @@ def test_cells_without_directions_are_refused(directions: np.ndarray, tmp_path: 
     replay = small_recording()
     sceneries = {seed: replace(scenery, directions=directions) for seed, scenery in replay.sceneries.items()}
     save_recording(replace(replay, sceneries=sceneries), tmp_path / "f.npz")
-    with pytest.raises(UavrlError, match="holds no flights, or is damaged"):
+    with pytest.raises(UavrlError, match="contains no episodes, or is damaged"):
         load_recording(tmp_path / "f.npz")
 
 

@@ -140,7 +140,7 @@ def test_what_is_wrong_is_named_and_the_rest_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({}, r"There is nothing to report\. .*holds no run"),
+        ({}, r"There is nothing to report\. .*contains no runs"),
         ({"window": 0}, "must be"),
         ({"threshold": 0.0}, "must be"),
         ({"threshold": 1.5}, "must be"),

@@ -49,8 +49,8 @@ def test_runs_are_found_below_a_folder_each_once(tmp_path: Path) -> None:
 
 def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    for folder, told in (("nowhere", "There is no such folder"), ("file", "It holds no run")):
-        assert reason(tmp_path / folder) == f"{told}: give the folder that uavrl-train printed."
+    for folder, told in (("nowhere", "There is no such folder"), ("file", "It contains no runs")):
+        assert reason(tmp_path / folder) == f"{told}: pass the folder that uavrl-train printed."
     assert "exported policy" in reason(ROOT / "uavrl/policies/data/best")
 
 

@@ -134,6 +134,6 @@ def test_a_source_in_the_folder_is_not_read(target: str, tmp_path: Path, monkeyp
 @pytest.mark.parametrize("write", NO_FLIGHTS)
 def test_flights_that_are_pickles_are_refused(write: Callable[[Path, Path], None], tmp_path: Path) -> None:
     write(tmp_path / "flights.npz", tmp_path / "ran")
-    with pytest.raises(UavrlError, match="holds no flights, or is damaged"):
+    with pytest.raises(UavrlError, match="contains no episodes, or is damaged"):
         load_recording(tmp_path / "flights.npz")
     assert not (tmp_path / "ran").exists()

@@ -46,7 +46,7 @@ def test_products_that_this_machine_has_not_become_its_own(tmp_path: Path, caplo
     config = resume_config(run_dir, small_config(run_dir), [])
     assert config.trainer.matmul == "mkl"
     assert caplog.messages == [
-        f"{run_dir} goes on with trainer.matmul=mkl (before: onednn): from here on last digits may differ."
+        f"{run_dir} continues with trainer.matmul=mkl (before: onednn): from here on the last digits may differ."
     ]
 
 
@@ -54,7 +54,7 @@ def test_a_run_may_leave_its_gpu_and_says_so(tmp_path: Path, caplog: pytest.LogC
     caplog.set_level(logging.INFO)
     run_dir = recorded(tmp_path / "run", device="cuda")
     assert resume_config(run_dir, small_config(run_dir), ["device"]).device == "cpu"
-    assert "goes on with device=cpu (before: cuda)" in caplog.text
+    assert "continues with device=cpu (before: cuda)" in caplog.text
     with pytest.raises(UavrlError, match=r"algo\.gamma would change it"):
         resume_config(run_dir, changed(["run_dir=here", *SMALL], "algo.gamma=0.5"), ["algo.gamma"])
 
@@ -141,4 +141,4 @@ def test_two_combinations_that_are_one_run_are_refused(
     monkeypatch.setattr("uavrl.training.sweep.is_finished", lambda *_: True)
     places = [f"run_dir={tmp_path / 'run'}", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
     assert in_process(train_command.main, "-m", *SMALL, "trainer.threads=1,2", *places) == 1
-    assert "Two combinations of the sweep mean the same run" in capfd.readouterr().err
+    assert "Two combinations of the sweep have the same run folder" in capfd.readouterr().err

@@ -105,7 +105,7 @@ def explained(error: Exception, name: str) -> str:
         return f"The override {error.override!r} cannot be read: write KEY=VALUE, {how}."
     if _ENDED_JOBS & {kind.__name__ for kind in type(error).__mro__}:
         return (
-            f"A job of the sweep has not come to its end ({first.rstrip('.')}): start the same command again, which "
+            f"A job of the sweep did not finish ({first.rstrip('.')}): start the same command again, which "
             "goes on with its runs, with fewer at a time where memory was short (hydra.launcher.n_jobs=1), and with "
             "more time where that was short (hydra.launcher.timeout_min)."
         )
@@ -115,8 +115,9 @@ def explained(error: Exception, name: str) -> str:
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
         if group == "hydra/launcher" and choice in LAUNCHERS:
-            return f"{group}={choice} needs a plugin of Hydra's: install it by pip install 'uavrl[launchers]'."
-        own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else "One of your own needs --config-dir FOLDER."
+            return f"{group}={choice} needs a plugin of Hydra: install it with pip install 'uavrl[launchers]'."
+        yours = "A choice of your own needs --config-dir FOLDER."
+        own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else yours
         near = did_you_mean(choice, error.options, ": ")
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
@@ -161,7 +162,8 @@ def _refuse_options(name: str) -> None:
         others = parser.parse_known_args(sys.argv[1:])[1]
     except argparse.ArgumentError as error:
         if wrong := next((given for given in sys.argv[1:] if given.startswith("--help=")), None):
-            raise UavrlError(f"{command} has no {wrong}: --help shows the most used keys, --help=all all.") from error
+            helps = "--help shows the most common keys, and --help=all shows all keys."
+            raise UavrlError(f"{command} has no {wrong}: {helps}") from error
         raise UavrlError(f"{command}: {error}.") from error
     for option in others:
         if not option.startswith("-"):

@@ -67,18 +67,18 @@ def help_text(name: str, *, every_key: bool = False) -> str:
         if len(found) > 1 or chosen[group] == "null"
     }
     if choices:
-        lines += ["", "What can be chosen, [the default] in brackets", *table(choices)]
+        lines += ["", "Choices, with [the default] in brackets", *table(choices)]
     known = _known(main, groups, chosen)
     if every_key:
         shown = {key.name: f"{key.meaning} ({key.value})" if key.value else key.meaning for key in known.values()}
         lines += ["", "All keys, with their default in brackets", *table({k: v for k, v in shown.items() if v})]
     else:
         most_used = {key: known[key].meaning for key in MOST_USED[name].split()}
-        lines += ["", "Keys that are used most", *table(most_used)]
+        lines += ["", "Most common keys", *table(most_used)]
         lines += ["", f"All keys: {command} --help=all    The resolved configuration: {command} … --cfg job"]
     if name in BUILDS_VALLEYS:
         kept = f"Built valleys are kept in {valley_folder()}, at most {MOST_BYTES / 1e6:.0f} MB"
-        lines += ["", f"{kept}; the environment variable {FOLDER} names another folder."]
+        lines += [f"{kept}.", f"The environment variable {FOLDER} names another folder."]
     return "\n".join(lines)
 
 

@@ -35,8 +35,8 @@ def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -
                 group = str(override).removeprefix("override /")
                 if choices.get(group) != chosen:
                     raise UavrlError(
-                        f"{row}={choices[row]} stands for {group}={chosen}, and {group}={choices.get(group)} was "
-                        f"chosen: leave one of the two out."
+                        f"{row}={choices[row]} selects {group}={chosen}, but the command line selects "
+                        f"{group}={choices.get(group)}: leave one of the two out."
                     )
 
 

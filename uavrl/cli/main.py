@@ -27,9 +27,9 @@ def _run(name: str, *rest: str) -> None:
     if name in ("--version", "-V"):
         show_version()
     elif name in ("--help", "-h", "help"):
-        print("uavrl: teaches a quadrotor to fly to a goal through a cluttered valley, seeing only by LiDAR.\n")
+        print("uavrl: trains a quadrotor to fly to a goal through a cluttered valley with a LiDAR.\n")
         print("\n".join(f"  uavrl {command:<10}{about}" for command, about in COMMANDS.items()))
-        print("\nuavrl COMMAND --help tells more. To see a trained policy fly: uavrl replay policy=best")
+        print("\nuavrl COMMAND --help explains a command. To watch a trained policy: uavrl replay policy=best")
     else:
         if name not in COMMANDS:
             told = did_you_mean(name, list(COMMANDS), ": ", "uavrl --help lists them.")

@@ -57,8 +57,8 @@ def has_another_place(run_dir: Path, place: int) -> bool:
 def same_run(run_dir: Path) -> UavrlError:
     """What is said of two combinations that have one folder."""
     return UavrlError(
-        f"Two combinations of the sweep mean the same run {run_dir}: they differ in nothing that is learned from; "
-        f"give each a run_dir of its own."
+        f"Two combinations of the sweep have the same run folder {run_dir}, because their differences do not affect "
+        f"learning: give each its own run_dir."
     )
 
 

@@ -39,7 +39,7 @@ def main() -> None:
     if others := sweep_runs.runs(ended=False):
         configure_logging()  # again: Hydra has silenced it after the last run
         waiting = pluralize(len(others), "run")
-        log.info("Waiting for other processes to end %s of the sweep, or to die.", waiting)
+        log.info("Waiting until other processes finish %s of the sweep.", waiting)
     while others := sweep_runs.runs(ended=False):
         with one_sentence():
             time.sleep(LOOK_AGAIN)
@@ -107,7 +107,7 @@ def explain_full_disk(run_dir: Path) -> Iterator[None]:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         begun = any(run_dir.glob(ANY_CHECKPOINT))
-        again = f"go on with {command_line('uavrl-train', resume=run_dir)}" if begun else "start it again"
+        again = f"resume with {command_line('uavrl-train', resume=run_dir)}" if begun else "start it again"
         raise UavrlError(
             f"{error.filename or run_dir} cannot be written ({error.strerror}): make room on its disk, and {again}."
         ) from error
@@ -137,8 +137,7 @@ def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
     _check(validate(config))
     if config.resume is not None:
         raise UavrlError(
-            "resume=RUN_FOLDER goes on with one run: leave out -m and experiment. A sweep goes on when its own "
-            "command is started again."
+            "resume= continues a single run: drop -m and experiment=. To resume a sweep, start its own command again."
         )
     from uavrl.runs.config import free_keys
     from uavrl.runs.lock import run_lock

@@ -131,7 +131,7 @@ def load_recording(path: Path) -> Recording:
     except (OSError, UavrlError):
         raise
     except Exception as error:
-        raise UavrlError(f"{path} holds no flights, or is damaged: write it again with data=FILE.npz.") from error
+        raise UavrlError(f"{path} contains no episodes, or is damaged: write it again with data=FILE.npz.") from error
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:

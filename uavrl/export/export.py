@@ -61,7 +61,7 @@ def export_policy(
     config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
     about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
     if POLICY.is_in(output) or (output / CONFIG).exists():
-        raise UavrlError(f"The folder {output} holds a policy or a run already: choose another with output=FOLDER.")
+        raise UavrlError(f"The folder {output} already contains a policy or a run: choose another with output=FOLDER.")
     writable(output / POLICY.json, "output=FOLDER")
     config.run_dir = Path(str(config.run_dir)).name
     with replacing(output / CONFIG) as partial:

@@ -26,7 +26,7 @@ class ExportedPolicy:
 
     Raises:
         UavrlError: as :class:`~uavrl_onboard.policy.policy.Policy`, and for a contract of another rate than the
-        simulator's.
+            simulator's.
     """
 
     has_map = False

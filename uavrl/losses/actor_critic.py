@@ -23,7 +23,7 @@ class ActorCriticLoss(_LossModule):
 
     The actor's loss follows from :meth:`act` and :meth:`action_value`, which are here those of a deterministic actor
     and its first critic. An :class:`~uavrl.losses.ActorPenalty` calls the same methods, so that it attaches to any of
-    them; TorchRL's own losses get them from :mod:`uavrl.losses.adapter`.
+    them; TorchRL's own losses get them from ``uavrl.losses.adapter``.
     """
 
     actor_network_params: TensorDictParams

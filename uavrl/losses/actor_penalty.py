@@ -110,7 +110,7 @@ class ActorPenalty(ActorCriticLoss, LossModule):
     """Whether its term needs states that end with the action that led to them."""
 
     computed: ClassVar[Mapping[str, str]] = {}
-    """Numbers that cannot be set, because others determine them: their names, and the names of the others."""
+    """The names of numbers that cannot be set, with the names of the numbers that determine them."""
 
     reduction = _shared("reduction")
     use_prioritized_weights = _shared("use_prioritized_weights")

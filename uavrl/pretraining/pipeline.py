@@ -54,7 +54,7 @@ def pretrain(config: PretrainConfig) -> dict[str, Any]:
     torch.set_num_threads(config.threads)
     output = Path(config.output or Path(config.run) / PRETRAINED)
     if any((output / name).exists() for name in (ARTIFACT.json, ARTIFACT.safetensors)):
-        raise UavrlError(f"The folder {output} holds an artifact already: choose another with output=FOLDER.")
+        raise UavrlError(f"The folder {output} already contains an artifact: choose another with output=FOLDER.")
     source = read_states(Path(config.run))
     sample = draw_sample(source, config.pretrain, config.seed)
     writable(output / ARTIFACT.json, "output=FOLDER")

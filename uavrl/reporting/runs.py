@@ -97,8 +97,8 @@ def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def read_runs(folders: Sequence[Path]) -> tuple[list[Run], list[LeftOut]]:
     """Reads all runs in and below ``folders``, each once."""
     inside = {folder: list(_run_folders(folder.resolve())) for folder in folders}
-    give = "give the folder that uavrl-train printed."
-    none = {True: f"It holds no run: {give}", False: f"There is no such folder: {give}"}
+    give = "pass the folder that uavrl-train printed."
+    none = {True: f"It contains no runs: {give}", False: f"There is no such folder: {give}"}
     left_out = [LeftOut(str(folder), none[folder.exists()]) for folder, runs in inside.items() if not runs]
     found = dict.fromkeys(run for runs in inside.values() for run in runs)
     names = [folder.name for folder in found]

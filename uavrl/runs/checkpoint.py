@@ -188,8 +188,8 @@ def how_to_go_on(run_dir: Path) -> str:
         saved = Checkpoint.manifest(all_checkpoints(run_dir)[-1])["metadata"]["episodes"]
         flown = len(read_episodes(run_dir / EPISODES))
     except Exception:  # damaged meanwhile: whoever goes on is told what, and nothing may hide that the run was stopped
-        return f"stopped: go on with {go_on}."
+        return f"stopped: resume with {go_on}."
     if flown == saved:
-        return f"stopped after episode {flown}, which is saved: go on with {go_on}."
+        return f"stopped after episode {flown}, which is saved: resume with {go_on}."
     again = f"episode {flown}" if flown == saved + 1 else f"episodes {saved + 1} to {flown}"
-    return f"stopped after episode {flown}: {go_on} goes on after {saved} and repeats {again}."
+    return f"stopped after episode {flown}: {go_on} continues after episode {saved} and repeats {again}."

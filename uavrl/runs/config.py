@@ -46,13 +46,16 @@ def read_config(run_dir: Path) -> DictConfig:
     require_folder(run_dir)
     path = run_dir / CONFIG
     if not path.is_file():
-        raise UavrlError(f"The folder {run_dir} holds no run, for want of {CONFIG}: give one that uavrl-train printed.")
+        raise UavrlError(
+            f"The folder {run_dir} contains no run, because {CONFIG} is missing: pass a folder that "
+            f"uavrl-train printed."
+        )
     try:
         config = load_config(path)
     except Exception as error:
         raise UavrlError(f"{path} is damaged: {' '.join(str(error).split())[:300]}.") from error
     if "algo" not in config:
-        raise UavrlError(f"Expected the configuration of a run in {path}, it holds something else.")
+        raise UavrlError(f"Expected the configuration of a run in {path}, but the file contains something else.")
     return config
 
 

@@ -66,11 +66,13 @@ def _refuse_a_run(run_dir: Path) -> None:
         return
     if any(run_dir.glob(ANY_CHECKPOINT)):
         raise FolderTaken(
-            f"The run folder {run_dir} holds a run already: "
-            f"go on with it by {command_line('uavrl-train', resume=run_dir)}, or choose another run_dir."
+            f"The run folder {run_dir} already contains a run: "
+            f"resume it with {command_line('uavrl-train', resume=run_dir)}, or choose another run_dir."
         )
     if any((run_dir / name).exists() for name in (CONFIG, EPISODES, ARTIFACT)):
-        raise FolderTaken(f"The run folder {run_dir} holds a run already, without checkpoints: choose another run_dir.")
+        raise FolderTaken(
+            f"The run folder {run_dir} already contains a run without checkpoints: choose another run_dir."
+        )
 
 
 def _write(config: DictConfig, run_dir: Path) -> None:
@@ -110,7 +112,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     torch.set_num_threads(settings.trainer.threads)
     seed_everything(settings.seed)
     if resume and has_no_checkpoint(run_dir):
-        log.info("%s was stopped before its first episode: it starts anew.", run_dir)
+        log.info("%s was stopped before its first episode: it starts from the beginning.", run_dir)
         _clear(run_dir)
         _write(config, run_dir)
         resume = False
@@ -201,8 +203,8 @@ def _restore(trainer: EpisodeTrainer, path: Path) -> None:
     checkpoint = trainer.checkpoint
     if checkpoint.components.keys() - Checkpoint.manifest(path)["components"].keys():
         raise UavrlError(
-            f"{path} was written by another version of uavrl, whose runs this one cannot go on with: evaluate its "
-            f"policy, or train anew."
+            f"{path} was written by another version of uavrl, whose runs this version cannot resume: evaluate its "
+            f"policy, or train again."
         )
     restore(checkpoint, path, [name for name in checkpoint.components if name != "episode_log"])
     restore(checkpoint, path, ["episode_log"])  # last, because it cuts a file back
@@ -239,7 +241,7 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
     if address is not None and "collector.address" not in changed:  # what a Ray cluster sends is unpickled
         raise UavrlError(
             f"{run_dir} was trained on the Ray cluster {address}, and a run's folder may not choose whom this machine "
-            f"trusts: add collector=ray collector.address={address}, or collector.address=null for this machine alone."
+            f"trusts: add collector=ray collector.address={address}, or collector.address=null for this machine only."
         )
     chosen = OmegaConf.select(overrides, "choices") or {}
     for key in changed:
@@ -250,7 +252,7 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
         OmegaConf.update(config, key, OmegaConf.select(overrides, key), merge=False)
     if fingerprint(config) != before:
         raise UavrlError(
-            f"resume={run_dir} goes on with the run's own configuration, and {', '.join(changed)} would change it: "
+            f"resume={run_dir} continues with the run's own configuration, but {', '.join(changed)} would change it: "
             f"leave that out, or start a new run."
         )
     found_here = chosen_matmul if "trainer.matmul" in changed else matmul_here
@@ -258,7 +260,7 @@ def resume_config(run_dir: Path, overrides: DictConfig, changed: list[str]) -> D
     config.trainer.execution = chosen_execution(config.trainer.execution)
     now = _of_the_machine(config)
     if others := [f"{key}={now[key]} (before: {machine.get(key)})" for key in now if now[key] != machine.get(key)]:
-        log.info("%s goes on with %s: from here on last digits may differ.", run_dir, ", ".join(others))
+        log.info("%s continues with %s: from here on the last digits may differ.", run_dir, ", ".join(others))
     return config
 
 

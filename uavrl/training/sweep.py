@@ -34,8 +34,8 @@ def is_begun(run_dir: Path) -> bool:
         return True
     if (run_dir / EPISODES).exists() and (flown := len(read_episodes(run_dir / EPISODES))):
         raise UavrlError(
-            f"{run_dir} holds {pluralize(flown, 'episode')} and no checkpoint to go on from: bring its checkpoints "
-            f"back, or move the folder away to train anew."
+            f"{run_dir} contains {pluralize(flown, 'episode')} but no checkpoint to resume from: restore its "
+            f"checkpoints, or move the folder away to train again."
         )
     reset_unstarted_run(run_dir)
     return False

@@ -138,7 +138,7 @@ class RangeImage(PointCloudReduction):
         Args:
             rays: directions of its rays ``[R, 3]``, x forward, y left, z up.
             columns: around the sensor.
-            rows: of elevation; :meth:`uavrl_onboard.perception.cells.RangeGrid.for_sensor` chooses where they are.
+            rows: of elevation; ``RangeGrid.for_sensor`` chooses where they are.
             **kwargs: as in the constructor.
 
         Examples:

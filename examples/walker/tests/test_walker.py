@@ -208,7 +208,10 @@ def test_figure_4_6_flies_the_three_learners() -> None:
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [
-        (["learner=td3_walker", "fork=on"], "learner=td3_walker stands for fork=none, and fork=on was chosen"),
+        (
+            ["learner=td3_walker", "fork=on"],
+            "learner=td3_walker selects fork=none, but the command line selects fork=on",
+        ),
         (["buffer=failure_biased", "buffer.probability=1.5"], "buffer.probability must be in [0, 1], got 1.5"),
         (["buffer=failure_biased", "+buffer.seed=3"], "buffer.seed"),
         (["fork=walker", "fork.threshold=0"], "fork.threshold must be above 0"),

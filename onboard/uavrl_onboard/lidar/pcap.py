@@ -34,7 +34,7 @@ def _dpkt(name: str) -> Any:
 
 
 def read_pcap(path: Path) -> Iterator[tuple[float, bytes]]:
-    """Yield the time in seconds and the content of each UDP packet of a capture, as of :func:`read_datagrams`."""
+    """Yield the time in seconds and the content of each UDP packet of a capture, as of ``read_datagrams``."""
     for stamp, content, _ in read_datagrams(path):
         yield stamp, content
 

@@ -105,10 +105,6 @@ class RangeGrid:
         borders: elevations between the rows, ascending, degrees; None for equal rows (the default grid: ±4). Keep them
             away from the sensor's lasers, where rounding would choose the row.
 
-    Attributes:
-        middles: of the rows, degrees: those of equal rows where the borders lie between these, else half-way between
-            the borders.
-
     Raises:
         UavrlError: for sizes out of range, and for elevations that are not ascending within [-90, 90].
 
@@ -202,7 +198,10 @@ class RangeGrid:
 
     @property
     def middles(self) -> tuple[float, ...]:
-        """The elevations of the rows' middles, degrees."""
+        """The elevations of the rows' middles, degrees.
+
+        They are those of equal rows if the borders lie between these, else half-way between the borders.
+        """
         edges, equal = np.array([self.elevation[0], *self.row_borders, self.elevation[1]]), np.arange(self.rows) + 0.5
         middles = np.array(self._equal(equal))
         if ((edges[:-1] < middles) & (middles < edges[1:])).all():

@@ -188,7 +188,7 @@ def test_flights_whose_summary_is_none_are_refused(
     about = json.loads(str(arrays.pop("about")))
     about["items"]["flight0"]["summary"][name] = value
     np.savez(tmp_path / "f.npz", about=np.array(json.dumps(about)), **arrays)
-    assert "holds no flights" in refused(
+    assert "contains no episodes" in refused(
         replay_command.main, f"flight={tmp_path / 'f.npz'}", f"output={tmp_path / 'r.html'}"
     )
 
@@ -199,7 +199,7 @@ def test_flights_that_unpack_to_more_than_a_memory_holds_are_refused(
     monkeypatch.setattr(recording, "MOST_BYTES", 1_000_000)
     np.savez_compressed(tmp_path / "f.npz", about=np.array("{}"), zeros=np.zeros(200_000))
     assert (tmp_path / "f.npz").stat().st_size < 5_000
-    assert "holds no flights" in refused(replay_command.main, f"flight={tmp_path / 'f.npz'}")
+    assert "contains no episodes" in refused(replay_command.main, f"flight={tmp_path / 'f.npz'}")
 
 
 # ---------------------------------------------------------------------- links

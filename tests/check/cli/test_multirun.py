@@ -76,7 +76,7 @@ def test_a_run_whose_checkpoints_were_removed_keeps_what_it_has(
     assert sweep(tmp_path, "seed=0") == 0
     assert "Finished: " in capsys.readouterr().out
     assert sweep(tmp_path, "seed=0", "trainer.episodes=6") == 1
-    assert f"{run} holds 4 episodes and no checkpoint to go on from" in capsys.readouterr().err
+    assert f"{run} contains 4 episodes but no checkpoint to resume from" in capsys.readouterr().err
     assert content(run) == before
 
 
@@ -163,7 +163,7 @@ def test_a_run_that_another_process_flies_is_left_alone_and_flown_when_that_one_
         and f"Another process (process {other.pid} on " in told.err
     )
     assert json.loads((first / "summary.json").read_text())["episodes"] == 4
-    assert told.out.count("Finished: ") == 0 and "Waiting for other processes to end 1 run of the sweep" in told.err
+    assert told.out.count("Finished: ") == 0 and "Waiting until other processes finish 1 run of the sweep" in told.err
     assert told.out.splitlines()[-3:] == [
         "The sweep's 2 runs:",
         *(f"  {runs_in(tmp_path)[seed]}: 4 episodes" for seed in (0, 1)),

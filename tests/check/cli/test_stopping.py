@@ -85,7 +85,7 @@ def test_a_checkpoint_that_comes_soon_is_waited_for(
         assert in_process(train_command.main, *SMALL, *EPISODES, f"run_dir={run_dir}") == code
     flown = len(read_episodes(run_dir / "episodes.csv"))
     assert 2 < flown < 12
-    expected = f"uavrl: stopped after episode {flown}, which is saved: go on with uavrl-train resume={run_dir}."
+    expected = f"uavrl: stopped after episode {flown}, which is saved: resume with uavrl-train resume={run_dir}."
     assert [line for line in capfd.readouterr().err.splitlines() if "stopped" in line] == [expected]
     assert in_process(train_command.main, f"resume={run_dir}") == 0
     assert_same_run(whole, run_dir)
@@ -99,7 +99,7 @@ def test_a_checkpoint_is_not_waited_for_that_is_too_far_or_where_a_person_insist
     overrides = [*SMALL, *EPISODES, f"trainer.checkpoint_interval={interval}", f"run_dir={tmp_path / 'run'}"]
     assert in_process(train_command.main, *overrides) == 143
     err = capfd.readouterr().err
-    on = f"uavrl-train resume={tmp_path / 'run'} goes on after 0 and repeats episodes 1 to 2."
+    on = f"uavrl-train resume={tmp_path / 'run'} continues after episode 0 and repeats episodes 1 to 2."
     assert f"uavrl: stopped after episode 2: {on}\n" in err
     assert err.count("stopped") == 1
 
@@ -110,7 +110,7 @@ def test_flights_of_another_process_are_saved_at_once(
     kill_at(monkeypatch, 3, signal.SIGINT)
     overrides = [*SMALL, *EPISODES, "collector=async", "trainer.checkpoint_interval=100000"]
     assert in_process(train_command.main, *overrides, f"run_dir={tmp_path / 'run'}") == 130
-    assert "uavrl: stopped after episode 3, which is saved: go on with" in capfd.readouterr().err
+    assert "uavrl: stopped after episode 3, which is saved: resume with" in capfd.readouterr().err
     assert len(rotation(tmp_path / "run").checkpoints()) == 2
 
 
@@ -129,14 +129,14 @@ def test_an_ending_that_hangs_is_broken_off_by_the_second_signal(
     overrides = [*SMALL, "trainer.episodes=2", f"run_dir={tmp_path / 'run'}"]
     assert in_process(train_command.main, *overrides) == 128 + number
     assert passed == [number], "the first one may be that of who asked twice"
-    expected = f"uavrl: stopped after episode 2, which is saved: go on with uavrl-train resume={tmp_path / 'run'}."
+    expected = f"uavrl: stopped after episode 2, which is saved: resume with uavrl-train resume={tmp_path / 'run'}."
     assert [line for line in capfd.readouterr().err.splitlines() if "stopped" in line] == [expected]
 
 
 def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, tmp_path: Path) -> None:
     run_dir = Path(shutil.copytree(whole, tmp_path / "run"))
     rotation(run_dir).latest().write_bytes(b"")
-    assert how_to_go_on(run_dir) == f"stopped: go on with uavrl-train resume={run_dir}."
+    assert how_to_go_on(run_dir) == f"stopped: resume with uavrl-train resume={run_dir}."
 
 
 # ---------------------------------------------------------------------- the processes of a suite

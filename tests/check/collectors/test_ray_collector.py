@@ -172,7 +172,7 @@ def test_sigterm_ends_a_run_behind_a_checkpoint_and_ends_its_ray(tmp_path: Path)
         if began.poll() is None:
             os.killpg(began.pid, signal.SIGKILL)
     assert began.returncode == 128 + signal.SIGTERM, said
-    assert "which is saved: go on with uavrl-train resume=" in said
+    assert "which is saved: resume with uavrl-train resume=" in said
     assert len(list((run_dir / "checkpoints").glob("checkpoint*"))) == 2
     command = [sys.executable, "-m", "uavrl.cli.train", f"resume={run_dir}", "collector=ray", "collector.workers=1"]
     episodes = len(read_episodes(run_dir / "episodes.csv")) + 3
