@@ -19,6 +19,7 @@ import numpy as np
 from run_statistics import paired_difference
 
 from uavrl.evaluation.sequential import stops_after
+from uavrl_onboard.cli.process import one_sentence
 
 ROOT = Path(__file__).parents[1]
 TASKS = 500
@@ -80,4 +81,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

@@ -363,3 +363,17 @@ def test_the_walkers_time_is_shared_out(tmp_path: Path) -> None:
     numbers = json.loads(output.read_text())
     assert sum(numbers["shares"].values()) == pytest.approx(1)
     assert {"updates", "environment"} < set(numbers["shares"])
+
+
+def test_a_sequential_comparison_is_right_about_recorded_policies(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pair that differs by 20 points, and one that hardly differs, each in two orders of its tasks."""
+    import sequential
+
+    better, worse = "S" * 450 + "C" * 50, "S" * 350 + "C" * 150
+    monkeypatch.setattr(sequential, "recorded", lambda: [(better, worse), (better, "S" * 449 + "C" * 51)])
+    rows = [line.split(" | ") for line in said("sequential", "--orders", 2).splitlines()[2:]]
+    assert [row[:5] for row in rows[:2]] == [
+        ["| different", "2", "100.0", "0.0", "0.0"],
+        ["| too close to tell", "2", "0.0", "0.0", "100.0"],
+    ]
+    assert int(rows[0][-1].rstrip(" |")) < 500 == int(rows[1][-1].rstrip(" |"))
