@@ -366,7 +366,7 @@ def test_the_walkers_time_is_shared_out(tmp_path: Path) -> None:
 
 
 def test_a_sequential_comparison_is_right_about_recorded_policies(said: Said) -> None:
-    """A pair that differs by 20 points is told apart early; then all recorded pairs, each in one order, seldom wrong."""
+    """A pair that differs by 30 points is told apart early; all recorded pairs, each in one order, seldom wrongly."""
     tally = importlib.import_module("sequential").tally
     better, worse = "S" * 450 + "C" * 50, "SSC" * 150 + "S" * 50
     assert tally([(better, worse)], ["first"], 25)[:4] == (1, 100.0, 0.0, 0.0)
