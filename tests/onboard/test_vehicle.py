@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import json
 import math
 from pathlib import Path
@@ -16,7 +15,6 @@ from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.envs.world import WorldConfig
 from uavrl.evaluation.policies import PACKAGED
 from uavrl.planners.vfh_star import VFHStar
-from uavrl.transforms import NavigationState
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.limits import SafetyLimits
@@ -30,7 +28,6 @@ def test_the_default_vehicle_is_the_simulated_one() -> None:
     assert (CONTROL_RATE, VEHICLE.period, ACTION_LIMIT) == (10, 0.1, 2.0)
     assert (WorldConfig().flight_level, WorldConfig().uav_radius) == (VEHICLE.flight_level, VEHICLE.radius)
     assert (SafetyLimits().velocity, SafetyLimits().yaw_rate) == (VEHICLE.velocity_limit, VEHICLE.yaw_rate_limit)
-    assert inspect.signature(NavigationState).parameters["sensor_position"].default == VEHICLE.lidar_position
 
 
 def test_a_planner_assumes_the_airframe_and_the_flight_level_of_its_world() -> None:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
@@ -215,13 +215,14 @@ def _flights(flying: dict[str, list[str]], tasks: int) -> Iterator[dict[str, _Fl
 def _fly(overrides: list[str], ended: Connection) -> None:
     """Send each outcome as ``(task, letter)``, or the sentence of an error."""
     configure_logging()
-    from uavrl.cli.evaluate import flown
+    from uavrl.cli.evaluate import chosen_policy, environment_of
     from uavrl.evaluation.rollout import episodes_as_they_end
 
     try:
         config = compose(*overrides, name="evaluate")
-        settings, told = validate(config, EvaluateConfig), dict[str, Any]()
-        with flown(settings, config, overrides, told) as (chosen, env):
+        settings = validate(config, EvaluateConfig)
+        chosen = chosen_policy(settings, config, overrides)
+        with environment_of(chosen, settings, {}) as env:
             for each in episodes_as_they_end(env, chosen.policy, settings.episodes):
                 ended.send((each.task, LETTERS[each.outcome]))
     except UavrlError as error:

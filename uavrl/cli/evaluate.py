@@ -56,29 +56,27 @@ def main(config: DictConfig) -> None:
     print(f"{reached(result)} Written to {output}. {then}")
 
 
-@contextmanager
-def flown(
-    settings: EvaluateConfig, config: DictConfig, overrides: list[str], told: dict[str, Any]
-) -> Iterator[tuple[PolicySetup, "EnvBase"]]:
-    """The policy that the settings choose and its environment, at its first task, which is closed at the end.
-
-    Args:
-        settings: of one evaluation.
-        config: they were read from this.
-        overrides: of the command line.
-        told: the dictionary that a result's facts about worlds and computation are added to.
-    """
+def chosen_policy(settings: EvaluateConfig, config: DictConfig, overrides: list[str]) -> PolicySetup:
+    """The policy that the settings, which were read from ``config``, choose, with its environment's description."""
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
     import torch
 
-    from uavrl.evaluation.environment import make_device, make_env
-    from uavrl.training.matmul import matmul_backend
+    from uavrl.evaluation.environment import make_device
 
     folder = policy_folder(settings.run, settings.policy)
     torch.set_num_threads(settings.threads)
     chosen = choose(settings, config, overrides, folder, make_device(settings.device))
     if folder is not None:
         chosen.source["run"] = settings.run or f"policy={settings.policy}"
+    return chosen
+
+
+@contextmanager
+def environment_of(chosen: PolicySetup, settings: EvaluateConfig, told: dict[str, Any]) -> Iterator["EnvBase"]:
+    """The environment of a policy at its first task, which is closed at the end; ``told`` gets a result's facts."""
+    from uavrl.evaluation.environment import make_env
+    from uavrl.training.matmul import matmul_backend
+
     told["env"] = chosen.choices.get("env", "")
     count = min(settings.num_uavs, settings.episodes)
     if "world" in chosen.env:
@@ -91,7 +89,7 @@ def flown(
         env = make_env(chosen.env, chosen.perception, measure_clearance=True, **context)
         try:
             require_fit(chosen, env)
-            yield chosen, env
+            yield env
         finally:
             env.close()
 
@@ -104,10 +102,11 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     from uavrl.evaluation.summary import summarize
 
     settings = validate(config, EvaluateConfig)
+    chosen = chosen_policy(settings, config, overrides)
     writable(output)
     told: dict[str, Any] = {"seed": settings.seed, "env": "", "overrides": result_overrides(overrides)}
     told |= {"versions": versions(), "processor": processor()}
-    with flown(settings, config, overrides, told) as (chosen, env):
+    with environment_of(chosen, settings, told) as env:
         places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
         watch = None if places is None else places.add
         flights = rollout_episodes(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
