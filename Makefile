@@ -11,7 +11,7 @@ install = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-versio
 export OMP_NUM_THREADS ?= 1
 export PYTHONDONTWRITEBYTECODE :=   # else each process would compile torch anew, for ten seconds
 ifndef RUN
-RUN := runs/best_$(shell date +%Y-%m-%d_%H-%M-%S)
+RUN := runs/dagger_$(shell date +%Y-%m-%d_%H-%M-%S)
 endif
 
 .PHONY: train demo test check test-slow check-python lint bench docs docs-links setup clean
@@ -38,8 +38,8 @@ $(DEV): $(READY)
 # The thesis's run: .venv/bin/uavrl-train (5,000 episodes).
 train: WORLD = $(or $(filter env=%,$(ARGS)),env=static)
 train: $(READY)
-	@echo "Training by preset=best in $(RUN), then 100 tasks in valleys that it never saw; the thesis's 5,000 episodes: $(BIN)/uavrl-train"
-	@$(BIN)/uavrl-train preset=best run_dir=$(RUN) $(ARGS)
+	@echo "Training by preset=dagger in $(RUN), then 100 tasks in valleys that it never saw; the thesis's 5,000 episodes: $(BIN)/uavrl-train"
+	@$(BIN)/uavrl-train preset=dagger run_dir=$(RUN) $(ARGS)
 	@trap 'kill $$! 2>/dev/null' INT EXIT; \
 	$(BIN)/uavrl-replay run=$(RUN) $(WORLD) 'valleys=[100]' episodes=4 output=$(RUN)/replay.html > $(RUN)/replay.txt 2>&1 & \
 	$(BIN)/uavrl-evaluate run=$(RUN) $(WORLD) 'valleys=[100,101,102,103,104,105,106,107,108,109]' episodes=100 || exit; \

@@ -1,4 +1,4 @@
-"""Every key of ``conf/`` as a row of a table: its default, what ``preset=best`` makes of it, what it means."""
+"""Every key of ``conf/`` as a row of a table: its default, what ``preset=dagger`` makes of it, what it means."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ SECTIONS = {
     "env": ("env",),
     "training": ("trainer", "collector", "logger", ""),
 }
-HEAD = ("key", "default", "`preset=best`", "meaning")
+HEAD = ("key", "default", "`preset=dagger`", "meaning")
 LONGEST = 8  # numbers of a list that are shown
 _ABSENT = object()
 
 
 def tables() -> dict[str, str]:
     """The tables in Markdown, by the names under which the page asks for them."""
-    usual, best, pretrain = compose(), compose("preset=best"), compose(name="pretrain")
+    usual, best, pretrain = compose(), compose("preset=dagger"), compose(name="pretrain")
     made = {
         f"keys_{name}": _table(HEAD, [row for group in groups for row in _rows(group, usual, best)])
         for name, groups in SECTIONS.items()

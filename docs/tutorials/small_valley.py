@@ -24,13 +24,13 @@ run = folder / "run"
 # %% [markdown]
 # ## Train
 #
-# `preset=best` selects the recipe of `make train`. A scripted controller flies the first `algo.learning_starts` steps. Then the policy flies, and
+# `preset=dagger` selects the recipe of `make train`. A scripted controller flies the first `algo.learning_starts` steps. Then the policy flies, and
 # learns the controller's action in each state that it reaches. The other arguments make the valley, the networks and the training small. Each
 # argument is a key of a YAML file. `uavrl-train --help` shows the most common keys.
 
 # %%
 sh(
-    f"uavrl-train preset=best collector=sync randomize=none run_dir={run} trainer.episodes={FLIGHTS} "
+    f"uavrl-train preset=dagger collector=sync randomize=none run_dir={run} trainer.episodes={FLIGHTS} "
     "trainer.progress=false env.num_uavs=8 env.world.seeds=[0] env.world.size=[20,16] env.world.obstacles=8 "
     "env.world.min_goal_distance=5 env.max_steps=100 algo.hidden=[128,128] algo.learning_starts=800 "
     "cloning.steps=6000 cloning.updates_per_step=1 cloning.batch_size=128 trainer.execution=captured trainer.window=50"

@@ -76,8 +76,8 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             ["algo.gamma=0.9,0.8"],
             "algo.gamma got several values, 0.9,0.8: give one, or add -m to train with each of them",
         ),
-        (["preset=bst"], "got 'bst': did you mean best?"),
-        (["preset=fast"], "preset must be one of best, td3_bc, thesis, got 'fast'."),
+        (["preset=dager"], "got 'dager': did you mean dagger?"),
+        (["preset=fast"], "preset must be one of dagger, td3_bc, thesis, got 'fast'."),
         (["randomize.mass=[1,2]"], "There is no key 'randomize.mass': did you mean env.randomize.mass?"),
         (["--seed", "1"], "uavrl-train has no option --seed: write seed=VALUE."),
         (["--seeds=1"], "uavrl-train has no option --seeds=1: did you mean seed?"),
@@ -89,7 +89,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             ["seed=1", *CONFIG_DIR, "env=corridor"],
             "uavrl-train takes options before all that is KEY=VALUE: env=corridor",
         ),
-        (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=best."),
+        (["runs/a"], "The override 'runs/a' cannot be read: write KEY=VALUE, as in uavrl-train preset=dagger."),
     ],
 )
 def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str]) -> None:

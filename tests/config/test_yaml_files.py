@@ -178,7 +178,7 @@ def test_the_lidars_range_and_the_observations_altitude_follow() -> None:
 
 
 def test_the_best_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn() -> None:
-    plain_run, best = settings(), settings("preset=best", "algo.n_steps=5", "reward_preset=abr_prize")
+    plain_run, best = settings(), settings("preset=dagger", "algo.n_steps=5", "reward_preset=abr_prize")
     assert (plain_run.algo.n_steps, plain_run.algo.layer_norm, plain_run.algo.exploration_spread) == (1, False, 1.0)
     assert (plain_run.buffer.mirror, plain_run.choices["demonstrator"], plain_run.choices["actor_penalty"]) == (
         False,
@@ -188,7 +188,7 @@ def test_the_best_preset_leaves_the_default_as_it_is_and_can_be_changed_in_turn(
     assert (best.algo.n_steps, best.algo.critic.layer_norm, best.buffer.mirror) == (5, True, True)
     assert best.algo.actor.hidden == [256, 256]
     assert [best.choices[group] for group in ("backward_reward", "reward")] == ["abr", "navigation_prize"]
-    assert settings("preset=best", "env=dynamic").env.world.planes == 10
+    assert settings("preset=dagger", "env=dynamic").env.world.planes == 10
 
 
 # ---------------------------------------------------------------------- presets
@@ -217,7 +217,7 @@ def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, 
 
 
 def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
-    config = compose("preset=best")
+    config = compose("preset=dagger")
     assert len(config.env.world.seeds) == 48 and not set(config.env.world.seeds) & set(range(100, 110))
     assert (config.demonstrator.reduction, compose("demonstrator=vfh").demonstrator.reduction) == (
         "range_image",
@@ -232,12 +232,12 @@ def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
     assert perceptions[1] == perceptions[0] | {"reduction": "range_image", "statistic": "proximity"}
 
 
-def test_the_best_preset_ends_with_its_cloning_and_is_else_that_of_td3_with_behaviour_cloning() -> None:
-    best, long = compose("preset=best"), compose("preset=td3_bc")
-    assert best.cloning._target_.endswith(".Cloning") and best.cloning.steps == best.trainer.steps
+def test_dagger_lasts_for_all_of_its_preset_which_is_else_that_of_td3_with_behaviour_cloning() -> None:
+    short, long = compose("preset=dagger"), compose("preset=td3_bc")
+    assert short.cloning._target_.endswith(".Cloning") and short.cloning.steps == short.trainer.steps
     assert long.cloning._target_ is None and long.trainer.steps == 100_000
     for part in ("env", "perception", "reward", "demonstrator", "buffer", "actor_penalty", "smoothness", "collector"):
-        assert best[part] == long[part], part
+        assert short[part] == long[part], part
 
 
 def test_only_the_runs_name_is_worked_out_by_code_of_ours() -> None:

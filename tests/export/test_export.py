@@ -171,7 +171,7 @@ def flown(settings: TrainConfig) -> tuple[dict[str, Tensor], dict[str, Tensor], 
     return stacked[0], stacked[1], base
 
 
-@pytest.mark.parametrize("overrides", [(), ("preset=best", "env.world.seeds=[0]")])
+@pytest.mark.parametrize("overrides", [(), ("preset=dagger", "env.world.seeds=[0]")])
 def test_a_flight_follows_from_the_contract(overrides: tuple[str, ...]) -> None:
     """The pose of a simulated vehicle, the scan that tilts with it, and where its action leads."""
     settings, terms = derived(*overrides, *VALLEY)
@@ -188,7 +188,7 @@ def test_a_flight_follows_from_the_contract(overrides: tuple[str, ...]) -> None:
 
 
 def test_it_says_what_else_a_program_needs() -> None:
-    _, terms = derived("preset=best", "perception.blind=true", "env.airframe.lidar_position=[0.0,0.0,0.2]")
+    _, terms = derived("preset=dagger", "perception.blind=true", "env.airframe.lidar_position=[0.0,0.0,0.2]")
     assert terms["rate_hz"] == 10 and terms["weights_sha256"] == "0" * 64
     assert terms["cloud"]["blind"] is True and terms["cloud"]["sensor_position"] == [0.0, 0.0, 0.2]
     assert terms["action"]["order"] == ["l_x", "l_y", "l_z", "a_z"]

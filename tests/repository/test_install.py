@@ -75,7 +75,7 @@ def test_make_train_evaluates_and_shows_what_it_trained_in_valleys_that_it_never
     result = make(tmp_path, {"python3.12": 0}, "--dry-run", "train", "RUN=runs/a", f"ARGS={asked}")
     lines = [line for line in result.stdout.splitlines() if line.startswith(COMMANDS)]
     train, replay, evaluate = [shlex.split(re.split(r" (?:>|\|\|) ", line)[0]) for line in lines]
-    assert train[1:] == ["preset=best", "run_dir=runs/a", *asked.split()]
+    assert train[1:] == ["preset=dagger", "run_dir=runs/a", *asked.split()]
     held_out = yaml.safe_load((ROOT / "conf/suite.yaml").read_text())["held_out"]
     assert evaluate[1:] == ["run=runs/a", flown_in, held_out[1], "episodes=100"]
     assert replay[1:] == ["run=runs/a", flown_in, "valleys=[100]", "episodes=4", "output=runs/a/replay.html"]

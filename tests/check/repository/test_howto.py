@@ -59,8 +59,8 @@ def test_a_vehicle_of_ones_own_composes(tmp_path: Path) -> None:
     (content,) = blocks("vehicle", "yaml")
     (tmp_path / "env").mkdir()
     (tmp_path / "env/mine.yaml").write_text(content)
-    assert "uavrl-train --config-dir my_conf env=mine preset=best\n" in blocks("vehicle", "sh")[1]
-    config = compose("env=mine", "preset=best", own=[tmp_path])
+    assert "uavrl-train --config-dir my_conf env=mine preset=dagger\n" in blocks("vehicle", "sh")[1]
+    config = compose("env=mine", "preset=dagger", own=[tmp_path])
     validate(config)
     assert config.env.airframe.mass == 1.9 and config.env.airframe.tilt_limit == 0.5
     assert config.env.num_uavs == 16 and config.env.randomize.mass == [0.8, 1.2]

@@ -81,7 +81,7 @@ def test_a_report_needs_neither_torch_nor_pybullet(tmp_path: Path) -> None:
 
 def test_composing_needs_no_torch() -> None:
     code = (
-        "import sys\nfrom uavrl.config import compose\ncompose('preset=best', 'fork=on', 'lifeguard=mlp')\n"
+        "import sys\nfrom uavrl.config import compose\ncompose('preset=dagger', 'fork=on', 'lifeguard=mlp')\n"
         "print([name for name in ('torch', 'torchrl', 'tensordict', 'pybullet') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
