@@ -40,6 +40,7 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
     ``action_change`` and ``yaw_reversals`` are over all steps (:mod:`uavrl.evaluation.smoothness`).
 
     Examples:
+        >>> from uavrl.evaluation.rollout import EpisodeResult
         >>> arrived = EpisodeResult(0, "arrived", 100, 0, 18.0, 20.0, 0.4)
         >>> result = summarize([arrived, EpisodeResult(1, "collided", 50, 0, 5.0, 6.0, 0.0)])
         >>> result["success"]["rate"], result["path_efficiency"], result["steps_per_episode"], result["outcomes"]

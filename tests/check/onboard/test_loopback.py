@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[3]
 @pytest.fixture(scope="module")
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("exported") / "best"
-    command = [sys.executable, "-m", "uavrl.cli.export", "policy=best", f"output={folder}"]
+    command = [sys.executable, "-m", "uavrl.cli.export", "policy=best", "guards=none", f"output={folder}"]
     subprocess.run(command, check=True, capture_output=True)
     return folder
 
