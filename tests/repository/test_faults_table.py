@@ -11,9 +11,9 @@ import pytest
 
 from tests.helpers.logged import cycles
 from uavrl_onboard.flight.interfaces import FlightCycle
-from uavrl_onboard.flight.safety import Reason, State
+from uavrl_onboard.flight.safety import Reason, SafetyState
 
-F, H, S, W = State.FLYING, State.HOLDING, State.SILENT, State.STANDBY
+F, H, S, W = SafetyState.FLYING, SafetyState.HOLDING, SafetyState.SILENT, SafetyState.STANDBY
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def faults(monkeypatch: pytest.MonkeyPatch) -> Any:
     return faults
 
 
-def flight(*states: State) -> Iterator[tuple[float, FlightCycle]]:
+def flight(*states: SafetyState) -> Iterator[tuple[float, FlightCycle]]:
     reasons = {F: Reason.IN_CONTROL, H: Reason.OLD_SCAN, S: Reason.NO_SCAN, W: Reason.NOT_IN_CONTROL}
     for number, (state, cycle) in enumerate(zip(states, cycles(len(states)), strict=True)):
         status = replace(cycle.status, state=state, reason=reasons[state])

@@ -16,7 +16,7 @@ from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.evaluation.rollout import fly
+from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.transforms import Guarded, LastAction, NavigationReward, NavigationState
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator
 from uavrl_onboard.guards.settings import GuardSettings, ShieldSettings
@@ -145,5 +145,5 @@ def test_behind_the_shield_the_blind_do_not_collide() -> None:
     for guards in ("none", "shield"):
         base = NavigationEnv(4, world=world, max_steps=60, measure_clearance=True)
         env = TransformedEnv(base, Guarded(guards))
-        ends.append([flight.outcome for flight in fly(env, ahead, 4)].count("collided"))
+        ends.append([flight.outcome for flight in rollout_episodes(env, ahead, 4)].count("collided"))
     assert ends[0] > ends[1] == 0

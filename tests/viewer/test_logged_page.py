@@ -17,9 +17,10 @@ from tests.helpers.pages import unpack
 from uavrl.envs.lidar import Lidar
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
+from uavrl.sitl.faults import POSE
 from uavrl.sitl.live import Motion
 from uavrl.sitl.simulated_autopilot import SimulatedAutopilot
-from uavrl.sitl.telemetry import POSE, Telemetry
+from uavrl.sitl.telemetry import Telemetry
 from uavrl.viewer import logged_page
 from uavrl.viewer.logged_page import logged_page_data
 from uavrl_onboard.autopilot.vehicle_state import AutopilotMonitor

@@ -19,7 +19,12 @@ ABOUT = {
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
 EXAMPLES = {
-    "config": ["preset=dagger", "env=dynamic algo=sac seed=1", "-m seed=0,1,2 algo.gamma=0.98,0.99", "resume=RUN_FOLDER"],
+    "config": [
+        "preset=dagger",
+        "env=dynamic algo=sac seed=1",
+        "-m seed=0,1,2 algo.gamma=0.98,0.99",
+        "resume=RUN_FOLDER",
+    ],
     "evaluate": ["policy=best env=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
     "replay": ["policy=best tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
