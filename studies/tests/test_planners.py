@@ -39,7 +39,7 @@ def test_a_rivals_settings_are_drawn_and_the_better_ones_fly_on(
         outcome = "arrived" if policy.costs.spread == settings[2]["spread"] else "collided"
         return [SimpleNamespace(outcome=outcome, steps=100)] * tasks
 
-    monkeypatch.setattr(tune_rivals, "fly", fly)
+    monkeypatch.setattr(tune_rivals, "rollout_episodes", fly)
     monkeypatch.setattr(tune_rivals, "make_env", lambda *parts, **more: SimpleNamespace(set_seed=lambda seed: None))
     arguments = f"tune_rivals.py mppi --settings 8 --tasks 4 --json {tmp_path}/t.json"
     monkeypatch.setattr(sys, "argv", arguments.split())
@@ -80,16 +80,6 @@ def test_rivals_are_told_beside_the_packaged_policy(
     kept = json.loads((tmp_path / "t.json").read_text())["mppi"]
     assert set(kept) == {"dense", "real"} and "flights" not in kept["real"]
     assert rivals.lines_of(importlib.import_module("uavrl.planners.potential_field")) in range(30, 60)
-
-
-def test_the_page_tells_how_many_lines_each_planner_takes() -> None:
-    import rivals
-
-    page = (Path(__file__).parents[2] / "docs/howto/planners.md").read_text(encoding="utf-8")
-    names = ("potential_field", "vfh", "vfh_star", "mppi", "rrt_connect", "rrt_map")
-    lines = [str(rivals.lines_of(*rivals.modules_of(name))) for name in names]
-    assert f"| lines of code | {' | '.join(lines)} |" in page, lines
-    assert f"share {rivals.lines_of(*rivals.SHARED)} lines" in page
 
 
 def test_a_row_that_fails_is_named_in_a_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

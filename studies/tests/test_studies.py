@@ -243,7 +243,7 @@ def test_the_setting_that_solves_most_is_left_and_flown_most(
         outcome = "arrived" if policy.costs.caution == settings[4]["caution"] else "collided"
         return [SimpleNamespace(outcome=outcome)] * tasks
 
-    monkeypatch.setattr(tune_vfh, "fly", fly)
+    monkeypatch.setattr(tune_vfh, "rollout_episodes", fly)
     monkeypatch.setattr(tune_vfh, "make_env", lambda *parts, **more: SimpleNamespace(set_seed=lambda seed: None))
     arguments = f"tune_vfh.py perception=range_image --settings 16 --tasks 4 --json {tmp_path}/t.json"
     monkeypatch.setattr(sys, "argv", arguments.split())
