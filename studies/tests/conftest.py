@@ -12,6 +12,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.fixture(autouse=True)
+def scripts_import_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scripts find those beside them, whichever test runs first."""
+    for folder in ("benchmarks", "studies"):
+        monkeypatch.syspath_prepend(ROOT / folder)
+
+
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """What a study prints."""
@@ -21,6 +28,4 @@ def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
         runpy.run_path(str(ROOT / "studies" / f"{study}.py"), run_name="__main__")
         return capsys.readouterr().out
 
-    for folder in ("benchmarks", "studies"):
-        monkeypatch.syspath_prepend(ROOT / folder)
     return run
