@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import threading
 import time
 
 import pytest
@@ -40,3 +41,6 @@ def test_a_terminal_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch)
         assert longest < 5.0 and time.monotonic() - begun < 30.0, "nothing waits for the pipe"
         assert os.read(reader, 8) == b"more tha", "what had room has come"
         os.close(reader)
+        for thread in threading.enumerate():
+            if thread.name == "telling":  # else it would complain of the closed pipe during another test
+                thread.join(30.0)

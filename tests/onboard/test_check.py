@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
-from tests.helpers.exported import exported
 
+from tests.helpers.exported import exported
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.mavlink import Autopilot
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
