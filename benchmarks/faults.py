@@ -13,8 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import subprocess
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -22,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from common import machine
-from loopback import PORTS, flown
+from loopback import PORTS, exported, flown
 
 from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.flight.interfaces import FlightCycle
@@ -179,10 +177,7 @@ def main() -> None:
     args = parser.parse_args()
     found = machine()
     with tempfile.TemporaryDirectory() as made:
-        policy = (args.policy or Path(made) / "best").resolve()
-        if args.policy is None:
-            export = ["policy=best", f"output={policy}"]
-            subprocess.run([sys.executable, "-m", "uavrl.cli.export", *export], check=True)
+        policy = exported(args.policy, Path(made))
         chosen = [fault for fault in FAULTS if not args.only or fault.name in ("none", *args.only)]
         rows = list[dict[str, Any]]()
         for number, fault in enumerate(chosen):

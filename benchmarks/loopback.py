@@ -46,6 +46,15 @@ def started(module: str, *arguments: str, folder: Path) -> subprocess.Popen[str]
         )
 
 
+def exported(policy: Path | None, folder: Path) -> Path:
+    """The folder of a policy; without one the packaged ``best`` is exported into ``folder`` first."""
+    if policy is None:
+        policy = folder / "best"
+        export = ["policy=best", f"output={policy}"]
+        subprocess.run([sys.executable, "-m", "uavrl.cli.export", *export], check=True)
+    return policy.resolve()
+
+
 def flown(
     policy: Path, task: int, folder: Path, sitl: tuple[str, ...] = (), fly: tuple[str, ...] = (), ports: Any = PORTS
 ) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -103,10 +112,7 @@ def main() -> None:
     args = parser.parse_args()
     found = machine()
     with tempfile.TemporaryDirectory() as made:
-        policy = (args.policy or Path(made) / "best").resolve()
-        if args.policy is None:
-            export = ["policy=best", f"output={policy}"]
-            subprocess.run([sys.executable, "-m", "uavrl.cli.export", *export], check=True)
+        policy = exported(args.policy, Path(made))
         rows, late = [], list[float]()
         for task in range(args.tasks):
             folder = Path(made) / str(task)

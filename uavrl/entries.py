@@ -33,6 +33,17 @@ class MissingEntry(UavrlError, KeyError):
     __str__ = Exception.__str__  # KeyError would put the sentence into quotation marks
 
 
+def after_step(key: NestedKey) -> NestedKey:
+    """Return the key of an entry after a step: under ``"next"``, with which ``key`` may begin already.
+
+    Examples:
+        >>> after_step("arrived"), after_step(("next", "arrived")), after_step(("agent", "arrived"))
+        (('next', 'arrived'), ('next', 'arrived'), ('next', 'agent', 'arrived'))
+    """
+    parts = (key,) if isinstance(key, str) else key
+    return parts if parts[0] == "next" else ("next", *parts)
+
+
 def entry(data: TensorDictBase, key: NestedKey, reader: object) -> Tensor:
     """Return an entry of ``data`` for ``reader``.
 

@@ -60,6 +60,12 @@ def test_the_verdict_is_printed_and_written(
         (["best", "vfh", "error=0.7"], "error must be"),
         (["best", "vfh", "taks=3"], "did you mean tasks?"),
         (["best", "'vfh"], "cannot be read"),
+        (["best", "vfh", "straight"], "uavrl-compare"),
+        (["best", "vfh perception.rdius=3"], "There is no key 'perception.rdius'"),
+        (["best", "vfh perception=valley"], "perception must be one of"),
+        (["best", "vfh env.world.obstacles=3"], "row chooses the worlds"),
+        (["best", "vfh +randomize=all"], "row chooses the worlds"),
+        (["best", "vfh shield=true"], "write guards=[shield]"),
         (["best", "none.json"], "none.json cannot be read"),
     ],
 )
@@ -86,4 +92,11 @@ def test_files_of_other_tasks_are_refused(recorded: dict[str, str], capsys: pyte
 def test_a_side_may_have_keys_of_its_own() -> None:
     asked = CompareConfig("best", "vfh", row="static", tasks=9, seed=5)
     made = compare_command._overrides("vfh perception.radius=3", asked)
-    assert made == ['policy="vfh"', "perception.radius=3", "env=static", "episodes=9", "seed=5", "progress=false"]
+    assert made == ['policy="vfh"', "perception.radius=3", "env=static", "seed=5", "progress=false"]
+
+
+def test_the_name_of_a_folder_may_hold_what_a_key_has() -> None:
+    words = ["runs/gamma=0.98_seed=1", "o'brien's \"best\" guards=none", "row=dense"]
+    first, second, row = compare_command._named(words)
+    assert (first, row) == ('first="runs/gamma=0.98_seed=1"', "row=dense")
+    assert second == 'second="o\'brien\'s \\"best\\" guards=none"'

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import errno
+import importlib
+import inspect
 import io
 import logging
 import os
@@ -97,6 +100,27 @@ def test_the_code_that_is_hashed_is_there() -> None:
     assert len(valley_cache.CODE[0]) == 64
     named = {Path(sys.modules[f"uavrl.envs.{name}"].__file__ or "").stem for name in valley_cache._CODE}
     assert named == set(valley_cache._CODE)
+
+
+def test_all_that_the_hashed_code_imports_is_hashed() -> None:
+    """But what checks settings, names the default vehicle or tells of errors, and so changes no map."""
+    known = {
+        *(f"uavrl.envs.{name}" for name in valley_cache._CODE),
+        *(f"uavrl_onboard.{n}" for n in valley_cache._ONBOARD),
+    }
+    harmless = {"uavrl.envs.limits", "uavrl.envs.valley_cache", "uavrl_onboard.pluralize", "uavrl_onboard.vehicle"}
+    harmless |= {
+        "uavrl.errors",
+        "uavrl_onboard.errors",
+        "uavrl.runs.cache",
+        "uavrl.runs.machine",
+        "uavrl.runs.progress_line",
+    }
+    for name in sorted(known):
+        tree = ast.parse(inspect.getsource(importlib.import_module(name)))
+        imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        ours = {each for each in imported if each is not None and each.startswith("uavrl")}
+        assert ours <= known | harmless, name
 
 
 def archive(**arrays: np.ndarray) -> bytes:

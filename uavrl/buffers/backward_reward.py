@@ -5,13 +5,13 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 import torch
-from tensordict import NestedKey, TensorDictBase, unravel_key
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from uavrl.buffers.functional import backward_reward, check_labels, window_ends
 from uavrl.buffers.history import TrajectoryHistory
-from uavrl.entries import Shown, entry, require_whole
+from uavrl.entries import Shown, after_step, entry, require_whole
 from uavrl.errors import UavrlError
 
 
@@ -120,8 +120,8 @@ class BackwardReward(Shown, Transform):
 
     def _require_after(self, tensordict: TensorDictBase, key: NestedKey) -> None:
         """Refuse the key of an entry before the step where the data hold the one after it, too."""
-        after = unravel_key(("next", key))
-        if unravel_key((key,))[0] != "next" and tensordict.get(after, None) is not None:
+        after = after_step(key)
+        if after != key and tensordict.get(after, None) is not None:
             raise UavrlError(
                 f"{type(self).__name__} reads {key!r}, which is its value before each step, and the data also hold "
                 f"{after!r}, its value after it: pass {after!r} instead."

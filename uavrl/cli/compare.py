@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import re
 import shlex
+import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
-from uavrl.cli.logs import configure_logging
+from uavrl.cli.command import explained
+from uavrl.cli.suite import begin_worker, refuse_worlds
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.yaml_files import compose
 from uavrl.errors import UavrlError
@@ -92,16 +97,24 @@ def _main(settings: CompareConfig) -> None:
 
 
 def main() -> None:
-    """Reads the command line; the first two words without ``=`` before them name the policies."""
-    names = iter(SIDES)
-    sys.argv[1:] = [word if _is_key(word) else f"{next(names, 'second')}={word!r}" for word in sys.argv[1:]]
+    """Read the command line; the first two words that are no option and no KEY=VALUE name the policies."""
+    sys.argv[1:] = _named(sys.argv[1:])
     _main()
 
 
-def _is_key(word: str) -> bool:
-    """Whether an argument is an option or KEY=VALUE, and not a policy with its keys."""
-    name = word.split()[0] if word.split() else word
-    return word.startswith("-") or "=" in name
+def _named(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line with keys for the two policies.
+
+    Examples:
+        >>> _named(["best", "runs/gamma=0.98 guards=all", "row=dense"])
+        ['first="best"', 'second="runs/gamma=0.98 guards=all"', 'row=dense']
+    """
+    names, found = iter(SIDES), []
+    for word in words:
+        is_policy = re.match(r"-|\w+=", word) is None
+        name = next(names, None) if is_policy else None  # a third policy stays as it is, and is refused
+        found.append(word if name is None else f"{name}={json.dumps(word, ensure_ascii=False)}")
+    return found
 
 
 def compare(settings: CompareConfig) -> tuple[Comparison, dict[str, str]]:
@@ -119,7 +132,7 @@ def compare(settings: CompareConfig) -> tuple[Comparison, dict[str, str]]:
         if (file := Path(side)).suffix == ".json":
             known[name] = _recorded(file, settings)
         else:
-            flying[name] = _overrides(side, settings)
+            flying[name] = _checked(_overrides(side, settings))
     tasks = min([settings.tasks, *(len(outcomes) for outcomes in known.values())])
     found = Comparison(0, 0, 0, settings.error)
     with _flights(flying, tasks) as flown, ProgressLine(tasks, "tasks", enabled=bool(flying)) as line:
@@ -138,13 +151,22 @@ def _overrides(side: str, settings: CompareConfig) -> list[str]:
         name, *rest = shlex.split(side)
     except ValueError as error:
         raise UavrlError(f"{side!r} cannot be read ({error}): write POLICY, or 'POLICY KEY=VALUE …'.") from error
+    refuse_worlds(rest, "row")
     if (Path(name) / "config.yaml").is_file():
         policy = f"run={json.dumps(name, ensure_ascii=False)}"
     else:
         require_policy(name)
         policy = f"policy={json.dumps(name, ensure_ascii=False)}"
-    fixed = [f"episodes={settings.tasks}", f"seed={settings.seed}", "progress=false"]
-    return [policy, *rest, *_changes(settings.row), *fixed]
+    return [policy, *rest, *_changes(settings.row), f"seed={settings.seed}", "progress=false"]
+
+
+def _checked(overrides: list[str]) -> list[str]:
+    """The overrides, once they compose: a mistake is told before anything flies."""
+    try:
+        compose(*overrides, name="evaluate")
+    except (HydraException, OmegaConfBaseException) as error:
+        raise UavrlError(explained(error, "evaluate")) from error
+    return overrides
 
 
 def _changes(row: str) -> list[str]:
@@ -214,7 +236,8 @@ def _flights(flying: dict[str, list[str]], tasks: int) -> Iterator[dict[str, _Fl
 
 def _fly(overrides: list[str], ended: Connection) -> None:
     """Send each outcome as ``(task, letter)``, or the sentence of an error."""
-    configure_logging()
+    begin_worker()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command itself is told, and ends this process
     from uavrl.cli.evaluate import chosen_policy, environment_of
     from uavrl.evaluation.rollout import episodes_as_they_end
 

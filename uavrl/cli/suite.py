@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -42,9 +42,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     from uavrl.evaluation.summary import reached, scenarios, suite_table
 
     kept = result_overrides(overrides, OWN)
-    for override in kept:
-        if override.split("=")[0] in ("valleys", "env", "randomize") or override.startswith("env."):
-            raise UavrlError(f"suite chooses the worlds, so {override!r} contradicts it: leave one of them out.")
+    refuse_worlds(kept, "suite")
     every, chosen = scenarios("all"), scenarios(settings.suite or "all")
     configs = {name: _config(changes) for name, changes in chosen.items()}
     own_folder = output_name("suite", result_overrides(kept))
@@ -68,6 +66,14 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     print(suite_table(results))
     worst = min(results, key=lambda name: results[name]["success"]["rate"])
     print(f"Hardest: {worst}. {reached(results[worst])} Written to {folder}")
+
+
+def refuse_worlds(overrides: Sequence[str], chooser: str) -> None:
+    """Refuse overrides that change the worlds which the key ``chooser`` of a command has chosen."""
+    for override in overrides:
+        name = override.lstrip("+~").split("=")[0]
+        if name in ("valleys", "env", "randomize") or name.startswith(("env.", "randomize.")):
+            raise UavrlError(f"{chooser} chooses the worlds, so {override!r} contradicts it: leave one of them out.")
 
 
 def _config(changes: list[str]) -> DictConfig:
@@ -107,7 +113,7 @@ def _result(future: Future[Any]) -> Any:
 @contextmanager
 def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with this one; on an error they finish their evaluations first, on Ctrl-C they do not."""
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), begin_worker)
     try:
         yield pool
     except BaseException as error:
@@ -119,8 +125,8 @@ def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(cancel_futures=True)
 
 
-def _begin() -> None:
-    """In each of the processes."""
+def begin_worker() -> None:
+    """Prepare a process that flies for a command: its log, and its end with that command."""
     configure_logging()
     logging.getLogger().setLevel(logging.WARNING)
 

@@ -148,15 +148,7 @@ def rollout_episodes(
     watch: Callable[[np.ndarray], None] | None = None,
     progress: bool = False,
 ) -> list[EpisodeResult]:
-    """Roll out as :func:`episodes_as_they_end` does, and return the episodes in the order of their tasks.
-
-    Args:
-        env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
-        policy: reads the environment's output, writes ``action``.
-        episodes: number of tasks.
-        watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
-        progress: show a progress line.
-    """
+    """Return what :func:`episodes_as_they_end` yields, in the order of the tasks; ``progress`` shows a line."""
     results = dict[int, EpisodeResult]()
     with ProgressLine(episodes, "episodes", enabled=progress) as line:
         for each in episodes_as_they_end(env, policy, episodes, watch=watch):

@@ -13,6 +13,7 @@ from tensordict.utils import unravel_key
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
+from uavrl.entries import after_step
 from uavrl.losses.actor_penalty import ActorPenalty, AuxiliaryModel
 from uavrl.losses.functional import check_episodes, clamped_smooth_l1, episode_returns, fork_objective, fork_weight
 from uavrl.losses.model_gate import ModelGate
@@ -265,7 +266,7 @@ class Fork(ActorPenalty):
             low, high = (bound.to(self.observed_low) for bound in (states.amin(0), states.amax(0)))
             self.observed_low.copy_(torch.minimum(self.observed_low, low) if self.returns else low)
             self.observed_high.copy_(torch.maximum(self.observed_high, high) if self.returns else high)
-        counted = episodes.get(("next", keys.episode_reward), None)
+        counted = episodes.get(after_step(keys.episode_reward), None)
         self.returns.extend((episode_returns(rewards, done) if counted is None else counted[done]).flatten().tolist())
         self._refresh()
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
-from tensordict import NestedKey, TensorDictBase, unravel_key
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torch.func import functional_call
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.objectives import LossModule
 
-from uavrl.entries import MissingEntry, require_whole
+from uavrl.entries import MissingEntry, after_step, require_whole
 from uavrl.losses.actor_penalty import ActorPenalty, AuxiliaryModel, Sample, any_number
 from uavrl.models.collision import CollisionClassifier, confusion_rates
 from uavrl_onboard.ranges import Count, Discount, NonNegative, Pairs, Positive, Whole
@@ -187,8 +187,7 @@ class LifeGuard(ActorPenalty):
 
     def _next(self, tensordict: TensorDictBase, name: str) -> Tensor:
         """The flag ``name`` after each step as bool ``[*B]``; its key may begin with ``"next"`` or leave it out."""
-        key = unravel_key((getattr(self.tensor_keys, name),))
-        key = key if isinstance(key, tuple) and key[0] == "next" else unravel_key(("next", key))
+        key = after_step(getattr(self.tensor_keys, name))
         flag = tensordict.get(key, None)
         if flag is None:
             raise self._missing(key, tensordict, name, ", pass success_window=None" if name == "arrived" else "")
@@ -323,7 +322,7 @@ class LifeGuard(ActorPenalty):
     def in_keys(self) -> list[NestedKey]:
         """What :meth:`forward` reads."""
         keys = self.tensor_keys
-        return list(dict.fromkeys([*self._inner.in_keys, keys.observation, keys.action, ("next", keys.collided)]))
+        return list(dict.fromkeys([*self._inner.in_keys, keys.observation, keys.action, after_step(keys.collided)]))
 
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """The classifier's loss."""

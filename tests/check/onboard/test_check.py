@@ -18,19 +18,10 @@ import pytest
 from tests.helpers.measured import measured
 from tests.helpers.ports import free_ports
 from tests.helpers.ros2_peer import DOMAIN
-from uavrl.evaluation.policies import PACKAGED
-from uavrl.export.export import export_policy
 
 pytestmark = measured
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-@pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("exported") / "best"
-    export_policy(PACKAGED / "best", None, folder)
-    return folder
 
 
 @contextmanager

@@ -14,8 +14,6 @@ import pytest
 
 from tests.helpers.measured import measured
 from tests.helpers.ros2_peer import DOMAIN
-from uavrl.evaluation.policies import PACKAGED
-from uavrl.export.export import export_policy
 
 ROS = "needs rclpy: pip install 'uavrl[dev]' on CPython 3.11, Linux on x86-64"
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
@@ -27,13 +25,6 @@ pytestmark = measured
 
 ROOT = Path(__file__).resolve().parents[3]
 GOAL = (13.0, 0.0, 3.0)
-
-
-@pytest.fixture(scope="module")
-def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("exported") / "best"
-    export_policy(PACKAGED / "best", None, folder)
-    return folder
 
 
 def flown(policy: Path, keys: list[str], **options: Any) -> tuple[dict[str, Any], str]:

@@ -33,9 +33,8 @@ class Grid(NamedTuple):
         return row, np.where(column < 0, column + self.columns, column)
 
 
-CellIndices = tuple[
-    np.ndarray, np.ndarray
-]  # which returns lie in a grid, and in which of the cells of all clouds in turn
+CellIndices = tuple[np.ndarray, np.ndarray]
+"""Which returns lie in a grid, and in which of the cells of all clouds in turn."""
 
 
 class Returns(NamedTuple):
