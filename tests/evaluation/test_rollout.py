@@ -207,6 +207,37 @@ def test_the_actions_of_each_task_are_measured_alone_and_within_their_limits() -
     assert result["yaw_reversals"] == pytest.approx(0.4)
 
 
+class SlowedEnv(StubEnv):
+    """A guard lets its vehicles fly forward at no more than 1 m/s."""
+
+    def __init__(self, lengths: list[int]) -> None:
+        super().__init__(lengths, 1)
+        self.observation_spec["flown_action"] = Unbounded((1, 4))
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        return super()._reset(tensordict, **kwargs).set("flown_action", torch.zeros(1, 4))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        flown = tensordict["action"].clone()
+        flown[:, 0] = flown[:, 0].clamp(max=1.0)
+        return super()._step(tensordict).set("flown_action", flown)
+
+
+def test_how_often_guards_change_the_velocity_and_by_how_much() -> None:
+    """What is asked for beyond 2 m/s, and 0.04 m/s, are no changes by a guard."""
+    asked = iter([[9.0, 0.0, 0.0, 0.0], [1.04, 0.0, 0.0, 0.0], [1.5, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.0]])
+    flights = rollout_episodes(SlowedEnv([3, 1]), lambda state: state.set("action", torch.tensor([next(asked)])), 2)
+    assert flights[0].guard_share == pytest.approx(2 / 3) and flights[0].guard_change == pytest.approx(0.75)
+    assert flights[0].action_change == pytest.approx([0.0, 0.0, 0.0, 0.5]), "of what was flown"
+    assert (flights[1].guard_share, flights[1].guard_change) == (0.0, None)
+    result = summarize(flights)
+    assert result["guard_share"] == pytest.approx(0.5) and result["guard_change"] == pytest.approx(0.75)
+    assert "steps in which guards change the velocity       50.0 %, by 0.75 m/s on average" in table(result)
+    assert suite_table({"static": result}).split()[-1] == "50.0%"
+    unguarded = summarize(flights_of(1, 0, 0))
+    assert "guard_share" not in unguarded and "guards" not in table(unguarded)
+
+
 def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> None:
     flights = [
         EpisodeResult(0, "arrived", 11, 0, 5.0, 10.0, 0.5, action_change=[0.21, 0.05, 0.02, 0.4], yaw_reversals=0.1)
@@ -217,8 +248,8 @@ def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> 
         "steps that reverse the yaw rate                 10.0 %",
     ]
     assert not {"action_change", "yaw_reversals"} & older.keys() and "yaw rate" not in table(older)
-    head, first, second = (line.split()[-2:] for line in suite_table({"static": known, "dense": older}).splitlines())
-    assert (first, second) == (["0.40", "10.0%"], ["–", "–"]) and head == ["change", "reversals"]
+    head, first, second = (line.split()[-3:] for line in suite_table({"static": known, "dense": older}).splitlines())
+    assert (first, second) == (["0.40", "10.0%", "–"], ["–"] * 3) and head == ["change", "reversals", "guarded"]
 
 
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:

@@ -77,6 +77,7 @@ def main(config: DictConfig) -> None:
         _show_log(settings, Path(settings.flight))
         return
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
+    from uavrl.evaluation.interventions import intervention_lines
     from uavrl.evaluation.position_stats import position_lines
     from uavrl.evaluation.recording import load_recording, save_recording
     from uavrl.evaluation.smoothness import smoothness_lines
@@ -100,6 +101,7 @@ def main(config: DictConfig) -> None:
         lines = [
             *position_lines(flight.position_stats),
             *smoothness_lines(summary.action_change, summary.yaw_reversals),
+            *intervention_lines(summary.guard_share, summary.guard_change),
         ]
         print("\n".join(f"  {line}" for line in lines))
     write_page(shown, outputs["output"])

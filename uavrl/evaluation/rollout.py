@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, step_mdp
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from uavrl.evaluation.interventions import interventions
 from uavrl.evaluation.smoothness import action_change, yaw_reversals
 from uavrl.policy_protocol import Acts
 from uavrl.runs.episodes import outcome
@@ -34,6 +35,8 @@ class EpisodeResult:
     #: episode of one step
     action_change: list[float] | None = None
     yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
+    guard_share: float | None = None  #: share of the steps in which guards changed the velocity, None without guards
+    guard_change: float | None = None  #: mean change of the velocity in these steps in m/s, None without one
 
     @property
     def path_efficiency(self) -> float | None:
@@ -67,7 +70,8 @@ class EpisodeMeter:
         self._steps = np.zeros(count, dtype=int)
         self._return, self._flown = np.zeros(count), np.zeros(count)
         self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
-        self._actions: list[list[np.ndarray]] = [[] for _ in range(count)]
+        self._actions: list[list[np.ndarray]] = [[] for _ in range(count)]  # that were flown
+        self._asked: list[list[np.ndarray]] = [[] for _ in range(count)]  # by the policy, where guards fly
 
     def step(self, stepped: TensorDictBase) -> list[EpisodeResult]:
         """Takes in one step of all vehicles; returns the episodes that it ended."""
@@ -77,16 +81,21 @@ class EpisodeMeter:
         new = self._steps == 0
         self._return = np.where(new, 0.0, self._return) + after["reward"].double().numpy()[:, 0]
         self._steps += 1
-        taken = after.get(FLOWN, before["action"])
-        actions = taken.double().numpy().reshape(len(self._actions), -1)
-        for kept, action in zip(self._actions, actions, strict=True):
-            kept.append(action)
+        flown = after.get(FLOWN, None)
+        self._keep(self._actions, before["action"] if flown is None else flown)
+        if flown is not None:
+            self._keep(self._asked, before["action"])
         ended = np.flatnonzero(after["done"].numpy()[:, 0]).tolist()
         results = [self._result(i, after[i]) for i in ended]
         self._steps[ended] = 0
         for i in ended:
-            self._actions[i] = []
+            self._actions[i], self._asked[i] = [], []
         return results
+
+    @staticmethod
+    def _keep(kept: list[list[np.ndarray]], actions: torch.Tensor) -> None:
+        for own, action in zip(kept, actions.double().numpy().reshape(len(kept), -1), strict=True):
+            own.append(action)
 
     def _measure(self, before: TensorDictBase, after: TensorDictBase) -> None:
         position, next_position = before["position"].double().numpy(), after["position"].double().numpy()
@@ -103,8 +112,14 @@ class EpisodeMeter:
             paid = float(last.get("episode_reward", self._return[i]))
             return replace(result, episode_return=paid, action_change=action_change(actions))
         actions = actions.clip(-ACTION_LIMIT, ACTION_LIMIT)  # as the vehicle takes them
+        share, change = None, None
+        if self._asked[i]:
+            asked = np.stack(self._asked[i]).clip(-ACTION_LIMIT, ACTION_LIMIT)
+            share, change = interventions(asked[:, :3], actions[:, :3])
         return replace(
             result,
+            guard_share=share,
+            guard_change=change,
             action_change=action_change(actions),
             yaw_reversals=yaw_reversals(actions),
             world_seed=int(last["world_seed"].item()),

@@ -10,6 +10,7 @@ import yaml
 
 from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
+from uavrl.evaluation.interventions import intervention_lines, summarize_interventions
 from uavrl.evaluation.position_stats import position_lines
 from uavrl.evaluation.smoothness import smoothness_lines, summarize_smoothness
 from uavrl.runs.episodes import LETTERS, RATES, wilson
@@ -37,7 +38,8 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
     Path efficiency is the mean over successes; the minimum clearance (hull to nearest thing) is given as the median
     over successes and as the least of them; what has no value without them is ``None``. Several valleys are also
     counted one by one, by their seed. ``outcomes`` has a letter for each episode: success, collision or time-out.
-    ``action_change`` and ``yaw_reversals`` are over all steps (:mod:`uavrl.evaluation.smoothness`).
+    ``action_change`` and ``yaw_reversals`` are over all steps (:mod:`uavrl.evaluation.smoothness`), as are
+    ``guard_share`` and ``guard_change`` where guards flew (:mod:`uavrl.evaluation.interventions`).
 
     Examples:
         >>> from uavrl.evaluation.rollout import EpisodeResult
@@ -70,7 +72,9 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
     result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
     smoothness = [(flight.steps, flight.action_change, flight.yaw_reversals) for flight in flights]
-    return result | summarize_smoothness(*zip(*smoothness, strict=True))
+    guarded = [(flight.steps, flight.guard_share, flight.guard_change) for flight in flights]
+    result |= summarize_smoothness(*zip(*smoothness, strict=True))
+    return result | summarize_interventions(*zip(*guarded, strict=True))
 
 
 def _success_in(valley: int, flights: Sequence[EpisodeResult]) -> dict[str, float]:
@@ -98,6 +102,7 @@ def table(result: Mapping[str, Any]) -> str:
         lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
     lines += [f"{label:<46}{_number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
     lines += smoothness_lines(result.get("action_change"), result.get("yaw_reversals"))
+    lines += intervention_lines(result.get("guard_share"), result.get("guard_change"))
     for valley, success in result.get("success_by_valley", {}).items():
         interval = f"{success['low']:.1%} – {success['high']:.1%}, {pluralize(success['episodes'], 'episode')}"
         lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
@@ -120,10 +125,11 @@ def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
 def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     """The rates of each scenario with their Wilson 95 % intervals, steps and clearance of successes, and smoothness.
 
-    The yaw change is the mean absolute change of the yaw rate per step in rad/s, reversals are of the yaw rate.
+    The yaw change is the mean absolute change of the yaw rate per step in rad/s, reversals are of the yaw rate, and
+    guarded is the share of steps in which guards changed the velocity.
     """
     heads = f"{'collision':>12}{'time-out':>10}{'steps per success':>19}{'clearance':>11}"
-    heads += f"{'yaw change':>12}{'reversals':>11}"
+    heads += f"{'yaw change':>12}{'reversals':>11}{'guarded':>9}"
     lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
     for name, result in results.items():
         success, collision, time_out = (result[key] for key in RATES)
@@ -133,5 +139,6 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
         rates = f"{success['rate']:>11.1%}  {interval:<11}{collision['rate']:>12.1%}{time_out['rate']:>10.1%}"
         change = _number((result.get("action_change") or [None])[-1], ".2f")
         reversals = _number(result.get("yaw_reversals"), ".1%")
-        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}{change:>12}{reversals:>11}")
+        guarded = _number(result.get("guard_share"), ".1%")
+        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}{change:>12}{reversals:>11}{guarded:>9}")
     return "\n".join(lines)

@@ -230,6 +230,8 @@ def _evaluation(path: Path) -> dict[str, Any]:
     rates = {name: wilson(round(float(content[name]["rate"]) * tasks), tasks) for name in RATES}
     copied = {key: content.get(key) for key in _COPIED}
     measured = {"position_stats": _position_stats(content.get("position_stats")), **_smoothness(content)}
+    guarded = content.get("guard_share")
+    measured["guard_share"] = None if guarded is None else float(guarded)
     return {"file": path.name, "flown": _tasks(content), "episodes": tasks, **copied, **rates, **measured}
 
 

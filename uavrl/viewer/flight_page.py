@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.envs.terrain import HeightField
+from uavrl.evaluation.interventions import intervention_texts
 from uavrl.evaluation.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.evaluation.smoothness import smoothness_texts
 from uavrl_onboard.files import replacing
@@ -97,7 +98,10 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
         "reward_names": list(flight.reward_names),
         **{name: getattr(flight.summary, name) for name in shown},
         "position_stats": flight.position_stats,
-        "smoothness": smoothness_texts(flight.summary.action_change, flight.summary.yaw_reversals),
+        "smoothness": {
+            **smoothness_texts(flight.summary.action_change, flight.summary.yaw_reversals),
+            **intervention_texts(flight.summary.guard_share, flight.summary.guard_change),
+        },
     }
 
 
