@@ -30,7 +30,7 @@ class Situation:
 
     Attributes:
         objects: The nearest moving objects, ``float32 [N, K, 7]`` as
-            :class:`~uavrl_onboard.perception.motion.MotionSight` reports them.
+            ``MotionSight`` reports them.
         moving: Of each vehicle, which points of its scan belong to moving objects, ``bool [P]``; None for no point.
         bodies: Of each vehicle, all moving objects, ``[M, 7]``.
     """
