@@ -145,7 +145,7 @@ class Scene:
     def _colours(
         self, origins: np.ndarray, directions: np.ndarray, poses: Sequence[Pose]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Colours ``[R, 3]`` of rays, and the distances ``[R]`` in m; few are cast at a time, for the processor's cache."""
+        """Colours ``[R, 3]`` of rays, and the distances ``[R]`` in m, few at a time for the cache."""
         starts = range(0, len(directions), CHUNK)
         parts = [self._few(origins[at : at + CHUNK], directions[at : at + CHUNK], poses) for at in starts]
         colours, distances = zip(*parts, strict=True) if parts else (np.zeros((1, 0, 3)), np.zeros((1, 0)))

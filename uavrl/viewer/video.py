@@ -19,7 +19,7 @@ from uavrl.viewer.scene import Body, Pose, Scene, View, rgb
 from uavrl_onboard.files import replacing
 from uavrl_onboard.geometry import heading_vector, yaw_rotation
 from uavrl_onboard.mesh import Mesh
-from uavrl_onboard.pages.shapes import BODY, GOAL, OUTCOMES, PLANE, shell, vehicle
+from uavrl_onboard.pages.shapes import BODY, GOAL, HEAD, OUTCOMES, PLANE, shell, vehicle
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw
@@ -46,6 +46,8 @@ CONTRAST = 2  # pixels of lines and texts for one of the picture, along each sid
 NEAR = ((0.0, "#fff3b0"), (0.35, "#fdc066"), (0.7, "#f0653a"), (1.0, "#9e0f2b"))  # colours of nearness, as in the page
 INK, PAPER, EMPTY = "#1f2933", "#ffffff", "#dfe5ea"
 COLOURS = 64  # of a GIF
+# Those of small things, which would be lost among the colours that most of a picture has.
+SMALL = (BODY, "#005a8e", HEAD, "#a66298", PLANE, GOAL, *OUTCOMES.values(), *(colour for _, colour in NEAR), "#22262b")
 VEHICLE_BODY, PLANE_BODY = 0, 1
 
 
@@ -112,7 +114,10 @@ def _write_gif(pictures: list[np.ndarray], path: Path, form: Format) -> None:
     from PIL import Image
 
     some = np.concatenate(pictures[:: max(len(pictures) // 8, 1)])
-    palette = Image.fromarray(some).quantize(COLOURS, Image.Quantize.MEDIANCUT)
+    common = Image.fromarray(some).quantize(COLOURS - len(SMALL), Image.Quantize.MEDIANCUT).getpalette()
+    assert common is not None
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*common, *(channel for colour in SMALL for channel in _rgba(colour)[:3])])
     first, *rest = (Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures)
     durations = 10 * np.diff(np.round(np.arange(len(pictures) + 1) * 100 / form.rate))  # whole hundredths of a second
     options: dict[str, Any] = {"duration": durations.astype(int).tolist(), "loop": 0, "optimize": True}
@@ -129,16 +134,21 @@ class Film:
         self._scene = Scene(self._place, [Body.of(vehicle()), Body.of([(plane, PLANE)])])
         self._title = title(recording, self._flight)
         end = float(self._flight.times[-1])
-        self._times = np.append(np.arange(0.0, end, 1 / form.rate), np.full(round(LAST * form.rate), end))
+        self._times = np.append(np.arange(0.0, end, 1 / form.rate), end)
+        self._still = round(LAST * form.rate) - 1  # further pictures of the end
         self._path = _Path(self._flight)
         self._cells = _Cells(self._place, self._pixels(0.27), self._pixels(0.065))
         self._map = _Map(self._scene, self._place, self._pixels(0.2))
 
     def __len__(self) -> int:
-        return len(self._times)
+        return len(self._times) + self._still
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        return map(self._picture, self._times, self._views())
+        for time, view in zip(self._times, self._views(), strict=True):
+            picture = self._picture(time, view)
+            yield picture
+        for _ in range(self._still):
+            yield picture
 
     def _pixels(self, share: float) -> int:
         return round(share * self.format.size[0])
