@@ -282,8 +282,8 @@ def _results(evaluations: Mapping[str, Mapping[str, Any]], contract: Contract | 
         shown = [f"{100 * each['rate']:.1f} ({100 * each['low']:.1f}–{100 * each['high']:.1f})" for each in rates]
         lines.append(f"| {name} | {row['episodes']:,} | {', '.join(_guards(row)) or 'none'} | {' | '.join(shown)} |")
     note = (
-        "Fixed tasks without exploration noise, with 95 % confidence intervals (Wilson). The intervals cover the tasks, "
-        "not the choice of the training seed. These keys of `uavrl-evaluate run=FOLDER` choose the tasks:"
+        "Fixed tasks without exploration noise, with 95 % confidence intervals (Wilson). The intervals cover the tasks "
+        "and not the choice of the training seed. These keys of `uavrl-evaluate run=FOLDER` choose the tasks:"
     )
     by_default = contract is not None and contract.guards is not None
     keys = [f"- {name}: `{shlex.join(_keys(row, by_default))}`" for name, row in evaluations.items()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,8 +105,10 @@ def _write_mp4(pictures: Iterator[np.ndarray], path: Path, form: Format) -> None
         stream = file.add_stream("libx264", rate=form.rate, options={"crf": "21", "preset": "medium"})
         stream.width, stream.height = form.size
         stream.pix_fmt = "yuv420p"  # which browsers and phones play
-        for picture in pictures:
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        for number, picture in enumerate(pictures):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts, frame.time_base = number, Fraction(1, form.rate)
+            file.mux(stream.encode(frame))
         file.mux(stream.encode())
 
 
