@@ -1,4 +1,4 @@
-"""``uavrl-replay``: rolls out a policy in a few tasks without noise and shows the flights in a page."""
+"""``uavrl-replay``: rolls out a policy in a few tasks without noise and shows them in a page or a video."""
 
 from __future__ import annotations
 
@@ -27,17 +27,19 @@ if TYPE_CHECKING:
 
 MOST_FLIGHTS = 50  # in one page
 LOG = ".mcap"  # the suffix of what uavrl-fly writes
+VIDEOS = (".mp4", ".gif")
 
 
 @dataclass
 class ReplayConfig(FlyingConfig):
-    """conf/replay.yaml: the flights of one page."""
+    """conf/replay.yaml: the episodes of one page, or of a video."""
 
     flight: Folder | None = None
     task: int | None = None
     tasks: tuple[int, ...] | None = None
     episodes: Count | None = None
     data: Folder | None = None
+    video: Folder | None = None
     points: Count = 1500
 
     def __post_init__(self) -> None:
@@ -55,6 +57,12 @@ class ReplayConfig(FlyingConfig):
         require(distinct, "tasks", "a list of different numbers from 0", listed)
         few = len(self.task_numbers) <= MOST_FLIGHTS
         require(few, "The number of flights", f"at most {MOST_FLIGHTS} in one page", len(self.task_numbers))
+        known = self.video is None or Path(self.video).suffix in VIDEOS
+        require(known, "video", f"a file that ends in {' or '.join(VIDEOS)}", self.video)
+        if self.video is not None and len(self.task_numbers) > 1:
+            raise UavrlError(
+                f"A video shows one episode, and you asked for {len(self.task_numbers)}: choose one with task=NUMBER."
+            )
 
     @property
     def task_numbers(self) -> tuple[int, ...]:
@@ -63,10 +71,15 @@ class ReplayConfig(FlyingConfig):
             return tuple(self.tasks)
         return tuple(range(self.episodes)) if self.episodes is not None else (self.task or 0,)
 
+    @property
+    def makes_page(self) -> bool:
+        """Whether a page is written: always, unless a video is asked for and no page."""
+        return self.video is None or self.output is not None
+
 
 @command("replay")
 def main(config: DictConfig) -> None:
-    """Makes one page."""
+    """Makes one page or video."""
     require_named(config)  # before all else: validating the environment loads torch
     settings, overrides = validate(config, ReplayConfig), given_overrides()
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
@@ -84,11 +97,17 @@ def main(config: DictConfig) -> None:
     from uavrl.runs.episodes import SAID
     from uavrl.training.matmul import matmul_backend
     from uavrl.viewer.flight_page import write_page
+    from uavrl.viewer.video import require_libraries, require_one_episode, write_video
     from uavrl_onboard.pages.assembly import needs_plotly
 
-    needs_plotly()
+    if settings.video is not None:
+        require_libraries(Path(settings.video))
+    if settings.makes_page:
+        needs_plotly()
     # All that can be wrong with the input is found before a folder is made or the first step.
     loaded = load_recording(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
+    if settings.video is not None and not callable(loaded):
+        require_one_episode(loaded)
     outputs = _outputs(settings, overrides)
     with matmul_backend(settings.matmul, settings.threads):
         shown = loaded() if callable(loaded) else loaded
@@ -104,9 +123,12 @@ def main(config: DictConfig) -> None:
             *intervention_lines(summary.guard_share, summary.guard_change),
         ]
         print("\n".join(f"  {line}" for line in lines))
-    write_page(shown, outputs["output"])
-    if settings.data:
+    if "output" in outputs:
+        write_page(shown, outputs["output"])
+    if "data" in outputs:
         save_recording(shown, outputs["data"])
+    if "video" in outputs:
+        write_video(shown, outputs["video"], progress=settings.progress)
     for path in outputs.values():
         print(f"Written to {path}")
 
@@ -119,6 +141,9 @@ def _show_log(settings: ReplayConfig, log: Path) -> None:
     from uavrl_onboard.pages.assembly import needs_plotly
 
     require(settings.data is None, "data", "left out with a log, which holds the numbers itself", settings.data)
+    require(
+        settings.video is None, "video", "left out with a log, since a video shows a simulated valley", settings.video
+    )
     needs_plotly()
     data = logged_page_data(LoggedFlight(log), settings.points)
     output = writable(Path(settings.output or log.with_suffix(".html")), "output=FILE")
@@ -130,13 +155,13 @@ def _show_log(settings: ReplayConfig, log: Path) -> None:
 
 
 def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
-    """Where page and data go, found writable before the first step."""
-    plain = ("run", "flight", "output", "data", "points", "device", "threads", "matmul", "progress")
+    """Where page, data and video go, found writable before the first step."""
+    plain = ("run", "flight", "output", "data", "video", "points", "device", "threads", "matmul", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
     name = output_name("replay", result_overrides(overrides, plain)) + ".html"
-    paths = {"output": Path(settings.output or folder / name)}
-    if settings.data:
-        paths["data"] = Path(settings.data)
+    paths = {"output": Path(settings.output or folder / name)} if settings.makes_page else {}
+    given = {"data": settings.data, "video": settings.video}
+    paths |= {key: Path(file) for key, file in given.items() if file is not None}
     return {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
 
 

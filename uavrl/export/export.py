@@ -21,6 +21,7 @@ from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import POLICY_INFO, load_actor
 from uavrl.evaluation.environment import inner_transforms
+from uavrl.export.model_card import STATEMENTS, read_statements, write_card
 from uavrl.export.onnx_export import INPUT, OUTPUT, opset_of, policy_onnx
 from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import versions
@@ -52,7 +53,7 @@ def export_policy(
     network: bool = True,
     guards: GuardSettings | None = None,
 ) -> dict[str, Any]:
-    """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
+    """Writes ``config.yaml``, the weights with ``policy.json``, a model card, and ``contract.json`` where there is one.
 
     With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. ``guards`` are
     those that the policy flies with by default. The policy is
@@ -62,6 +63,7 @@ def export_policy(
     about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
     if POLICY.is_in(output) or (output / CONFIG).exists():
         raise UavrlError(f"The folder {output} already contains a policy or a run: choose another with output=FOLDER.")
+    read_statements(folder)
     writable(output / POLICY.json, "output=FOLDER")
     config.run_dir = Path(str(config.run_dir)).name
     with replacing(output / CONFIG) as partial:
@@ -72,6 +74,10 @@ def export_policy(
         terms = terms.model_copy(update={"network": _write_network(output, actor, terms) if network else None})
         with replacing(output / CONTRACT) as partial:
             partial.write_text(terms.to_text(), encoding="utf-8")
+    if (folder / STATEMENTS).is_file():
+        with replacing(output / STATEMENTS) as partial:
+            partial.write_bytes((folder / STATEMENTS).read_bytes())
+    write_card(output, output.resolve().name, evaluated=folder)
     return saved
 
 

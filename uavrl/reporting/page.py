@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable
+from textwrap import wrap
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -25,6 +26,7 @@ WORDS = {
     "Eq. 3.6": "the thesis's navigation reward, as printed",
     "prize": "the navigation reward with a bonus for success",
 }
+LABEL_WIDTH = 18  # characters of a line of a group's name beside its figure, which fits on a phone
 _GREY = "#7d8490"  # readable on white and on dark pages
 _LAYOUT = {
     "template": "none",
@@ -34,8 +36,8 @@ _LAYOUT = {
     "font": {"family": FONT, "size": 12, "color": "#374151"},
     "hoverlabel": {"namelength": -1},
     "dragmode": False,  # a finger on the figure scrolls the page
-    "xaxis": {"gridcolor": "#eceef1", "zeroline": False, "showline": True, "linecolor": "#9ca3af"},
-    "yaxis": {"gridcolor": "#eceef1", "zeroline": False},
+    "xaxis": {"gridcolor": "#eceef1", "zeroline": False, "showline": True, "linecolor": "#9ca3af", "automargin": True},
+    "yaxis": {"gridcolor": "#eceef1", "zeroline": False, "automargin": True},
 }
 
 
@@ -138,6 +140,8 @@ def _learning_curve(facts: dict[str, Any], name: str, axis: str) -> str:
             style = {"color": paint, "width": 2.5 if thick else 1, "dash": dash}
             title = {"name": f"{group['label']}, {line}", "hovertemplate": hover, "opacity": 1.0 if thick else 0.45}
             drawn.add_scatter(x=x, y=scaled(y), line=style, **title, **common)
+    for share in sorted({flown[axis] for group in facts["groups"] if (flown := group["demonstrated"])}):
+        drawn.add_vrect(x0=0, x1=share, fillcolor=_GREY, opacity=0.16, line_width=0, layer="below")
     if name == "success":
         at = {"text": f"{100 * facts['threshold']:.4g} %", "font": {"size": 11, "color": _GREY}, "x": 0.008}
         style = {"color": _GREY, "width": 1, "dash": "dash"}
@@ -170,8 +174,8 @@ def _last_success(facts: dict[str, Any]) -> str:
             text=[f"seed {run['seed']}" for run in runs],
             hovertemplate="%{text}: %{x:.1f} %",
         )
-    labels = [group["label"] for group in reversed(facts["groups"])]
-    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {pluralize(facts['window'], 'training episode')}")
+    labels = ["<br>".join(wrap(group["label"], LABEL_WIDTH)) for group in reversed(facts["groups"])]
+    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {pluralize(facts['window'], 'episode')}")
     drawn.update_yaxes(tickvals=list(range(count)), ticktext=labels, range=[-0.6, count - 0.4], automargin=True)
     return _html(drawn, "last-success", 110 + 46 * count)
 

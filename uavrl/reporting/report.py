@@ -184,8 +184,22 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
         "success_by_seed": success,
         "mean_success": float(np.mean(success)),
         "steps_to_threshold": [steps_to(episodes, threshold, window) for episodes in seeds],
+        "demonstrated": demonstrated(group),
         "notes": notes,
     }
+
+
+def demonstrated(group: Group) -> dict[str, int] | None:
+    """How long the scripted controller flew at the start of each run: in steps, and in episodes; None without one.
+
+    Episodes are those that ended within these steps, in the seed that had most of them.
+    """
+    config = group.runs[0].config
+    demonstrator, steps = config.get("demonstrator") or {}, (config.get("algo") or {}).get("learning_starts")
+    if demonstrator.get("_target_") is None or not isinstance(steps, int) or steps < 1:
+        return None
+    ended = [sum(episode.total_steps <= steps for episode in run.episodes) for run in group.runs]
+    return {"steps": steps, "episodes": max(ended)}
 
 
 def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:
