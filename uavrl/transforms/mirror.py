@@ -100,7 +100,7 @@ def mirror_action(action: Tensor) -> Tensor:
 
 
 class Mirror(Shown, Transform):
-    """Shows each transition that a replay buffer samples as its mirror image, half of the time.
+    """Shows each transition or sequence that a replay buffer samples as its mirror image, half of the time.
 
     The sensor and the rewards treat left and right alike, so the image is a transition that could have been seen. The
     rotors turn the same way in both: an episode and its image agree to millimetres, except where commands take the
@@ -143,11 +143,12 @@ class Mirror(Shown, Transform):
         self.last_action, self.motion, self.reduction, self.grid = last_action, motion, reduction, grid
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
+        """The batch ``[B]``, or ``[B, T]`` of sequences, with some mirrored; what was stored stays as it is."""
         tensordict = tensordict.copy()  # a slice of a storage is the storage
         observations, actions = self.in_keys[: -self.num_actions], self.in_keys[-self.num_actions :]
         device = entry(tensordict, actions[0], self).device
-        mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
+        drawn = torch.rand(tensordict.batch_size[:1], device=device) < self.probability
+        mirrored = drawn.reshape(*drawn.shape, *[1] * tensordict.ndim)
         observed = partial(
             mirror_observation,
             last_action=self.last_action,
