@@ -15,6 +15,7 @@ CONTEXT: Mapping[str, tuple[str, ...]] = {
     "env": ("seed", "measure_clearance", "tasks"),
     "perception": ("sensor_position",),
     "algo": ("actor_network", "qvalue_network", "num_qvalue_nets", "value_network", "action_spec"),
+    "recurrent": ("observations",),
     "fork": _PENALTY,
     "lifeguard": _PENALTY,
     "actor_penalty": _PENALTY,

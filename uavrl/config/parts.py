@@ -16,6 +16,7 @@ PARTS = (
     "perception",
     "reward",
     "algo",
+    "recurrent",
     "fork",
     "lifeguard",
     "actor_penalty",

@@ -5,14 +5,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from torchrl.data import Bounded
-from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, Transform, TransformedEnv
+from torchrl.data import Bounded, Unbounded
+from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, TensorDictPrimer, Transform, TransformedEnv
 
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
+from uavrl.models.memory import RECURRENT_STATE
 from uavrl.transforms import PointCloudReduction
 from uavrl.transforms.guarded import GOAL_HEADING, Guarded
 from uavrl_onboard.guards.settings import GuardSettings
@@ -59,14 +60,16 @@ def make_env(
     num_uavs: int | None = None,
     keep_cloud: bool = False,
     mark_resets: bool = False,
+    recurrent_state: tuple[int, ...] | None = None,
     guards: GuardSettings | None = None,
     kind: type[TransformedEnv] = TransformedEnv,
     **context: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read.
 
-    ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins. ``guards`` are
-    put between the policy and the environment.
+    ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins. A
+    ``recurrent_state`` of this shape is carried from step to step, for a policy with a memory. ``guards`` are put
+    between the policy and the environment.
     """
     perception = with_sight(perception, guards)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
@@ -90,8 +93,11 @@ def make_env(
             require_keys(made, [(inner.in_keys, inner.out_keys) for inner in inner_transforms(transform)], part)
             made.append_transform(transform)
     require_keys(made, [(["observation"], [])], "policy")
-    if mark_resets:
+    if mark_resets or recurrent_state is not None:
         made.append_transform(InitTracker())
+    if recurrent_state is not None:
+        spec = Unbounded(recurrent_state, dtype=torch.float32)
+        made.append_transform(TensorDictPrimer({RECURRENT_STATE: spec}, expand_specs=True))
     return made
 
 

@@ -51,7 +51,7 @@ class GRUMemory(GRUModule):
         return cast(Tensor, output)
 
     def advance(self, observation: Tensor, state: Tensor) -> Tensor:
-        """Return the state ``[B, size]`` after an observation ``[B, S]`` and a state ``[B, size]``, in plain operations.
+        """Return the state ``[B, size]`` after an observation ``[B, S]`` and a state, in plain operations.
 
         Those of an ONNX file: r, z and n are the reset gate, the update gate and the candidate of PyTorch's GRU.
         """
@@ -91,9 +91,7 @@ class RecurrentPolicy(TensorDictSequential):
 
 def frozen_copy(memory: GRUMemory) -> GRUMemory:
     """Return a copy of a memory that no optimiser moves."""
-    made = GRUMemory(
-        memory.gru.input_size, memory.size, burn_in=memory.burn_in, length=memory.length
-    )
+    made = GRUMemory(memory.gru.input_size, memory.size, burn_in=memory.burn_in, length=memory.length)
     made.load_state_dict(memory.state_dict())
     return made.requires_grad_(False).to(next(memory.parameters()))
 
