@@ -132,7 +132,8 @@ def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
 
 def saved_sizes(settings: TrainConfig) -> NetworkSizes:
     """What the networks of a run read and write, asked of its environment."""
-    env = make_env(settings.env, settings.perception, packages=settings.packages, num_uavs=1)
+    parts, critic_reads = (settings.env, settings.perception), settings.algo.get("critic_reads", ())
+    env = make_env(*parts, packages=settings.packages, num_uavs=1, critic_reads=critic_reads)
     try:
         return network_sizes(env)
     finally:

@@ -22,6 +22,7 @@ from uavrl.config.build import TARGET, build, find_class, options
 from uavrl.config.context import CONTEXT, refuse_context
 from uavrl.config.parts import STEPPER
 from uavrl.config.settings import TrainConfig
+from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.world import WorldConfig, map_valleys
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import (
@@ -51,6 +52,7 @@ from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms import Mirror, NavigationState
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator, DemonstratorEnv
+from uavrl.transforms.privileged import PRIVILEGED
 from uavrl.transforms.rewards import terms_of
 from uavrl_onboard.sentences import require
 
@@ -106,11 +108,15 @@ def make_loss(
     """The algorithm's loss with critics of its own, and the actor penalties around it: FORK first, LifeGuard next."""
     loss_type, packages = loss_class(settings), settings.packages
     memory = make_memory(settings, sizes) if isinstance(actor, RecurrentPolicy) else None
-    remembered = {} if memory is None else {CRITIC_MEMORY: memory.size}
+    more = {} if memory is None else {CRITIC_MEMORY: memory.size}
+    if sizes.privileged:
+        told = "td3 or sac with algo.critic_reads: choose one of them"
+        require(loss_type.critics_may_differ, "algo", told, settings.algo["_target_"])
+        more[PRIVILEGED] = sizes.privileged
     critics = [
         TensorDictModule(
-            make_network("critic", settings, sizes, *remembered.values()).to(device),
-            in_keys=[*remembered, "observation", "action"],
+            make_network("critic", settings, sizes, *more.values()).to(device),
+            in_keys=[*more, "observation", "action"],
             out_keys=["state_action_value"],
         )
         for _ in range(loss_type.num_critics)
@@ -121,12 +127,9 @@ def make_loss(
     loss = loss_type.of_networks(acts, critics, sizes.action_spec(device), **written)
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.actor_penalty, settings.smoothness):
-        predicts = part._target_ is not None and issubclass(
-            find_class(str(part._target_), ActorPenalty, packages), Fork
-        )
-        require(
-            memory is None or not predicts, "fork", "none with a memory, which FORK does not predict", part._target_
-        )
+        forks = part._target_ is not None and issubclass(find_class(str(part._target_), ActorPenalty, packages), Fork)
+        told = "none with recurrent=gru or algo.critic_reads: FORK's critic reads predicted observations alone"
+        require(not (more and forks), "fork", told, part._target_)
         penalized = build(part, ActorPenalty, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
         if penalized is None:
             continue
@@ -205,9 +208,11 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
     parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
     callable_type: Any = Callable
-    acts, carried = build(settings.demonstrator, callable_type, packages=packages), {}
-    if (shape := recurrent_shape(settings)) is not None:
-        carried = {"recurrent_state": shape}
+    acts = build(settings.demonstrator, callable_type, packages=packages)
+    carried: dict[str, Any] = {
+        "recurrent_state": recurrent_shape(settings),
+        "critic_reads": settings.algo.get("critic_reads", ()),
+    }
     if acts is None:
         return make_env(*parts, **carried, packages=packages, seed=seed)
     demonstrator = as_policy(acts)
@@ -240,7 +245,13 @@ def _make_mirror(settings: TrainConfig) -> Mirror:
     require(known, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
     actions = ["action", DEMONSTRATOR_ACTION] if settings.demonstrated else ["action"]
     told = {key: seen[key] for key in ("last_action", "reduction", "grid") if key in seen}
-    return Mirror(actions=actions, motion=seen.get("motion") is not None, **told)
+    signs: list[float] = []
+    for key in settings.algo.get("critic_reads", ()):
+        other = f"false, or algo.critic_reads some of {', '.join(QUANTITIES)}: no mirror image of {key} is known"
+        require(key in QUANTITIES, "buffer.mirror", other, True)
+        signs += QUANTITIES[key].signs
+    signed = dict.fromkeys((PRIVILEGED, ("next", PRIVILEGED)), signs) if signs else {}
+    return Mirror(actions=actions, motion=seen.get("motion") is not None, signed=signed, **told)
 
 
 def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device: torch.device) -> EpisodeBuffer:

@@ -10,6 +10,7 @@ from uavrl.buffers import EpisodeBuffer, Windows
 from uavrl.buffers.sequences import numbered
 from uavrl.runs.episodes import split_episodes
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION
+from uavrl.transforms.privileged import PRIVILEGED
 
 # What is learned from, beside a demonstrator's actions; everything else that the environment emits is for metrics.
 STORED_KEYS = (
@@ -49,7 +50,8 @@ class EpisodeReplay:
         if self.filter is not None:
             kept = [episode for episode in split_episodes(episodes) if self.filter.keeps(episode)]
             episodes = torch.cat(kept) if kept else episodes[:0]
-        return episodes.select(*STORED_KEYS).update(episodes.select(DEMONSTRATOR_ACTION, strict=False))
+        optional = (DEMONSTRATOR_ACTION, PRIVILEGED, ("next", PRIVILEGED))
+        return episodes.select(*STORED_KEYS, *(key for key in optional if key in episodes.keys(True)))
 
     def store(self, episodes: TensorDictBase) -> int:
         """Writes whole episodes ``[T]`` and says how many updates follow; also after one that is left out."""

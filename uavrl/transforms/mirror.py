@@ -1,6 +1,6 @@
 """Transitions as they would look in a mirror at the vehicle's side."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 
 import torch
@@ -111,6 +111,7 @@ class Mirror(Shown, Transform):
         actions: keys of the actions, ``[B, 4]``.
         probability: of the image.
         last_action, motion, reduction, grid: as in :func:`mirror_observation`.
+        signed: keys of other entries, with the signs of their numbers in the image.
 
     Raises:
         ValueError: for a probability outside [0, 1], or an unknown reduction.
@@ -133,12 +134,14 @@ class Mirror(Shown, Transform):
         motion: bool = False,
         reduction: Reduction = "truncated_icosahedron",
         grid: RangeGrid | None = None,
+        signed: Mapping[NestedKey, Sequence[float]] | None = None,
     ) -> None:
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"probability must be in [0, 1], got {probability}.")
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(in_keys=[*in_keys, *actions], out_keys=[*in_keys, *actions])
+        self.signed = dict(signed or {})
         self.num_actions, self.probability = len(actions), probability
         self.last_action, self.motion, self.reduction, self.grid = last_action, motion, reduction, grid
 
@@ -160,4 +163,7 @@ class Mirror(Shown, Transform):
             for key in keys:
                 value = entry(tensordict, key, self)
                 tensordict.set(key, torch.where(mirrored, image(value), value))
+        for key, signs in self.signed.items():
+            value = entry(tensordict, key, self)
+            tensordict.set(key, torch.where(mirrored, value * value.new_tensor(signs), value))
         return tensordict
