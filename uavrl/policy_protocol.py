@@ -23,8 +23,6 @@ class TensorDictPolicy(Protocol):
         has_map: whether it plans on a map of its own, and so needs the heading to the goal itself.
         overrides: the keys of a configuration that it was made for, with their values; None: it was made for none.
         guards: the guards that it flies with by default.
-        recurrent_state: the shape of the entry of this name that the environment carries for it from step to step;
-            None: it needs none.
     """
 
     @property
@@ -42,9 +40,6 @@ class TensorDictPolicy(Protocol):
     @property
     def guards(self) -> GuardSettings: ...  # noqa: D102
 
-    @property
-    def recurrent_state(self) -> tuple[int, int] | None: ...  # noqa: D102
-
     def flown(self, actions: np.ndarray) -> None:
         """Take the actions ``[N, 4]`` that the vehicles fly instead of those that it wrote."""
 
@@ -58,7 +53,6 @@ class PolicyModule(TensorDictModuleBase):
     has_map: bool = False
     overrides: Mapping[str, Any] | None = None
     guards: GuardSettings = GuardSettings()
-    recurrent_state: tuple[int, int] | None = None
 
     def flown(self, actions: np.ndarray) -> None:
         """Take the actions that the vehicles fly; a policy that does not remember its own ignores them."""
@@ -74,7 +68,6 @@ class AdaptedPolicy:
         self.has_map: bool = getattr(act, "has_map", False)
         self.overrides: Mapping[str, Any] | None = getattr(act, "overrides", None)
         self.guards: GuardSettings = getattr(act, "guards", GuardSettings())
-        self.recurrent_state: tuple[int, int] | None = getattr(act, "recurrent_state", None)
         self.flown: Callable[[np.ndarray], None] = getattr(act, "flown", lambda actions: None)
 
     def __call__(self, tensordict: TensorDictBase, /) -> TensorDictBase:

@@ -43,7 +43,7 @@ LOOP: Mapping[str, Mapping[str, Any]] = {
             tuple[Text, ...], Rule("different names", lambda names: len(set(names)) == len(names))
         ],
         "n_steps": Annotated[int, Field(ge=1, le=10_000)],
-        "actor": _NETWORK,
+        "actor": Annotated[Any, Rule(f"a part with a {TARGET}; recurrent=gru gives it a memory", lambda value: False)],
         "critic": _NETWORK,
     },
     "buffer": {"mirror": bool},

@@ -145,6 +145,9 @@ def make_loss(
         demonstrated = settings.demonstrated or DEMONSTRATOR_ACTION not in penalized.in_keys
         wanted = f"a scripted controller, such as vfh: {part._target_} learns what it would do"
         require(demonstrated, "demonstrator", wanted, None)
+        trained = memory is not None and any(model.loss is not None for model in penalized.models)
+        told = "another part with recurrent=gru: its models learn from single observations at each update"
+        require(not trained, "actor_penalty", told, part._target_)
         loss = penalized
     if isinstance(actor, RecurrentPolicy) and memory is not None:
         loss = SequenceLoss(loss, actor.memory, memory)
@@ -159,8 +162,6 @@ def make_windows(settings: TrainConfig, buffer: EpisodeBuffer, loss: ActorCritic
     require(
         uniform, "buffer", "uniform with a memory: windows of episodes have no priorities", settings.buffer._target_
     )
-    models = [model for penalty in loss.penalties for model in penalty.models if model.loss is not None]
-    require(not models, "actor_penalty", "one whose models do not learn from single states, with a memory", "another")
     return Windows(loss.actor_memory.burn_in, loss.actor_memory.length, settings.algo.n_steps)
 
 

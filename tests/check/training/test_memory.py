@@ -49,4 +49,4 @@ def test_a_cue_at_the_start_is_remembered_by_a_memory(algo: str, tmp_path: Path)
 
 
 def test_a_cue_at_the_start_is_forgotten_without_a_memory(tmp_path: Path) -> None:
-    assert success_rate(tmp_path) < 0.75
+    assert success_rate(tmp_path) < 0.65
