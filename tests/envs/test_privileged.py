@@ -12,7 +12,7 @@ from uavrl.envs.traffic import Traffic
 from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
 
-WORLD = WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=4, planes=2)
+WORLD = WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=4, planes=2, plane_keep_out=1)
 
 
 def test_it_is_emitted_where_it_is_asked_for_alone() -> None:
