@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -51,7 +51,8 @@ class LoadedPolicy(PolicyModule):
     ) -> None:
         super().__init__()
         self.inputs = inputs
-        self.in_keys, self.out_keys = list(actor.in_keys), ["action"]
+        self.in_keys: list[NestedKey] = list(actor.in_keys)
+        self.out_keys: list[NestedKey] = ["action"]
         self.recurrent_state: tuple[int, int] | None = getattr(actor, "recurrent_state", None)
         if self.recurrent_state is not None:
             self.out_keys.append(("next", RECURRENT_STATE))

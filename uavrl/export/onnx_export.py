@@ -50,7 +50,8 @@ class _MeanAction(nn.Module):
     def as_flown(self, state: Tensor, memory: Tensor | None = None) -> list[np.ndarray]:
         """What :meth:`forward` must give, by the policy itself."""
         if memory is None:
-            return [self.forward(state).numpy()]
+            read = TensorDict({"observation": state}, batch_size=state.shape[:1])
+            return [self.actor(read)["action"].clamp(self.low, self.high).numpy()]
         carried = {"observation": state, RECURRENT_STATE: memory[:, None], IS_INIT: torch.zeros(len(state), 1) > 0}
         acted = self.actor(TensorDict(carried, batch_size=state.shape[:1]))
         action, following = acted["action"].clamp(self.low, self.high), acted["next", RECURRENT_STATE][:, 0]

@@ -70,7 +70,7 @@ class SequenceLoss(ActorCriticLoss, nn.Module):
         return self.loss.value_estimator
 
     @property
-    def actor_network_params(self) -> TensorDictParams:  # type: ignore[override]  # it is an attribute of the loss
+    def actor_network_params(self) -> TensorDictParams:
         """The parameters of the actor behind its memory."""
         return self.loss.actor_network_params
 

@@ -89,8 +89,9 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
 
     def _set_in_keys(self) -> None:
         super()._set_in_keys()
+        keys: list[NestedKey] = self._in_keys
         following = {unravel_key(("next", key)) for key in self._read_by_critics}
-        self._in_keys = [*self._in_keys, *sorted(following - set(self._in_keys), key=str)]
+        self._in_keys = [*keys, *sorted(following - set(keys), key=str)]
 
     @property
     def _read_by_critics(self) -> list[NestedKey]:

@@ -72,7 +72,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         env.close()  # another process makes its own
         source = with_matmul_backend(new_env)
     taken = options({**settings.algo, TARGET: STEPPER})
-    # A GRU's steps are a loop in C++, which a recording would turn into one in Python.
+    # A window is a batch in a batch, of which a recording takes no account.
     execution = "eager" if loss.learns_from_sequences else chosen_execution(settings.trainer.execution)
     logger = make_logger(
         settings.logger, run_dir, Path(settings.run_dir).name, settings.choices.get("logger", ""), settings.packages
@@ -127,7 +127,7 @@ def make_loss(
     loss = loss_type.of_networks(acts, critics, sizes.action_spec(device), **written)
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.actor_penalty, settings.smoothness):
-        forks = part._target_ is not None and issubclass(find_class(str(part._target_), ActorPenalty, packages), Fork)
+        forks = part._target_ is not None and issubclass(find_class(str(part._target_), object, packages), Fork)
         told = "none with recurrent=gru or algo.critic_reads: FORK's critic reads predicted observations alone"
         require(not (more and forks), "fork", told, part._target_)
         penalized = build(part, ActorPenalty, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
