@@ -89,7 +89,7 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
 
     def _set_in_keys(self) -> None:
         super()._set_in_keys()
-        keys: list[NestedKey] = self._in_keys
+        keys: list[NestedKey] = list(self.in_keys)
         following = {unravel_key(("next", key)) for key in self._read_by_critics}
         self._in_keys = [*keys, *sorted(following - set(keys), key=str)]
 
