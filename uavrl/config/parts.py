@@ -8,7 +8,7 @@ from pydantic import Field
 from uavrl.config.build import TARGET, arguments, find_class, is_part, require_allowed
 from uavrl.config.context import CONTEXT, context_of, refuse_context
 from uavrl.errors import UavrlError
-from uavrl_onboard.ranges import Count, NonNegative, Rule, Whole, Widths
+from uavrl_onboard.ranges import Count, NonNegative, Rule, Text, Whole, Widths
 from uavrl_onboard.sentences import require, require_known
 from uavrl_onboard.values import validated
 
@@ -16,6 +16,7 @@ PARTS = (
     "perception",
     "reward",
     "algo",
+    "recurrent",
     "fork",
     "lifeguard",
     "actor_penalty",
@@ -38,8 +39,11 @@ LOOP: Mapping[str, Mapping[str, Any]] = {
         "exploration_spread": Annotated[float, Field(ge=1, le=1e6)],
         "hidden": Widths,
         "layer_norm": bool,
+        "critic_reads": Annotated[
+            tuple[Text, ...], Rule("different names", lambda names: len(set(names)) == len(names))
+        ],
         "n_steps": Annotated[int, Field(ge=1, le=10_000)],
-        "actor": _NETWORK,
+        "actor": Annotated[Any, Rule(f"a part with a {TARGET}; recurrent=gru gives it a memory", lambda value: False)],
         "critic": _NETWORK,
     },
     "buffer": {"mirror": bool},

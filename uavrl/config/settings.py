@@ -59,6 +59,7 @@ class TrainConfig:
     demonstrator: Part = field(default_factory=lambda: Part(_target_=None))
     smoothness: Part = field(default_factory=lambda: Part(_target_=None))
     cloning: Part = field(default_factory=lambda: Part(_target_=None))
+    recurrent: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()
     seed: Seed = 0

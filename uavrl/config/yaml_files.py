@@ -92,8 +92,11 @@ def learner_name(choices: Mapping[str, str]) -> str:
     Examples:
         >>> learner_name({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
         'ddpg_lg_abr_plus'
+        >>> learner_name({"algo": "td3", "recurrent": "gru"})
+        'td3_gru'
     """
     usual = {
+        "recurrent": ("", ""),
         "fork": ("fork", "on"),
         "lifeguard": ("lg", "linear"),
         "actor_penalty": ("", ""),

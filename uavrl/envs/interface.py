@@ -1,9 +1,12 @@
 """What the environment takes and emits: actions, and keys with their shapes and types."""
 
+from collections.abc import Collection
+
 import numpy as np
 import torch
 from torchrl.data import Binary, Composite, Unbounded
 
+from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
 from uavrl_onboard.geometry import attitude_of
@@ -11,7 +14,9 @@ from uavrl_onboard.lidar.vlp16 import NUM_RAYS
 from uavrl_onboard.perception.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 
 
-def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[Composite, Composite]:
+def navigation_specs(
+    n: int, device: torch.device, *, clearance: bool, privileged: Collection[str] = ()
+) -> tuple[Composite, Composite]:
     """The specs of the observations and of the ends of ``n`` vehicles."""
 
     def numbers(*shape: int, dtype: torch.dtype = torch.float32) -> Unbounded:
@@ -27,6 +32,7 @@ def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[
         **flags("arrived", "collided"),
         **{key: numbers(1, dtype=torch.int64) for key in ("world_seed", "task")},
         **({"clearance": numbers(1)} if clearance else {}),
+        **{key: numbers(len(QUANTITIES[key].signs)) for key in privileged},
     }
     ends = Composite(flags("done", "terminated", "truncated"), shape=(n,), device=device)
     return Composite(observations, shape=(n,), device=device), ends

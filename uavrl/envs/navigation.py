@@ -1,6 +1,6 @@
 """The navigation task as a natively batched TorchRL environment."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from copy import deepcopy
 from functools import cached_property
 from typing import Annotated, Literal, TypeVar
@@ -16,6 +16,7 @@ from uavrl.envs.controller import most_load
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import OrMapping, check_hull, settings, whole
+from uavrl.envs.privileged import QUANTITIES, privileged
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyable
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
@@ -72,6 +73,7 @@ class NavigationEnv(EnvBase):
         blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
+        privileged: also emit these of :data:`uavrl.envs.privileged.QUANTITIES`, which critics may read.
         tasks: the tasks that will begin: valleys that none of these needs are not built. None: any task.
         seed: seed of tasks, traffic, gusts and sensor noise.
         device: where the outputs go. The simulation itself runs on the CPU.
@@ -97,6 +99,7 @@ class NavigationEnv(EnvBase):
         blind: bool = False,
         blind_to: Hidden | None = None,
         measure_clearance: bool = False,
+        privileged: Collection[str] = (),
         tasks: Sequence[int] | None = None,
         seed: int = 0,
         device: torch.device | str = "cpu",
@@ -109,6 +112,9 @@ class NavigationEnv(EnvBase):
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
+        self.privileged = tuple(privileged)
+        if unknown := set(self.privileged) - set(QUANTITIES):
+            raise UavrlError(f"privileged takes any of {', '.join(QUANTITIES)}, got {', '.join(sorted(unknown))}.")
         if tasks is not None and not (np.iterable(tasks) and len(tasks)):
             raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
@@ -127,7 +133,9 @@ class NavigationEnv(EnvBase):
         self._traffic: Traffic | None = None
         self._goal = np.zeros((num_uavs, 3))
         self._valley, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
-        self.observation_spec, self.done_spec = navigation_specs(num_uavs, self.device, clearance=measure_clearance)
+        self.observation_spec, self.done_spec = navigation_specs(
+            num_uavs, self.device, clearance=measure_clearance, privileged=self.privileged
+        )
         self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, (num_uavs, 4), self.device, torch.float32)
         self.reward_spec = Unbounded((num_uavs, 1), self.device, torch.float32)
         specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
@@ -234,7 +242,8 @@ class NavigationEnv(EnvBase):
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
         data = {"point_cloud": self._scan(index), "arrived": arrived, "collided": collided}
         data |= {"world_seed": self._world_seed, "task": self._task}
-        return data | quantities(self.simulation, self._goal, clearance=self.measure_clearance)
+        data |= quantities(self.simulation, self._goal, clearance=self.measure_clearance)
+        return data | privileged(self.privileged, self.simulation, self.traffic)
 
     def _built(self, made: _Made | None) -> _Made:
         self._require_open()

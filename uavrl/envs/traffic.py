@@ -141,6 +141,12 @@ class Traffic:
         """X, y, z in metres and yaw in rad, in [-π, π], of all planes now: ``[K, 4]``."""
         return self._in_world(self._ways.poses(self._ways.flown[:, None])[:, 0])
 
+    def velocities(self) -> np.ndarray:
+        """The velocities of all planes, ``[K, 3]`` in m/s; near the end of a leg a plane is on it for the last time."""
+        ways, dt = self._ways, 0.01
+        ahead = ways.poses((ways.flown + ways.speed * dt)[:, None])[:, 0]
+        return (ahead - ways.poses(ways.flown[:, None])[:, 0])[:, :3] / dt
+
     def advance(self, steps: int, dt: float) -> np.ndarray:
         """Flies on by ``steps`` times ``dt`` s: x, y, z in m and yaw in rad after each, ``[steps, K, 4]``."""
         ways = self._ways

@@ -66,7 +66,12 @@ class PolicySetup:
     def env_options(self) -> dict[str, Any]:
         """Options of :func:`~uavrl.evaluation.environment.make_env`: guards, and what makes it emit the ``in_keys``."""
         read = self.policy.in_keys
-        return {"keep_cloud": "point_cloud" in read, "mark_resets": "is_init" in read, "guards": self.guards}
+        return {
+            "keep_cloud": "point_cloud" in read,
+            "mark_resets": "is_init" in read,
+            "recurrent_state": getattr(self.policy, "recurrent_state", None),
+            "guards": self.guards,
+        }
 
 
 def choose(

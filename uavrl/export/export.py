@@ -22,7 +22,8 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import POLICY_INFO, load_actor
 from uavrl.evaluation.environment import inner_transforms
 from uavrl.export.model_card import STATEMENTS, read_statements, write_card
-from uavrl.export.onnx_export import INPUT, OUTPUT, opset_of, policy_onnx
+from uavrl.export.onnx_export import INPUT, MEMORY_INPUT, MEMORY_OUTPUT, OUTPUT, opset_of, policy_onnx
+from uavrl.models.memory import RecurrentPolicy
 from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import versions
 from uavrl.runs.weights import POLICY
@@ -39,7 +40,7 @@ from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, Contract
-from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, MotionTerms, Network
+from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, MemoryTerms, MotionTerms, Network
 
 log = logging.getLogger(__name__)
 
@@ -91,7 +92,10 @@ def _write_network(output: Path, actor: TensorDictModuleBase, terms: Contract) -
     with replacing(output / NETWORK) as partial:
         partial.write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
-    return Network(file=NETWORK, sha256=digest, opset=opset_of(content), input=INPUT, output=OUTPUT)
+    memory = None
+    if isinstance(actor, RecurrentPolicy):
+        memory = MemoryTerms(input=MEMORY_INPUT, output=MEMORY_OUTPUT, size=actor.memory.size)
+    return Network(file=NETWORK, sha256=digest, opset=opset_of(content), input=INPUT, output=OUTPUT, memory=memory)
 
 
 def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings | None = None) -> Contract | None:

@@ -17,6 +17,7 @@ _NAMES = {
     "fork": {"on": "FORK"},
     "lifeguard": {"linear": "LG", "mlp": "LG (MLP)"},
     "backward_reward": {"abr": "ABR", "abr_plus": "ABR⁺"},
+    "recurrent": {"gru": "GRU"},
     "reward": {
         "traditional": "TR",
         "navigation": "Eq. 3.6",
@@ -46,8 +47,8 @@ def label(choices: Mapping[str, str]) -> str:
         choice = choices.get(group, NONE)
         return [] if choice == NONE else [_NAMES.get(group, {}).get(choice, choice)]
 
-    penalties = [name for group in ("fork", "lifeguard", "actor_penalty", "smoothness") for name in named(group)]
-    learner = "-".join([choices["algo"].upper(), *penalties])
+    around = ("recurrent", "fork", "lifeguard", "actor_penalty", "smoothness")
+    learner = "-".join([choices["algo"].upper(), *(name for group in around for name in named(group))])
     return ", ".join([" + ".join([learner, *named("backward_reward")]), *named("reward")])
 
 

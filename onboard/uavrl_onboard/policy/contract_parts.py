@@ -324,6 +324,16 @@ class GuardTerms(ContractPart):
         return "guards.map is another map"
 
 
+class MemoryTerms(ContractPart):
+    """What a network remembers from step to step: an input and an output more."""
+
+    input: str
+    output: str
+    size: Size
+    initial: float = 0.0
+    does: str = says.MEMORY
+
+
 class Network(ContractPart):
     """The file of the network."""
 
@@ -332,6 +342,7 @@ class Network(ContractPart):
     opset: Annotated[int, Field(ge=1, le=1000)]
     input: str
     output: str
+    memory: MemoryTerms | None = None  #: None for a network that remembers nothing
 
 
 def rounded(numbers: np.ndarray) -> list[Any]:

@@ -56,6 +56,13 @@ CLIP = "to low and high, before the vehicle flies it"
 ACTION_FRAME = "yaw-aligned body frame: world axes rotated about the vertical by the yaw only, level at any tilt"
 HOLDS = "until the next action"
 
+MEMORY = (
+    "the network also reads size numbers, float32, as its input of this name, and gives as many as its output of this "
+    "name, which are the input of the next step of the same vehicle. They are initial at the first step of an episode, "
+    "which begins at take-off and wherever the policy has not acted for a while. Call the network once per step, and "
+    "keep the numbers of a vehicle apart from those of others"
+)
+
 _UNITS = {"velocity": "m/s, over ground", "size": "m, the diagonal of the bounding box of its points"}
 OBJECT_NUMBERS = [f"{name} ({_UNITS.get(name.split()[-1], 'm')})" for name in OBJECT]
 OBJECT_FRAME = "relative to the sensor, in level axes that are rotated by the yaw only: forward, left, up"
