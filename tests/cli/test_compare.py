@@ -44,7 +44,7 @@ def test_the_verdict_is_printed_and_written(
     file = tmp_path / "result/found.json"
     assert in_process(main, recorded["good"], recorded["bad"], "row=dense", f"json={file}") == 0
     told = capsys.readouterr().out.splitlines()
-    assert told[0].startswith(recorded["good"]) and "success rate 100.0 % (95 % CI " in told[0]
+    assert told[0].startswith(recorded["good"]) and "  Success rate: 100.0 % (95 % CI " in told[0]
     assert told[-1].startswith(f"{recorded['good']} succeeds more often than {recorded['bad']} in dense, by at least ")
     result = json.loads(file.read_text())
     assert result["better"] == "first" and 0 < result["low"] < result["difference"] < result["high"]

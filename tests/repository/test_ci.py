@@ -62,7 +62,9 @@ def recordings(checkout: Path, named: str | None = None) -> tuple[str, str]:
     environment = {"PATH": os.environ["PATH"]} | ({"UAVRL_RECORDINGS": named} if named is not None else {})
     script = f'set -euo pipefail; source "{ROOT}/.ci/recordings"; printf "%s" "${{UAVRL_RECORDINGS:-}}"'
     command = ["/bin/bash", "-c", script]
-    done = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(
+        command, cwd=checkout, env=environment, capture_output=True, text=True, timeout=60, check=True
+    )
     return done.stdout, done.stderr
 
 

@@ -19,7 +19,8 @@ from uavrl.cli.memory import require_memory
 from uavrl.config import TrainConfig, resolve, validate
 from uavrl.config.command_line import command_line
 from uavrl.errors import FolderTaken, Stopped, UavrlError
-from uavrl.runs.episodes import RATES
+from uavrl.runs.clock import start_clock
+from uavrl.runs.episodes import RATES, success_text, wilson
 from uavrl.runs.folders import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
 from uavrl_onboard.cli.process import one_sentence, sentence
@@ -134,6 +135,7 @@ def _check_machine(config: DictConfig) -> None:
 
 def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
     """Trains a combination, goes on with it, or leaves it alone where it is finished or another process trains it."""
+    start_clock()  # of this run
     _check(validate(config))
     if config.resume is not None:
         raise UavrlError(
@@ -175,9 +177,10 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
         print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}", flush=True)
 
     summary = train(config, run_dir, resume=resume, begun=tell)
-    rates = ", ".join(f"{key.replace('_', '-')} {summary['rates'][name]:.0%}" for key, name in RATES.items())
-    done = f"{pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')}"
-    print(f"{done}; over the last ones {rates}.")
+    last = min(summary["episodes"], config.trainer.window)
+    rate = wilson(round(summary["rates"][RATES["success"]] * last), last)
+    print(f"Trained for {pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')}.")
+    print(success_text(rate, last, "training episode"))
     watch = f"; watch it: {command_line('uavrl-replay', run=run_dir)}" if "world" in config.env else ""
     print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir)}{watch}")
 
