@@ -92,7 +92,7 @@ def test_files_of_other_tasks_are_refused(recorded: dict[str, str], capsys: pyte
 def test_a_side_may_have_keys_of_its_own() -> None:
     asked = CompareConfig("best", "vfh", row="static", tasks=9, seed=5)
     made = compare_command._overrides("vfh perception.radius=3", asked)
-    assert made == ['policy="vfh"', "perception.radius=3", "env=static", "seed=5", "progress=false"]
+    assert made == ['policy="vfh"', "perception.radius=3", "valleys=training", "env=static", "seed=5", "progress=false"]
 
 
 def test_the_name_of_a_folder_may_hold_what_a_key_has() -> None:
