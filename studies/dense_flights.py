@@ -71,9 +71,8 @@ def main() -> None:
             method, seed = found.groups() if found else (name, "0")
             runs.setdefault(method, {}).setdefault(seed, []).append((steps, outcome == "arrived"))
     spans = [tuple(int(end) for end in span.split("-")) for span in args.ranges]
-    print(
-        f"| success in dense valleys, % (95 % CI) | seeds | {' | '.join(f'steps {low:,} to {high:,}' for low, high in spans)} |"
-    )
+    heads = " | ".join(f"steps {low:,} to {high:,}" for low, high in spans)
+    print(f"| success in dense valleys, % (95 % CI) | seeds | {heads} |")
     print("|---" * (2 + len(spans)) + "|")
     for method, seeds in runs.items():
         flights = [flight for seed in seeds.values() for flight in seed]

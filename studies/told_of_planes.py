@@ -95,9 +95,8 @@ def main() -> None:
     chosen = ["env=dynamic", "env.num_uavs=16", valleys, "perception=range_image", *overrides]
     settings = validate(compose(*chosen))
     result: dict[str, dict[str, float]] = {}
-    print(
-        "| told of planes | success, % (95 % CI) | collided | timed out | more than told of none |\n|---|---|---|---|---|"
-    )
+    print("| told of planes | success, % (95 % CI) | collided | timed out | more than told of none |")
+    print("|---|---|---|---|---|")
     for known in KNOWN:
         env = make_env(settings.env, settings.perception, seed=30_000)
         rule = VectorFieldHistogram(reduction="range_image", statistic="proximity")

@@ -222,9 +222,7 @@ def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> 
     head, first, second = suite_table({"static": known, "dense": older}).splitlines()
     assert first.split() == ["static", "100.0", "(20.7–100.0)", "0.0", "0.0", "11", "0.50", "0.40", "10.0"]
     assert second.split()[-2:] == ["–", "–"]
-    assert "success, % (95 % CI)" in head and len(head) == len(first) == len(second), (
-        "each value ends under its heading"
-    )
+    assert "success, % (95 % CI)" in head and len(head) == len(first) == len(second)
 
 
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:

@@ -84,7 +84,7 @@ def test_valleys_of_the_training_are_not_called_unseen() -> None:
 
 @pytest.mark.parametrize("value", ["[]", "[-1]", "seen", "null"])
 def test_other_words_are_refused(value: str) -> None:
-    with pytest.raises(UavrlError, match="valleys must be (one of )?unseen, training or a list"):
+    with pytest.raises(UavrlError, match=r"valleys must be (one of )?unseen, training or a list"):
         validate(compose("policy=straight", f"valleys={value}", name="evaluate"), EvaluateConfig)
 
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(not Path("/bin/bash").exists(), reason="needs ba
 
 
 def install(folder: Path, **programs: str) -> tuple[subprocess.CompletedProcess[str], list[str]]:
-    """Runs .ci/install_browser where nothing but these shell scripts is installed, and returns what apt-get was told."""
+    """Runs .ci/install_browser where only these shell scripts are installed, and returns what they were told."""
     for name in ("timeout", "sleep"):
         (folder / name).symlink_to(str(shutil.which(name)))
     log = folder / "log"

@@ -117,7 +117,7 @@ def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
 
 
 def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rates of each scenario, those of successes with their intervals, steps and clearance of successes, smoothness.
+    """The rates of each scenario, steps and clearance of its successes, and smoothness.
 
     The change is the mean absolute change of the yaw rate from step to step; reversals are of the yaw rate.
     """
