@@ -52,7 +52,8 @@ def main(config: DictConfig) -> None:
     from uavrl.evaluation.worlds import worlds_text
 
     *details, success = table(result).splitlines()
-    print("\n".join([*details, f"Worlds: {worlds_text(result)}", success]))
+    about = [f"Policy: {_policy_text(result)}", f"Worlds: {worlds_text(result)}"]
+    print("\n".join([*details, *about, success]))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
     who |= {"packages": settings.packages} if settings.packages else {}
     watch = command_line(
@@ -61,6 +62,14 @@ def main(config: DictConfig) -> None:
     report = command_line("uavrl-report", runs=settings.run)
     then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
     print(f"Written to {output}. {then}")
+
+
+def _policy_text(result: dict[str, Any]) -> str:
+    """The policy of a result, for a person."""
+    known = [result["label"]] if "label" in result else [str(result.get("policy", ""))]
+    if isinstance(result.get("training_steps"), int):
+        known.append(f"{result['training_steps']:,} training steps")
+    return ", ".join(known) + (f" ({result['run']})" if "run" in result else "")
 
 
 def chosen_policy(settings: EvaluateConfig, config: DictConfig, overrides: list[str]) -> PolicySetup:

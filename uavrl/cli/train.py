@@ -2,6 +2,7 @@
 
 import errno
 import logging
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,6 +35,7 @@ LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes
 def main() -> None:
     """Trains one run, or a sweep: several processes may share one, and each stays until all of its runs have ended."""
     sweep_runs.forget()
+    sweep_runs.note_swept(sys.argv[1:])
     _command()
     with one_sentence():
         sweep_runs.refuse_twice()
@@ -144,13 +146,15 @@ def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
     from uavrl.runs.config import free_keys
     from uavrl.runs.lock import run_lock
     from uavrl.training.run import create_run, resume_config
-    from uavrl.training.sweep import is_begun, is_finished, run_folder
+    from uavrl.training.sweep import is_begun, is_finished, require_same_run, run_folder
 
-    run_dir = run_folder(config)
+    hydra = HydraConfig.get()
+    run_dir = run_folder(config, sweep_runs.differences(hydra.overrides.task, hydra.sweeper.get("params") or {}))
     config = resolve(config)
-    place = HydraConfig.get().job.num
+    place = hydra.job.num
     if sweep_runs.has_another_place(run_dir, place):
         raise sweep_runs.same_run(run_dir)
+    require_same_run(run_dir, config)
     if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):
         if not sweep_runs.was_ended(run_dir):  # else it was told before this process waited for others
             print(f"Finished: {run_dir}")

@@ -21,6 +21,7 @@ from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
+from uavrl.runs.labels import label
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.policy.contract import CONTRACT, read_contract
@@ -94,6 +95,7 @@ def choose(
             changed = without_variety(changed, config, keys_of(overrides))
         run = validate(changed)
         chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, dict(policy.source), run)
+        chosen.source["label"] = f"{label(run.choices)}, seed {run.seed}"
         trained = policy.config.env.get("world")
         if trained is not None and "world" in chosen.env:
             chosen.source["training_valleys"] = list(trained.seeds)
