@@ -34,7 +34,7 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.tasks import FlightMap
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import scenarios
-from uavrl.runs.episodes import LETTERS, wilson
+from uavrl.runs.episodes import LETTERS, rate_cell, wilson
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.cli.process import one_sentence
 
@@ -200,11 +200,11 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     found = {}
-    print("| row | arrived | steps of those | most | straight on |\n|---|---|---|---|---|")
+    print("| row | success, % (95 % CI) | steps of those | most | straight on |\n|---|---|---|---|---|")
     for row in args.rows:
         found[row] = flown(row, args.tasks, args.narrow)
-        told = "{rate:.1%} ({low:.1%}–{high:.1%}) | {steps:.0f} | {longest} | {straight:.0f}".format(**found[row])
-        print(f"| {row} | {told} |", flush=True)
+        told = "{steps:.0f} | {longest} | {straight:.0f}".format(**found[row])
+        print(f"| {row} | {rate_cell(found[row])} | {told} |", flush=True)
     if args.json:
         args.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 

@@ -17,8 +17,6 @@ from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.traffic import Traffic
 from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
-from uavrl.evaluation.policies import PACKAGED
-from uavrl.runs.config import load_config
 
 SEVERAL = WorldConfig(seeds=(3, 4, 5, 6), size=(14.0, 12.0), obstacles=(3, 2, 4), min_goal_distance=5.0)
 AMONG_PLANES = replace(SEVERAL, seeds=(3, 4), planes=1, plane_keep_out=2.0, plane_wingspan=1.2)
@@ -79,6 +77,5 @@ def test_a_replay_builds_the_valleys_of_its_tasks_alone(
     world = ["env.world.size=[14,12]", "env.world.obstacles=3", "env.world.min_goal_distance=5"]
     few = ["env.max_steps=2", "points=10", "progress=false", f"output={tmp_path / 'page.html'}"]
     assert in_process(command.main, "policy=best", "tasks=[0,3]", *world, *few) == 0
-    seeds = load_config(PACKAGED / "best/config.yaml").env.world.seeds
-    drawn = {seeds[int(np.random.default_rng((20_000, task)).integers(len(seeds)))] for task in (0, 3)}
-    assert built == sorted(drawn) and len(seeds) > 2
+    drawn = {100 + int(np.random.default_rng((20_000, task)).integers(10)) for task in (0, 3)}
+    assert built == sorted(drawn)

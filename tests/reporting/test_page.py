@@ -163,8 +163,11 @@ def test_the_command_writes_page_and_facts(
     code, out, err = report(runs, window=2)
     assert code == 0
     told = out.splitlines()[-1]
-    assert told.startswith("Best: TD3, prize, success rate 100.0 % over the last episodes (")
-    assert told.endswith("Open report.html in a browser; report.json holds the facts.")
+    assert told == "Open report.html in a browser; report.json holds the facts."
+    *_, where, first, second, _ = out.splitlines()
+    assert where == "In evaluation in static, valleys 0, 10 tasks of seed 20000:"
+    assert first == "  TD3, prize  Success rate: 80.0 % (95 % CI 58.4–91.9 %, 20 tasks)"
+    assert second == "  Not evaluated there: TD3 + ABR⁺, Eq. 3.6"
     assert "uavrl: bad is left out. episodes.csv is missing" in err
     assert json.loads((tmp_path / "report.json").read_text())["window"] == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["report.html", "report.json", "runs"]
@@ -175,6 +178,23 @@ def test_the_command_writes_page_and_facts(
     for chosen in (f"{one[:-1]}?", [one]):
         assert report(chosen, output="one.html")[0] == 0
         assert one in json.loads((runs / "one.json").read_text())["runs"][0]["name"]
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "said"),
+    [
+        (("c" * 8, "c" * 7 + "a"), "No group is ahead: the intervals overlap."),
+        (("c" * 20, "a" * 20), "TD3, TR is ahead of all other groups: its interval lies above theirs."),
+    ],
+)
+def test_a_group_is_ahead_only_where_the_intervals_are_apart(
+    outcomes: tuple[str, str], said: str, tmp_path: Path, report: Callable[..., tuple[int, str, str]]
+) -> None:
+    for name, flown, reward in zip("ab", outcomes, ("navigation", "traditional"), strict=True):
+        run_folder(tmp_path / "runs" / name, flown, {"reward": reward})
+    code, out, _ = report(tmp_path / "runs", output=str(tmp_path / "report.html"))
+    assert code == 0 and said in out and "In the last training episodes, with exploration noise:" in out
+    assert f"<p>{said}</p>" in (tmp_path / "report.html").read_text()
 
 
 def test_the_command_ends_in_one_sentence(

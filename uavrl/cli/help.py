@@ -25,7 +25,12 @@ EXAMPLES = {
         "-m seed=0,1,2 algo.gamma=0.98,0.99",
         "resume=RUN_FOLDER",
     ],
-    "evaluate": ["policy=best env=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
+    "evaluate": [
+        "policy=best",
+        "run=RUN_FOLDER episodes=100",
+        "run=RUN_FOLDER valleys=training",
+        "run=RUN_FOLDER suite=all",
+    ],
     "replay": ["policy=best tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
     "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],

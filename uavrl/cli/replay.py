@@ -15,6 +15,7 @@ from uavrl.config.command_line import command_line
 from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import choose, output_name, policy_folder, require_named, result_overrides
+from uavrl.evaluation.worlds import UNSEEN
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import writable
 from uavrl_onboard.pluralize import pluralize
@@ -46,7 +47,7 @@ class ReplayConfig(FlyingConfig):
         """Checks what belongs together."""
         super().__post_init__()
         keys = ("task", "tasks", "episodes", "valleys", "checkpoint")
-        given = [key for key in keys if getattr(self, key) is not None]
+        given = [key for key in keys if getattr(self, key) not in (None, UNSEEN)]
         chosen = [key for key in given if key in keys[:3]]
         require(len(chosen) <= 1, "The choice of tasks", "one of task, tasks and episodes", " and ".join(chosen))
         own = "the only choice, since the file brings its flights"
@@ -90,10 +91,10 @@ def main(config: DictConfig) -> None:
         _show_log(settings, Path(settings.flight))
         return
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
-    from uavrl.evaluation.interventions import intervention_lines
-    from uavrl.evaluation.position_stats import position_lines
+    from uavrl.evaluation.interventions import intervention_texts
+    from uavrl.evaluation.position_stats import position_texts
     from uavrl.evaluation.recording import load_recording, save_recording
-    from uavrl.evaluation.smoothness import smoothness_lines
+    from uavrl.evaluation.smoothness import aligned, smoothness_texts
     from uavrl.runs.episodes import SAID
     from uavrl.training.matmul import matmul_backend
     from uavrl.viewer.flight_page import write_page
@@ -117,12 +118,10 @@ def main(config: DictConfig) -> None:
         efficiency = summary.path_efficiency
         lengths = "" if efficiency is None else f"path efficiency {efficiency:.2f}, "
         print(f"task {summary.task}: {ended}, {lengths}minimum clearance {summary.clearance:.2f} m")
-        lines = [
-            *position_lines(flight.position_stats),
-            *smoothness_lines(summary.action_change, summary.yaw_reversals),
-            *intervention_lines(summary.guard_share, summary.guard_change),
-        ]
-        print("\n".join(f"  {line}" for line in lines))
+        texts = position_texts(flight.position_stats)
+        texts |= smoothness_texts(summary.action_change, summary.yaw_reversals)
+        texts |= intervention_texts(summary.guard_share, summary.guard_change)
+        print("\n".join(f"  {line}" for line in aligned(texts.items())))
     if "output" in outputs:
         write_page(shown, outputs["output"])
     if "data" in outputs:

@@ -18,6 +18,15 @@ Valleys = Annotated[
 ]
 
 
+FlownValleys = Annotated[
+    Literal["unseen", "training"] | tuple[int, ...],
+    Rule(
+        "unseen, training or a list of seeds from 0",
+        lambda given: isinstance(given, str) or min(given, default=-1) >= 0,
+    ),
+]
+
+
 @dataclass
 class TrainerConfig:
     """conf/trainer."""
@@ -91,7 +100,7 @@ class FlyingConfig:
     policy: str | None = None
     checkpoint: Folder | None = None
     seed: Seed = 20_000
-    valleys: Valleys | None = None
+    valleys: FlownValleys = "unseen"
     guards: Any = None
     output: Folder | None = None
     device: str = "cpu"

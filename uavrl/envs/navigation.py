@@ -74,7 +74,8 @@ class NavigationEnv(EnvBase):
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
         privileged: also emit these of :data:`uavrl.envs.privileged.QUANTITIES`, which critics may read.
-        tasks: the tasks that will begin: valleys that none of these needs are not built. None: any task.
+        tasks: the tasks that count: valleys that none of these needs are not built. Vehicles that go on after the last
+            of them have further tasks in the valleys that are. None: any task.
         seed: seed of tasks, traffic, gusts and sensor noise.
         device: where the outputs go. The simulation itself runs on the CPU.
 
@@ -202,7 +203,7 @@ class NavigationEnv(EnvBase):
             self._rebuild()
         self._next_task = self._next_task if task is None else whole("task", task)
         index, nothing = np.flatnonzero(mask), np.zeros(self.num_uavs, dtype=bool)
-        self._place(index)
+        self._place(index, asked=task is not None)
         data = self._observe(index, nothing, nothing)
         return self._pack({**data, "done": nothing, "terminated": nothing, "truncated": nothing})
 
@@ -210,10 +211,18 @@ class NavigationEnv(EnvBase):
         """What draws a task."""
         return np.random.default_rng((self._seed, task))
 
-    def _place(self, index: np.ndarray) -> None:
+    def _spare_valley(self, task: int) -> int | None:
+        """The valley, among those that were built, of a task after the last one that counts; None: its own."""
+        if self._tasks is None or task <= max(self._tasks):
+            return None
+        drawn = draw_valley(self._world_config, self._task_rng(task))
+        return None if drawn in self.world.built else drawn % len(self.world.valleys)
+
+    def _place(self, index: np.ndarray, *, asked: bool) -> None:
         first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
-            task = self.world.sample_task(self._task_rng(self._next_task), avoid=self.traffic.positions)
+            spare = None if asked else self._spare_valley(self._next_task)
+            task = self.world.sample_task(self._task_rng(self._next_task), spare, self.traffic.positions)
             starts[row], yaws[row] = task.start, task.yaw
             self._goal[uav], self._valley[uav] = task.goal, task.valley
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task

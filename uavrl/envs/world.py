@@ -276,7 +276,7 @@ def _progress(new: int, valleys: int) -> Any:
     from uavrl.runs.progress_line import ProgressLine  # here: it takes tqdm, without which environments fly, too
 
     log.info("Building %s, once: their maps are kept in %s.", pluralize(new, "valley"), valley_folder())
-    return ProgressLine(valleys, "valleys built")
+    return ProgressLine(valleys, "valleys", verb="building")
 
 
 def map_valleys(config: WorldConfig) -> None:

@@ -69,8 +69,3 @@ def intervention_texts(share: float | None, change: float | None) -> dict[str, s
         return {}
     by = "" if change is None else f", by {change:.2f} m/s on average"
     return {"steps in which guards change the velocity": f"{100 * share:.1f} %{by}"}
-
-
-def intervention_lines(share: float | None, change: float | None) -> list[str]:
-    """:func:`intervention_texts` as lines."""
-    return [f"{name:<48}{text}" for name, text in intervention_texts(share, change).items()]

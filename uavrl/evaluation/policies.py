@@ -20,6 +20,8 @@ from uavrl.config.parts import Part
 from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
+from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
+from uavrl.runs.labels import label
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.policy.contract import CONTRACT, read_contract
@@ -93,12 +95,29 @@ def choose(
         chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
     else:
         policy = read_policy(folder, settings.checkpoint, device, settings.packages)
-        run = validate(with_overrides(policy.config, config, overrides))
-        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, policy.source, run)
-    if settings.valleys is not None:
-        require_valley(chosen.env, chosen.choices, "valleys")
-        chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
+        changed = with_overrides(policy.config, config, overrides)
+        if settings.valleys != TRAINING:
+            changed = without_variety(changed, config, keys_of(overrides))
+        run = validate(changed)
+        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, dict(policy.source), run)
+        chosen.source["label"] = f"{label(run.choices)}, seed {run.seed}"
+        trained = policy.config.env.get("world")
+        if trained is not None and "world" in chosen.env:
+            chosen.source["training_valleys"] = list(trained.seeds)
+    _choose_valleys(chosen, settings, keys_of(overrides))
     return _guarded(chosen, settings, keys_of(overrides), default_guards(folder, policy))
+
+
+def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> None:
+    """Puts the valleys that the command line asks for into the environment, or else those that no training used."""
+    if settings.valleys == TRAINING or (settings.valleys == UNSEEN and "env.world.seeds" in given):
+        return
+    if settings.valleys != UNSEEN:
+        require_valley(chosen.env, chosen.choices, "valleys")
+    if "world" in chosen.env:
+        unseen = unseen_seeds(chosen.source.get("training_valleys", ()))
+        seeds = unseen if settings.valleys == UNSEEN else settings.valleys
+        chosen.env["world"] = replace(chosen.env.world, seeds=seeds)
 
 
 def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) -> GuardSettings:

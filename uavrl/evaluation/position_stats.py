@@ -83,12 +83,13 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(value) for p, value in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-def position_lines(found: dict[str, Any]) -> list[str]:
-    """A summary as lines for a person."""
+def position_texts(found: dict[str, Any]) -> dict[str, str]:
+    """A summary as text for a person, by its name."""
     of = {key: " / ".join(f"{found[key][f'p{p}']:.2f}" for p in PERCENTILES) for key in ("altitude", "wall_distance")}
     quarters = " / ".join(f"{100 * share:.0f}" for share in found["height_quarters"])
-    return [
-        f"{'altitude, 5 / 50 / 95 % of the steps [m]':<48}{of['altitude']}",
-        f"{'nearest wall, 5 / 50 / 95 % of the steps [m]':<48}{of['wall_distance']}",
-        f"{'time in quarters of the height, lowest first':<48}{quarters} %",
-    ]
+    percentiles = f"m ({' / '.join(f'{p}th' for p in PERCENTILES)} percentile)"
+    return {
+        "altitude": f"{of['altitude']} {percentiles}",
+        "distance to the nearest edge of the valley": f"{of['wall_distance']} {percentiles}",
+        "share of time by height": f"{quarters} % (lowest / second / third / highest quarter)",
+    }

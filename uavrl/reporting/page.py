@@ -18,6 +18,8 @@ QUANTITIES = {"success": "Success", "collision": "Collision", "time_out": "Time-
 AXES = {"steps": "environment steps", "episodes": "episodes"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 WORDS = {
+    "DAgger": "a network that clones the scripted controller VFH in the states that it reaches itself, preset=dagger",
+    "TD3-BC": "TD3 with behaviour cloning towards the scripted controller VFH, preset=td3_bc",
     "ABR": "augmentative backward reward, a bonus for the steps of successful episodes",
     "ABR⁺": "ABR with classes of states that were learned beforehand",
     "FORK": "a learned model of the environment, by which the actor looks ahead",
@@ -69,6 +71,7 @@ def page(report: Report) -> str:
         facts,
         axes=AXES,
         quantities=QUANTITIES,
+        verdict=report.verdict(),
         words=words(group["label"] for group in report.groups),
         colours=[_colour(index) for index in range(len(report.groups))],
         success_figure=_last_success(facts),
@@ -104,8 +107,12 @@ def words(labels: Iterable[str]) -> dict[str, str]:
         >>> list(words(["TD3-LG (MLP), TR", "TD3 + ABR⁺, prize"]))
         ['ABR⁺', 'LG', 'TR', 'prize']
     """
-    spaced = [f" {re.sub('[-,()]', ' ', label)} " for label in labels]
-    return {word: meaning for word, meaning in WORDS.items() if any(f" {word} " in label for label in spaced)}
+    spaced = [_spaced(label) for label in labels]
+    return {word: meaning for word, meaning in WORDS.items() if any(_spaced(word) in label for label in spaced)}
+
+
+def _spaced(label: str) -> str:
+    return f" {re.sub('[-,()]', ' ', label)} "
 
 
 def _colour(index: int) -> str:
