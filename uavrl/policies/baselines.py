@@ -119,8 +119,8 @@ class VectorFieldHistogram(PolicyModule):
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
     instead of a grid; Ulrich and Borenstein (1998), VFH+, for the cost of changing direction. Its only memory is the
     last action, where the observation holds that. With ``motion`` it also keeps out of the ways of moving objects, for
-    two seconds, as if they flew straight on. With ``costs.headway`` the gaps to obstacles also bound its speed, as those
-    of :class:`uavrl_onboard.guards.shield.Shield` do (Faverjon and Tournassoud, 1987).
+    two seconds, as if they flew straight on. With ``costs.headway`` the gaps to obstacles bound its speed, as in
+    :class:`uavrl_onboard.guards.shield.Shield` (Faverjon and Tournassoud, 1987).
 
     Args:
         flight_level: altitude to hold where nothing is in the way, within 1 m, m.
