@@ -26,6 +26,11 @@ STANDING = 0.1  # share of the largest velocity below which a vehicle flies in n
 BEHIND = 60.0  # degrees to either side of straight behind; with 30 the yaw still reversed, in 16 of 200 starts
 BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one are blended with it
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
+# Of a controller that keeps headway, as uavrl_onboard.guards.shield.Shield has them:
+LAG = 0.3  # s until a commanded velocity is flown
+KEPT = VEHICLE.radius + 0.12  # m from the sensor to the hull, and a margin
+SIGHT = 2.5  # m, how far obstacles bound the speed
+CORRECTIONS = 10  # of a velocity, after which it is halved where it is still 0.1 m/s too fast
 
 
 class StraightPolicy(PolicyModule):
@@ -68,6 +73,7 @@ class VFHWeights:
     nearness: float  #: power of what a cell tells over the radius; the greater, the less far things count
     caution: float  #: share of the speed that is left out where the way is full, in [0, 1]
     change: float = 0.0  #: cost of a direction away from that of the last action, where that is known
+    headway: float = 0.0  #: s, in which the gap to an obstacle may be closed at the earliest; 0: gaps bound no speed
 
 
 # Chosen in valleys 200 to 209: the first by studies/tune_vfh.py, but for its level, 0.121 there, with which climbing
@@ -91,13 +97,30 @@ def _counting(cells: Tensor, width: float) -> Tensor:
     return (DIRECTIONS @ cells.T).clamp_min(0) ** width
 
 
+def keep_headway(velocity: Tensor, towards: Tensor, speed: Tensor) -> Tensor:
+    """Velocities ``[N, 3]`` near ``velocity`` that are hardly faster ``towards [C, 3]`` than ``speed [N, C]``.
+
+    The bound that is most exceeded is met by the shortest change, again and again.
+
+    Examples:
+        >>> keep_headway(torch.tensor([[2.0, 1.0, 0.0]]), torch.eye(3), torch.tensor([[0.5, 5.0, 5.0]])).tolist()
+        [[0.5, 1.0, 0.0]]
+    """
+    for _ in range(CORRECTIONS):
+        over, worst = (velocity @ towards.T - speed).max(-1, keepdim=True)
+        velocity = velocity - over.clamp_min(0.0) * towards[worst[..., 0]]
+    still = (velocity @ towards.T - speed).amax(-1, keepdim=True) > 0.1
+    return torch.where(still, 0.5 * velocity, velocity)
+
+
 class VectorFieldHistogram(PolicyModule):
     """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
     instead of a grid; Ulrich and Borenstein (1998), VFH+, for the cost of changing direction. Its only memory is the
     last action, where the observation holds that. With ``motion`` it also keeps out of the ways of moving objects, for
-    two seconds, as if they flew straight on.
+    two seconds, as if they flew straight on. With ``costs.headway`` the gaps to obstacles bound its speed, as in
+    :class:`uavrl_onboard.guards.shield.Shield` (Faverjon and Tournassoud, 1987).
 
     Args:
         flight_level: altitude to hold where nothing is in the way, within 1 m, m.
@@ -138,18 +161,26 @@ class VectorFieldHistogram(PolicyModule):
                 f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
                 "perception.statistic so, or give a demonstrator its demonstrator.costs."
             )
+        costs = COSTS[reduction, statistic] if costs is None else costs
+        if costs.headway and statistic != "proximity":
+            raise UavrlError(
+                f"costs.headway reads distances from cells of statistic=proximity, and these are of {statistic}: set "
+                "perception.statistic=proximity, or leave costs out."
+            )
         super().__init__()
         self.in_keys = ["faces", "altitude", "heading_deg", *(["observation"] if last_action else [])]
         self.in_keys += ["moving_objects", "velocity", "attitude"] if motion is not None else []
         self.out_keys = ["action"]
         self.motion = motion
         self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
-        self.costs = COSTS[reduction, statistic] if costs is None else costs
+        self.costs = costs
         self.directions: Tensor
+        self._towards: Tensor  # [cells, 3]
         self._near: Tensor  # [D, D], cosines between directions
         self._seen_in: Tensor  # [D, cells]: how much of each counts in a direction
         self.register_buffer("directions", DIRECTIONS.clone(), persistent=False)
         self.register_buffer("_near", DIRECTIONS @ DIRECTIONS.T, persistent=False)
+        self.register_buffer("_towards", cell_directions(reduction, grid).clone(), persistent=False)
         seen_in = _counting(cell_directions(reduction, grid), self.costs.width)
         if reduction == "range_image" and grid not in (None, VLP16_GRID):
             known = _counting(cell_directions(reduction), self.costs.width)
@@ -162,7 +193,21 @@ class VectorFieldHistogram(PolicyModule):
         if self.motion is not None:
             velocity = call_numpy(world_to_yaw, tensordict["velocity"], tensordict["attitude"][..., 2])
             cost, speed = call_numpy(evade, cost, speed, self.directions, velocity, *self.ways(tensordict))
-        return tensordict.set("action", self.to_action(cost, speed, tensordict["heading_deg"]))
+        action = self.to_action(cost, speed, tensordict["heading_deg"])
+        if self.costs.headway:
+            velocity = keep_headway(action[..., :3], self._towards, self._allowed(tensordict))
+            action = torch.cat([velocity, action[..., 3:]], -1)
+        return tensordict.set("action", action)
+
+    def _allowed(self, tensordict: TensorDictBase) -> Tensor:
+        """How fast the vehicle may fly towards each cell, so that it keeps its headway: ``[N, cells]`` in m/s."""
+        distance = self.radius - tensordict["faces"]
+        gap = distance - KEPT
+        if self.last_action:  # what is flown until the command acts
+            flown = ACTION_LIMIT * tensordict["observation"][..., -4:-1]
+            gap = gap - LAG * (flown @ self._towards.T).clamp_min(0)
+        seen = (tensordict["faces"] > 0) & (distance < SIGHT)
+        return torch.where(seen, gap.clamp_min(0) / self.costs.headway, math.inf)
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Where moving objects are thought to be, and which there are, as ``uavrl_onboard.guards.evade.evade`` asks."""
