@@ -63,6 +63,12 @@ class SitlConfig:
         require("world" in self.env, "env", "a valley", self.choices.get("env"))
         sensor = "one that reads a LiDAR, such as truncated_icosahedron: its perception.lidar is the vehicle's sensor"
         require(self.perception.get("_target_") is not None, "perception", sensor, self.choices.get("perception"))
+        name = self.perception.lidar.device.name
+        if name != "vlp16":
+            raise UavrlError(
+                f"uavrl-sitl sends the data packets of a Velodyne VLP-16, and there are none of env.lidar={name}: leave "
+                "env.lidar out."
+            )
 
 
 @command("sitl")

@@ -92,6 +92,7 @@ class FlyingConfig:
     seed: Seed = 20_000
     valleys: Valleys | None = None
     guards: Any = None
+    allow_unseen: bool = False
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1

@@ -304,6 +304,7 @@ class Simulation:
         planes: np.ndarray | None,
         rng: np.random.Generator,
         rays: slice | None = None,
+        numbers: np.ndarray | None = None,
     ) -> np.ndarray:
         """Returns the newest scans of the vehicles ``int [M]``, as :meth:`uavrl.envs.Lidar.scan` gives them.
 
@@ -318,13 +319,13 @@ class Simulation:
         if lidar.config.motion_distortion and rays is None:  # the scan is the spin that ends now
             from scipy.spatial.transform import Rotation  # here, so that it is PyBullet that is missed first
 
-            position = position - velocity / self._control_rate
-            rotation = Rotation.from_rotvec(-spin / self._control_rate).as_matrix() @ rotation
+            position = position - velocity / lidar.sensor.rate
+            rotation = Rotation.from_rotvec(-spin / lidar.sensor.rate).as_matrix() @ rotation
         if self.params.mount is not None:
             rotation = rotation @ self.params.mount[index]
         flaws = [self.params.each[row] for row in index] if self.params.flawed else None
         motion = {"velocities": velocity, "angular_velocities": spin}
-        return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws, rays=rays)
+        return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws, rays=rays, numbers=numbers)
 
     def _at_lidar(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where LiDARs are in states ``[M, 13]``, how they stand and move: as :meth:`_publish` says it of now."""

@@ -109,7 +109,7 @@ def _guard(
             f"Guards read the scans of a valley, and {type(made.base_env).__name__} is none: choose guards=none."
         )
     if guards.shield is not None and guards.shield.nearest is None:
-        nearest = float(getattr(perception.get("lidar"), "min_range", 0.0))
+        nearest = float(getattr(perception.get("lidar"), "nearest", 0.0))
         guards = replace(guards, shield=replace(guards.shield, nearest=nearest))
     vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level)
     guarded = Guarded(guards, vehicle=vehicle)

@@ -21,7 +21,7 @@ def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str)
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
     """The run's configuration with what the command line says about environment and sensor.
 
-    ``env=NAME`` replaces the environment, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
+    ``env=NAME`` replaces the environment, but for the sensor, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
     ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value``
     change one value. The rest of perception makes the policy's input: it stays.
     """
@@ -29,7 +29,7 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
     keys = keys_of(overrides)
     if "env" in keys:
-        result.env = composed.env
+        result.env = composed.env  # whose lidar is null: the run's sensor stays
         result.choices.env = composed.choices.env
         _require_env_of_policy(result)
     if "randomize" in keys:
