@@ -66,8 +66,8 @@ class SitlConfig:
         name = self.perception.lidar.device.name
         if name != "vlp16":
             raise UavrlError(
-                f"uavrl-sitl sends the data packets of a Velodyne VLP-16, and there are none of env.lidar={name}: leave "
-                "env.lidar out."
+                f"uavrl-sitl sends the data packets of a Velodyne VLP-16, and env.lidar={name} has none: leave env.lidar "
+                "out."
             )
 
 

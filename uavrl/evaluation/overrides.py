@@ -21,9 +21,9 @@ def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str)
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
     """The run's configuration with what the command line says about environment and sensor.
 
-    ``env=NAME`` replaces the environment, but for the sensor, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
-    ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value``
-    change one value. The rest of perception makes the policy's input: it stays.
+    ``env=NAME`` replaces the environment, but for its sensor and its speed, and ``randomize=NAME`` all of
+    ``env.randomize``; ``env.key=value``, ``perception.lidar.key=value``, ``perception.blind=value`` and
+    ``perception.blind_to=value`` change one value. The rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
