@@ -9,6 +9,9 @@ import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 
+DECELERATION = 5.4  # m/s², level: g tan(0.5 rad), that of the largest tilt
+REACTION = 0.3  # s, until a commanded velocity is flown
+
 Hull = tuple[float, float]  # m: the radius, and half the height
 Place = tuple[float, float, float]
 
@@ -79,6 +82,16 @@ class Vehicle:
     def period(self) -> float:
         """Time between two scans in s."""
         return 1.0 / self.control_rate
+
+
+def stopping_distance(speed: float) -> float:
+    """Return how far a vehicle flies on until it stands, in m, from a speed in m/s.
+
+    Examples:
+        >>> [round(stopping_distance(speed), 2) for speed in (2.0, 4.0, 6.0)]
+        [0.97, 2.68, 5.13]
+    """
+    return speed**2 / (2 * DECELERATION) + REACTION * speed
 
 
 def lidar_place(position: object) -> Place:

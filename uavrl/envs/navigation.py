@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from uavrl.envs.controller import most_load
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.envs.limits import OrMapping, check_hull, settings, whole
+from uavrl.envs.limits import MaxSpeed, OrMapping, check_hull, require_speed, settings, whole
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyable
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
@@ -23,9 +23,9 @@ from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.vehicle_params import VehicleParams
 from uavrl.envs.world import World, WorldConfig, draw_valley
 from uavrl.errors import UavrlError
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.goal import goal_distance
+from uavrl_onboard.vehicle import VEHICLE
 
 Hidden = Literal["planes"]
 TICKS = PHYSICS_RATE // CONTROL_RATE  # physics steps in a step
@@ -38,7 +38,7 @@ class NavigationEnv(EnvBase):
     The batch is native: ``num_uavs`` vehicles with tasks of their own fly in one PyBullet world, invisible to each
     other, and one Embree call casts all their rays (Chansuparp (2022), §4.1). A step is 0.1 s: 24 physics steps, then
     a scan. Actions ``(l_x, l_y, l_z, a_z)`` are the velocities in the yaw-aligned body frame (m/s) and the yaw rate
-    (rad/s), each in [-2, 2].
+    (rad/s), each in [-``max_speed``, ``max_speed``]; the yaw rate is cut at 2 rad/s.
 
     It emits ``point_cloud`` (``[R, 3]``, m, sensor frame, NaN = no return; a VLP-16 has 28,928 rays), ``altitude`` (m),
     ``heading_deg`` and ``elevation_deg`` (the thesis's h and g), ``attitude`` (roll, pitch and yaw in rad), and for
@@ -68,6 +68,7 @@ class NavigationEnv(EnvBase):
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
         randomize: what is drawn for the vehicle of each episode; None: nothing.
+        max_speed: limit of each component of the velocity, m/s (Table 4.1: 2).
         max_steps: steps until an episode is truncated (Table 4.1: 300).
         blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
@@ -93,6 +94,7 @@ class NavigationEnv(EnvBase):
         airframe: OrMapping[Airframe] | None = None,
         aerodynamics: OrMapping[Aerodynamics] | None = None,
         randomize: OrMapping[Randomization] | None = None,
+        max_speed: MaxSpeed = VEHICLE.velocity_limit,
         max_steps: Annotated[int, Field(ge=1, le=10**6)] = 300,
         blind: bool = False,
         blind_to: Hidden | None = None,
@@ -106,6 +108,7 @@ class NavigationEnv(EnvBase):
             raise ValueError(f"blind_to must be None or 'planes', got {blind_to!r}.")
         super().__init__(device=device, batch_size=torch.Size([num_uavs]))
         self.num_uavs, self.max_steps = num_uavs, max_steps
+        self.max_speed = require_speed(max_speed)
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
@@ -131,7 +134,7 @@ class NavigationEnv(EnvBase):
         self.observation_spec, self.done_spec = navigation_specs(
             num_uavs, self.num_rays, self.device, clearance=measure_clearance
         )
-        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, (num_uavs, 4), self.device, torch.float32)
+        self.action_spec = Bounded(-self.max_speed, self.max_speed, (num_uavs, 4), self.device, torch.float32)
         self.reward_spec = Unbounded((num_uavs, 1), self.device, torch.float32)
         specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
         self._dtypes = {key: spec.dtype for key, spec in specs.items()}
@@ -164,6 +167,7 @@ class NavigationEnv(EnvBase):
             aerodynamics=air,
             plane_mesh=mesh,
             plane_count=planes,
+            max_speed=self.max_speed,
             rng=gusts,
         )
         if self._lidar is None and not self.blind:

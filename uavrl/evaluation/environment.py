@@ -111,7 +111,7 @@ def _guard(
     if guards.shield is not None and guards.shield.nearest is None:
         nearest = float(getattr(perception.get("lidar"), "nearest", 0.0))
         guards = replace(guards, shield=replace(guards.shield, nearest=nearest))
-    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level)
+    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level, made.base_env.max_speed)
     guarded = Guarded(guards, vehicle=vehicle)
     made.append_transform(guarded)
     if reward is None or reward[TARGET] is None or not guarded.leads:

@@ -29,7 +29,10 @@ def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
     keys = keys_of(overrides)
     if "env" in keys:
+        limit = OmegaConf.select(result, "env.max_speed")
         result.env = composed.env  # whose lidar is null: the run's sensor stays
+        if limit is not None and "max_speed" in result.env and "env.max_speed" not in keys:
+            result.env.max_speed = limit
         result.choices.env = composed.choices.env
         _require_env_of_policy(result)
     if "randomize" in keys:

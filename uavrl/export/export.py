@@ -34,7 +34,7 @@ from uavrl.transforms import (
     RangeImage,
     Threats,
 )
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
+from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, Contract
@@ -122,9 +122,9 @@ def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings |
         flight_level=scaled.flight_level,
         angles=scaled.angles,
         frames=next(part.N for part in parts.values() if isinstance(part, CatFrames)),
-        action_limit=ACTION_LIMIT,
+        action_limit=state.max_speed,
         last_action=LastAction in parts,
         motion=motion,
-        guards=GuardTerms.of(guards or GuardSettings(), airframe.vehicle(scaled.flight_level)),
+        guards=GuardTerms.of(guards or GuardSettings(), airframe.vehicle(scaled.flight_level, state.max_speed)),
         versions=versions(),
     )

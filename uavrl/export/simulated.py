@@ -16,6 +16,7 @@ from uavrl.transforms.guarded import FLOWN
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.perception.cells import VLP16_GRID
 from uavrl_onboard.policy.policy import Policy
+from uavrl_onboard.vehicle import VEHICLE
 
 
 class ExportedPolicy:
@@ -72,5 +73,10 @@ class ExportedPolicy:
         perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
         perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
         perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
+        velocity_limit = terms.action.high[0]
+        if velocity_limit != VEHICLE.velocity_limit:
+            perception["max_speed"] = velocity_limit
         sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
+        if velocity_limit != VEHICLE.velocity_limit:
+            sensor["env.max_speed"] = velocity_limit
         return {f"perception.{key}": value for key, value in perception.items()} | sensor

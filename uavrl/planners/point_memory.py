@@ -11,7 +11,6 @@ from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.geometry import NEAREST_RETURN, body_to_level, body_to_world, world_to_yaw
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.histogram import polar_histogram
@@ -179,6 +178,7 @@ class Planner(PolicyModule):
         seconds: for which they are remembered.
         motion: how far moving objects are looked for, to keep out of their ways; None: it is not told of any.
         airframe: whose hull and LiDAR it reckons with; None for the default one.
+        max_speed: limit of each component of the velocity, m/s.
     """
 
     def __init__(
@@ -188,13 +188,14 @@ class Planner(PolicyModule):
         seconds: float,
         motion: float | None = None,
         airframe: OrMapping[Airframe] | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
         super().__init__()
         self.in_keys = ["point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude"]
         self.in_keys += ["moving_objects"] if motion is not None else []
         self.motion = motion
         self.out_keys = ["action"]
-        self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level)
+        self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level, max_speed)
         self.memory = ScanMemory(sight, seconds, above=self.vehicle.lidar_above)
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
@@ -212,7 +213,7 @@ class Planner(PolicyModule):
         seen = self._survey(tensordict)
         velocity, turn = self.steer(seen)
         action = torch.cat([self.evade(velocity, seen), turn], -1)
-        return tensordict.set("action", action.clamp(-ACTION_LIMIT, ACTION_LIMIT))
+        return tensordict.set("action", action.clamp(-self.vehicle.velocity_limit, self.vehicle.velocity_limit))
 
     def _survey(self, tensordict: TensorDictBase) -> Surroundings:
         """Takes in one step of all vehicles."""

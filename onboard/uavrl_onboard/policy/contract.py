@@ -93,7 +93,7 @@ class Contract(ContractPart):
             flight_level: the altitude that is 0 in an observation, m.
             angles: how the angles to the goal are scaled.
             frames: observations in a state.
-            action_limit: the greatest velocity in m/s, and yaw rate in rad/s.
+            action_limit: the greatest velocity in m/s; the yaw rate is cut at 2 rad/s.
             last_action: whether an observation holds the previous action.
             motion: how moving objects are detected.
             guards: those that it flies with by default.
@@ -109,7 +109,8 @@ class Contract(ContractPart):
         observation = _entries(cells, flight_level, angles, motion, action_limit if last_action else None)
         size = frames * sum(entry.size for entry in observation)
         more = says.MOTION_POSE if motion is not None else {}
-        low, high = ((sign * action_limit,) * 4 for sign in (-1.0, 1.0))
+        turn = min(action_limit, Vehicle().yaw_rate_limit)
+        low, high = ((*(sign * action_limit,) * 3, sign * turn) for sign in (-1.0, 1.0))
         return cls(
             format=FORMAT,
             version=VERSION,
