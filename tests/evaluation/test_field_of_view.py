@@ -39,8 +39,8 @@ def test_a_trained_policy_flies_with_a_sensor_that_misses_cells_only_if_asked(ca
         check_field_of_view(rplidar, "vlp16")
     assert str(refused.value) == (
         "The LiDAR rplidar never sees 48 of the 72 cells that the policy was trained to read with vlp16 (at elevations "
-        "from -10 to 10 degrees), so it would take them for free: choose another env.lidar, train a policy for this one "
-        "with uavrl-train env.lidar=rplidar, or fly nevertheless with allow_unseen=true."
+        "from -10 to 10 degrees), so it would take them for free: choose another env.lidar, train a policy for this "
+        "one with uavrl-train env.lidar=rplidar, or fly nevertheless with allow_unseen=true."
     )
     with caplog.at_level(logging.WARNING):
         assert check_field_of_view(rplidar, "vlp16", allowed=True) == 48
@@ -54,7 +54,7 @@ def test_a_trained_policy_flies_with_a_sensor_that_misses_cells_only_if_asked(ca
     )
     assert check_field_of_view(rplidar, "rplidar") == 0  # it was trained without these cells
     assert check_field_of_view(perception("env.lidar=os0_32"), "vlp16") == 0
-    with pytest.raises(UavrlError, match=r"d435 never sees 51 .* from 45 to 315 degrees to the left of straight ahead"):
+    with pytest.raises(UavrlError, match=r"d435 never sees 51 .* from 60 to 300 degrees to the left of straight ahead"):
         check_field_of_view(perception("env.lidar=d435"), "vlp16")
 
 
