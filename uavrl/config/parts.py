@@ -82,8 +82,9 @@ def validated_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[s
 def _with_sensor(parts: Mapping[str, Any]) -> Mapping[str, Any]:
     """The parts with the sensor that ``env.lidar`` names, in ``perception.lidar``, which says how it is scanned."""
     env, perception = parts.get("env"), parts.get("perception")
-    scanned = perception.get("lidar") if isinstance(perception, Mapping) else None
-    if not isinstance(env, Mapping) or "lidar" not in env or not isinstance(scanned, Mapping):
+    if not isinstance(env, Mapping) or "lidar" not in env or not isinstance(perception, Mapping):
+        return parts
+    if not isinstance(scanned := perception.get("lidar"), Mapping):
         return parts
     kept = {key: value for key, value in env.items() if key != "lidar"}
     named = {} if env["lidar"] is None else {"sensor": env["lidar"]}

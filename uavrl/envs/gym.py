@@ -1,5 +1,6 @@
 """The navigation task as a Gymnasium environment with pictures, for users of other RL libraries."""
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -75,6 +76,8 @@ class ValleyFlights:
         heading = {}
         if chosen.names:
             vehicle = self.base.airframe.vehicle(valley.flight_level, self.base.max_speed)
+            view = self.base.lidar_sensor.field_of_view[2:]
+            vehicle = replace(vehicle, lidar_elevations=view)
             self.env.append_transform(guarded := Guarded(chosen, vehicle=vehicle))
             heading = {"heading": GOAL_HEADING} if guarded.leads and reward == "navigation" else {}
         self.env.append_transform(state)

@@ -125,7 +125,8 @@ class NavigationEnv(EnvBase):
         rules, hull = self._world_config, self.airframe
         check_hull(hull.collision_radius, hull.collision_height, max(rules.min_clearance, rules.uav_radius))
         self._lidar_config = settings("lidar", LidarConfig, lidar)
-        self.num_rays = self._lidar_config.device.num_rays
+        self.lidar_sensor = self._lidar_config.device
+        self.num_rays = self.lidar_sensor.num_rays
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
