@@ -21,12 +21,12 @@ from passes import among_planes
 from tensordict import TensorDictBase
 
 from uavrl.envs import NavigationEnv
-from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import policy_folder
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.runs.episodes import success_text, wilson
 from uavrl.runs.provenance import versions
+from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.cli.process import one_sentence
 
 Policy = Callable[[TensorDictBase], TensorDictBase]

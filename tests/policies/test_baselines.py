@@ -22,6 +22,7 @@ from uavrl.transforms import NavigationState
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.perception.reductions import Reduction
+from uavrl_onboard.vehicle import DECELERATION, REACTION
 
 
 class Told:
@@ -219,3 +220,18 @@ def test_the_rule_that_is_told_reads_what_moves() -> None:
     assert "moving_objects" not in VectorFieldHistogram().in_keys
     seen = {"reduction": "range_image", "statistic": "proximity", "motion": 12.0}
     assert "moving_objects" in named_policy("vfh", {**seen, "radius": 4.0, "flight_level": 3.5}, []).in_keys
+
+
+def test_the_rule_flies_as_fast_as_it_could_stop() -> None:
+    fast = VectorFieldHistogram(radius=6.0, reduction="range_image", max_speed=6.0)
+    faces = torch.zeros(72)
+    assert flown(fast, faces)[0] == pytest.approx(6.0, abs=0.05)  # 6 m of free space: it could stop after 5.1 m
+    faces[torch.arange(72) // 3 % 24 < 2] = 6.0 - 2.5  # something 2.5 m ahead and to the left
+    near = flown(fast, faces)
+    assert torch.tensor(near[:3]).norm() < 6.0
+    speeds = fast._fastest(faces[None])
+    assert isinstance(speeds, torch.Tensor)
+    ahead = (fast.directions @ torch.tensor([1.0, 0.0, 0.0])) > 0.99
+    stops = speeds[0, ahead] ** 2 / (2 * DECELERATION) + REACTION * speeds[0, ahead]
+    assert (stops <= 2.5 - 0.35).all() and (speeds[0, ahead] >= 2.0).all()
+    assert VectorFieldHistogram(reduction="range_image")._fastest(faces[None]) == 2.0

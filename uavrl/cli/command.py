@@ -22,7 +22,7 @@ from uavrl.cli.keys import check_choices, known_keys
 from uavrl.cli.logs import configure_logging
 from uavrl.config import conf_dir
 from uavrl.config.command_line import readable
-from uavrl.config.yaml_files import register_run_name, with_choices
+from uavrl.config.yaml_files import register_resolvers, with_choices
 from uavrl.errors import UavrlError
 from uavrl.runs.clock import start_clock
 from uavrl.runs.shared_memory import shared_memory_explained
@@ -40,7 +40,7 @@ FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on in
 
 def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
     """Makes a console command of a function that takes the configuration ``conf/NAME.yaml``, as overridden."""
-    register_run_name()
+    register_resolvers()
 
     def decorate(function: Callable[[DictConfig], Any]) -> Callable[[], None]:
         begun = False  # whether Hydra has handed over to the command itself

@@ -123,6 +123,11 @@ def _check(settings: TrainConfig) -> None:
     from uavrl.training.loggers import require_login
 
     require_login(settings.logger, settings.packages)
+    lidar = settings.perception.get("lidar")
+    if lidar is not None and lidar.sensor != "vlp16":
+        from uavrl.evaluation.field_of_view import check_field_of_view
+
+        check_field_of_view(settings.perception, packages=settings.packages)
 
 
 def _check_machine(config: DictConfig) -> None:

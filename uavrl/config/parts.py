@@ -76,11 +76,23 @@ class Part(dict[str, Any]):
 
 def validated_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str, Part]:
     """The parts of a run with every value as its class has it, found to be known, of its type and in its range."""
-    packages = tuple(packages)
+    packages, parts = tuple(packages), _with_sensor(parts)
     for key, target in _targets(parts, ""):  # all of them, before anything is imported
         require_allowed(target, packages, key)
     extra = _extra_keys(parts, packages)
     return {name: _validated(part, name, packages, extra.get(name, {})) for name, part in parts.items()}
+
+
+def _with_sensor(parts: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The parts with the sensor that ``env.lidar`` names, in ``perception.lidar``, which says how it is scanned."""
+    env, perception = parts.get("env"), parts.get("perception")
+    if not isinstance(env, Mapping) or "lidar" not in env or not isinstance(perception, Mapping):
+        return parts
+    if not isinstance(scanned := perception.get("lidar"), Mapping):
+        return parts
+    kept = {key: value for key, value in env.items() if key != "lidar"}
+    named = {} if env["lidar"] is None else {"sensor": env["lidar"]}
+    return {**parts, "env": kept, "perception": {**perception, "lidar": {**scanned, **named}}}
 
 
 def _targets(node: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:

@@ -102,6 +102,7 @@ class FlyingConfig:
     seed: Seed = 20_000
     valleys: FlownValleys = "unseen"
     guards: Any = None
+    allow_unseen: bool = False
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1

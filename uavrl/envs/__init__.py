@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.envs.quadrotor import Aerodynamics, Airframe
     from uavrl.envs.randomization import Randomization
+    from uavrl.envs.sensors import LidarSensor
     from uavrl.envs.vehicle_params import VehicleParams
     from uavrl.envs.world import World, WorldConfig
 
@@ -16,6 +17,7 @@ _MODULES = {
     "Airframe": "quadrotor",
     "Lidar": "lidar",
     "LidarConfig": "lidar",
+    "LidarSensor": "sensors",
     "NavigationEnv": "navigation",
     "Randomization": "randomization",
     "VehicleParams": "vehicle_params",
@@ -27,6 +29,7 @@ __all__ = [
     "Airframe",
     "Lidar",
     "LidarConfig",
+    "LidarSensor",
     "NavigationEnv",
     "Randomization",
     "VehicleParams",

@@ -10,14 +10,13 @@ from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
 from uavrl_onboard.geometry import attitude_of
-from uavrl_onboard.lidar.vlp16 import NUM_RAYS
 from uavrl_onboard.perception.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 
 
 def navigation_specs(
-    n: int, device: torch.device, *, clearance: bool, privileged: Collection[str] = ()
+    n: int, rays: int, device: torch.device, *, clearance: bool, privileged: Collection[str] = ()
 ) -> tuple[Composite, Composite]:
-    """The specs of the observations and of the ends of ``n`` vehicles."""
+    """The specs of the observations and of the ends of ``n`` vehicles, whose LiDARs have ``rays``."""
 
     def numbers(*shape: int, dtype: torch.dtype = torch.float32) -> Unbounded:
         return Unbounded(shape=(n, *shape), dtype=dtype, device=device)
@@ -26,7 +25,7 @@ def navigation_specs(
         return {key: Binary(n=1, shape=(n, 1), dtype=torch.bool, device=device) for key in keys}
 
     observations = {
-        "point_cloud": numbers(NUM_RAYS, 3),
+        "point_cloud": numbers(rays, 3),
         **{key: numbers(1) for key in ("altitude", "heading_deg", "elevation_deg", "distance")},
         **{key: numbers(3) for key in ("position", "velocity", "attitude", "goal")},
         **flags("arrived", "collided"),

@@ -10,6 +10,7 @@ from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, TensorDictPri
 
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
+from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.quadrotor import Airframe
@@ -125,9 +126,11 @@ def _guard(
             f"Guards read the scans of a valley, and {type(made.base_env).__name__} is none: choose guards=none."
         )
     if guards.shield is not None and guards.shield.nearest is None:
-        nearest = float(getattr(perception.get("lidar"), "min_range", 0.0))
+        nearest = float(getattr(perception.get("lidar"), "nearest", 0.0))
         guards = replace(guards, shield=replace(guards.shield, nearest=nearest))
-    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level)
+    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level, made.base_env.max_speed)
+    if isinstance(lidar := perception.get("lidar"), LidarConfig):
+        vehicle = replace(vehicle, lidar_elevations=lidar.device.field_of_view[2:])
     guarded = Guarded(guards, vehicle=vehicle)
     made.append_transform(guarded)
     if reward is None or reward[TARGET] is None or not guarded.leads:

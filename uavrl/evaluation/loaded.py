@@ -15,6 +15,7 @@ from uavrl.config import compose, validate
 from uavrl.entries import entry
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
 from uavrl.models.memory import IS_INIT, RECURRENT_STATE
 from uavrl.policy_protocol import PolicyModule
@@ -86,6 +87,7 @@ class LoadedPolicy(PolicyModule):
         seed: int = 20_000,
         keep_cloud: bool = False,
         guards: Any = None,
+        allow_unseen: bool = False,
     ) -> TransformedEnv:
         """An environment as that of its training, with the inputs and the reward that it was trained with.
 
@@ -99,9 +101,11 @@ class LoadedPolicy(PolicyModule):
             keep_cloud: whether it also gives the point clouds, and whether an episode begins.
             guards: filters between the policy and the environment: ``"all"``, ``"none"`` or a list of names, as
                 :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. None: those of the policy.
+            allow_unseen: whether the policy may fly with a LiDAR that never sees some of its cells.
 
         Raises:
-            UavrlError: for a change that the policy cannot be asked to bear, and for an unknown guard.
+            UavrlError: for a change that the policy cannot be asked to bear, for an unknown guard, and for a LiDAR that
+                never sees some of the policy's cells.
 
         Examples:
             >>> from uavrl import load_policy
@@ -126,6 +130,7 @@ class LoadedPolicy(PolicyModule):
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
         chosen = guard_settings(guards, self.guards)
         lidar = run.perception.get("lidar")
+        check_field_of_view(run.perception, trained_sensor(self.config), run.packages, allowed=allow_unseen)
         if lidar is not None and chosen.sight is not None and "perception.lidar.far_range" not in keys:
             run.perception["lidar"] = replace(lidar, far_range=max(lidar.far_range or 0.0, chosen.sight))
         context: dict[str, Any] = {

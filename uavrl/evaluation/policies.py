@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from uavrl.policy_protocol import TensorDictPolicy
 
 PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # what `policy=NAME` names, beside the baselines
+SENSOR = "perception.lidar.sensor"
 EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
 BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
@@ -104,6 +105,7 @@ def choose(
         trained = policy.config.env.get("world")
         if trained is not None and "world" in chosen.env:
             chosen.source["training_valleys"] = list(trained.seeds)
+    chosen = _in_view(chosen, settings, policy)
     _choose_valleys(chosen, settings, keys_of(overrides))
     return _guarded(chosen, settings, keys_of(overrides), default_guards(folder, policy))
 
@@ -118,6 +120,24 @@ def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collecti
         unseen = unseen_seeds(chosen.source.get("training_valleys", ()))
         seeds = unseen if settings.valleys == UNSEEN else settings.valleys
         chosen.env["world"] = replace(chosen.env.world, seeds=seeds)
+
+
+def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPolicy) -> PolicySetup:
+    """The same policy, whose LiDAR has been found to see its cells; its source says which LiDAR is another one."""
+    from uavrl.evaluation.field_of_view import TRAINED_WITH, check_field_of_view, trained_sensor
+
+    if (lidar := chosen.perception.get("lidar")) is None:
+        return chosen
+    trained_with = None
+    if chosen.run is not None:
+        trained_with = trained_sensor(policy.config)  # type: ignore[attr-defined]  # of a run it is a LoadedPolicy
+    elif policy.overrides is not None:
+        trained_with = policy.overrides.get(SENSOR, TRAINED_WITH)
+    allowed = settings.allow_unseen
+    unseen = check_field_of_view(chosen.perception, trained_with, settings.packages, allowed=allowed)
+    if lidar.device.name == TRAINED_WITH:
+        return chosen
+    return replace(chosen, source={**chosen.source, "lidar": lidar.device.name, "unseen_cells": unseen})
 
 
 def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) -> GuardSettings:

@@ -16,7 +16,7 @@ from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.evaluation.position_stats import PositionStats
 from uavrl.evaluation.recording import RecordedFlight, Recording, Scenery, thinned
-from uavrl.evaluation.rollout import EpisodeMeter, rollout
+from uavrl.evaluation.rollout import EpisodeMeter, rollout, speed_limit
 from uavrl.policy_protocol import Acts
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms import PointCloudReduction
@@ -68,7 +68,7 @@ def record_flight(
     goal = state["goal"][0].numpy()
     origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.valleys])
     valley = int(np.linalg.norm(origins - goal, axis=1).argmin())
-    meter, reduction = EpisodeMeter(1), reduction_of(env)
+    meter, reduction = EpisodeMeter(1, speed_limit(env)), reduction_of(env)
     terms = terms_of(env) or (lambda before, after: {"reward": after["reward"]})
     moments, actions, paid = [_moment(base, state, valley, reduction, max_points)], [], []
     for stepped in rollout(env, policy, state):

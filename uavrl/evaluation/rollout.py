@@ -15,7 +15,7 @@ from uavrl.policy_protocol import Acts
 from uavrl.runs.episodes import outcome
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms.guarded import FLOWN
-from uavrl.transforms.state import ACTION_LIMIT
+from uavrl_onboard.vehicle import VEHICLE
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,16 @@ def rollout(env: EnvBase, policy: Acts, state: TensorDictBase) -> Iterator[Tenso
         state = env.maybe_reset(step_mdp(stepped))
 
 
+def speed_limit(env: EnvBase) -> float:
+    """The limit of each component of the velocity in m/s; of other environments, which have none, the default."""
+    return float(getattr(getattr(env, "base_env", env), "max_speed", VEHICLE.velocity_limit))
+
+
 class EpisodeMeter:
     """Follows each of ``count`` vehicles from reset to done."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, max_speed: float = VEHICLE.velocity_limit) -> None:
+        self._limits = np.array([max_speed] * 3 + [VEHICLE.yaw_rate_limit])
         self._steps = np.zeros(count, dtype=int)
         self._return, self._flown = np.zeros(count), np.zeros(count)
         self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
@@ -111,10 +117,10 @@ class EpisodeMeter:
         if last.get("clearance", None) is None:
             paid = float(last.get("episode_reward", self._return[i]))
             return replace(result, episode_return=paid, action_change=action_change(actions))
-        actions = actions.clip(-ACTION_LIMIT, ACTION_LIMIT)  # as the vehicle takes them
+        actions = actions.clip(-self._limits, self._limits)  # as the vehicle takes them
         share, change = None, None
         if self._asked[i]:
-            asked = np.stack(self._asked[i]).clip(-ACTION_LIMIT, ACTION_LIMIT)
+            asked = np.stack(self._asked[i]).clip(-self._limits, self._limits)
             share, change = interventions(asked[:, :3], actions[:, :3])
         return replace(
             result,
@@ -140,7 +146,7 @@ def episodes_as_they_end(
         episodes: number of tasks.
         watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
     """
-    meter, left = EpisodeMeter(env.batch_size.numel()), episodes
+    meter, left = EpisodeMeter(env.batch_size.numel(), speed_limit(env)), episodes
     state = env.reset()
     if state["task"].min() != 0:
         raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")

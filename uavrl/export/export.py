@@ -16,7 +16,7 @@ from torchrl.envs import CatFrames, EnvBase, Transform
 
 from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET, build, find_class
-from uavrl.envs import Airframe, NavigationEnv
+from uavrl.envs import Airframe, LidarConfig, NavigationEnv
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import POLICY_INFO, load_actor
@@ -36,11 +36,11 @@ from uavrl.transforms import (
     RangeImage,
     Threats,
 )
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
+from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, Contract
-from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, MemoryTerms, MotionTerms, Network
+from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, LidarTerms, MemoryTerms, MotionTerms, Network
 
 log = logging.getLogger(__name__)
 
@@ -98,6 +98,12 @@ def _write_network(output: Path, actor: TensorDictModuleBase, terms: Contract) -
     return Network(file=NETWORK, sha256=digest, opset=opset_of(content), input=INPUT, output=OUTPUT, memory=memory)
 
 
+def _lidar(settings: TrainConfig) -> LidarTerms:
+    """Return what the contract says about the LiDAR of the training."""
+    device = (settings.perception.get("lidar") or LidarConfig()).device
+    return LidarTerms(name=device.name, field_of_view=device.field_of_view)
+
+
 def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings | None = None) -> Contract | None:
     """Return the contract of a policy that was trained with these settings; None if the definitions do not hold.
 
@@ -125,16 +131,16 @@ def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings |
         motion = MotionTerms.of(seen.max_range, seen.objects, seen.period, parts[Threats].speed)
     x, y, z = map(float, position)
     return Contract.of(
-        Cloud.of(reduction.radius, (x, y, z), bool(settings.perception.get("blind"))),
+        Cloud.of(reduction.radius, (x, y, z), bool(settings.perception.get("blind")), _lidar(settings)),
         Cells.of(name, reduction.radius, reduction.statistic, *grid),
         weights_sha256=weights_sha256,
         rate_hz=CONTROL_RATE,
         flight_level=scaled.flight_level,
         angles=scaled.angles,
         frames=next(part.N for part in parts.values() if isinstance(part, CatFrames)),
-        action_limit=ACTION_LIMIT,
+        action_limit=state.max_speed,
         last_action=LastAction in parts,
         motion=motion,
-        guards=GuardTerms.of(guards or GuardSettings(), airframe.vehicle(scaled.flight_level)),
+        guards=GuardTerms.of(guards or GuardSettings(), airframe.vehicle(scaled.flight_level, state.max_speed)),
         versions=versions(),
     )

@@ -11,17 +11,20 @@ from uavrl.errors import UavrlError
 from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, cell_directions
+from uavrl.transforms.state import REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
 from uavrl_onboard.perception.reductions import Reduction
-from uavrl_onboard.vehicle import VEHICLE
+from uavrl_onboard.vehicle import DECELERATION, REACTION, VEHICLE
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
 TURN_LIMIT = 1.0  # rad/s; at 2 rad/s a command that is 0.2 s late points 23 degrees elsewhere
+NOMINAL = VEHICLE.velocity_limit  # m/s, for which the costs were chosen
+CLEAR = 0.2  # m, between hull and obstacle, where a vehicle would stand
+AHEAD = math.cos(0.45)  # directions within this angle, in rad, of a cell's must be free to stop in
 STANDING = 0.1  # share of the largest velocity below which a vehicle flies in no direction
 BEHIND = 60.0  # degrees to either side of straight behind; with 30 the yaw still reversed, in 16 of 200 starts
 BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one are blended with it
@@ -39,6 +42,7 @@ class StraightPolicy(PolicyModule):
     Args:
         flight_level: altitude to hold, m.
         cone: half-angle within which it flies, rad.
+        max_speed: limit of each component of the velocity, m/s.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -47,17 +51,23 @@ class StraightPolicy(PolicyModule):
         [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]]
     """
 
-    def __init__(self, flight_level: float = VEHICLE.flight_level, cone: float = 0.15) -> None:
+    def __init__(
+        self,
+        flight_level: float = VEHICLE.flight_level,
+        cone: float = 0.15,
+        max_speed: float = VEHICLE.velocity_limit,
+    ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["heading_deg", "altitude"], ["action"]
-        self.flight_level, self.cone = flight_level, cone
+        self.flight_level, self.cone, self.max_speed = flight_level, cone, max_speed
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``heading_deg`` and ``altitude``."""
         heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
-        forward = ACTION_LIMIT * (heading.abs() < self.cone).float()
-        climb = (self.flight_level - tensordict["altitude"]).clamp(-ACTION_LIMIT, ACTION_LIMIT)
-        turn = (3 * heading).clamp(-ACTION_LIMIT, ACTION_LIMIT)
+        limit, fastest_turn = self.max_speed, VEHICLE.yaw_rate_limit
+        forward = limit * (heading.abs() < self.cone).float()
+        climb = (self.flight_level - tensordict["altitude"]).clamp(-limit, limit)
+        turn = (3 * heading).clamp(-fastest_turn, fastest_turn)
         return tensordict.set("action", torch.cat([forward, torch.zeros_like(forward), climb, turn], -1))
 
 
@@ -130,6 +140,8 @@ class VectorFieldHistogram(PolicyModule):
         costs: None for those that were chosen for this reduction and statistic; there are none for some.
         last_action: whether the observation ends with the last action, likewise.
         motion: how far moving objects are looked for, likewise; None: it is not told of any.
+        max_speed: limit of each component of the velocity, m/s. Above 2 m/s a direction is flown so fast that the
+            vehicle could stop before whatever a cell around it shows.
         grid: where the cells of a range image are, likewise. Cells of another grid than the default's weigh so much
             that a scan that is full everywhere costs the same, for which the costs were chosen.
 
@@ -153,6 +165,7 @@ class VectorFieldHistogram(PolicyModule):
         last_action: bool = False,
         motion: float | None = None,
         grid: RangeGrid | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
         statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and (reduction, statistic) not in COSTS:
@@ -186,6 +199,10 @@ class VectorFieldHistogram(PolicyModule):
             known = _counting(cell_directions(reduction), self.costs.width)
             seen_in *= known.sum(-1, keepdim=True) / seen_in.sum(-1, keepdim=True)
         self.register_buffer("_seen_in", seen_in, persistent=False)
+        self.max_speed, self.nearness = max_speed, statistic != "range"
+        self._ahead: Tensor  # [D, cells]: 1 for the cells around a direction, and next to 0
+        ahead = (DIRECTIONS @ cell_directions(reduction, grid).T > AHEAD).float().clamp_min(1e-3)
+        self.register_buffer("_ahead", ahead, persistent=False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
@@ -219,7 +236,7 @@ class VectorFieldHistogram(PolicyModule):
         costs, heading = self.costs, torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
         x, y, z = self.directions.T
         in_the_way = (tensordict["faces"] / self.radius) ** costs.nearness @ self._seen_in.T
-        off_level = (tensordict["altitude"] + ACTION_LIMIT * z - self.flight_level).abs()
+        off_level = (tensordict["altitude"] + NOMINAL * z - self.flight_level).abs()
         cost = (
             costs.obstacle * in_the_way
             + costs.goal * (1 - x * heading.cos() - y * heading.sin())
@@ -230,7 +247,16 @@ class VectorFieldHistogram(PolicyModule):
             last = tensordict["observation"][..., -4:-1]  # forward, left, up, as a share of the largest
             size = last.norm(dim=-1, keepdim=True)
             cost += costs.change * (size > STANDING) * (1 - (last / size.clamp_min(STANDING)) @ self.directions.T)
-        return cost, ACTION_LIMIT * (1 - costs.caution * in_the_way.clamp(0, 1))
+        return cost, self._fastest(tensordict["faces"]) * (1 - costs.caution * in_the_way.clamp(0, 1))
+
+    def _fastest(self, cells: Tensor) -> Tensor | float:
+        """How fast each direction may be flown where nothing is in its way, m/s: ``[N, D]``, or the limit."""
+        if self.max_speed <= NOMINAL:
+            return self.max_speed
+        near = self.radius - cells if self.nearness else torch.where(cells == 0, self.radius, cells)
+        free = (near[:, None] / self._ahead).amin(-1) - VEHICLE.radius - CLEAR  # [N, D]
+        reached = DECELERATION * ((REACTION**2 + 2 * free.clamp_min(0) / DECELERATION).sqrt() - REACTION)
+        return reached.clamp(NOMINAL, self.max_speed)
 
     def to_action(self, cost: Tensor, speed: Tensor, heading_deg: Tensor) -> Tensor:
         """The action ``[N, 4]`` of the cheapest direction, of ``cost`` and ``speed [N, D]``, turning slowly to it.
