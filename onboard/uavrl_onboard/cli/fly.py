@@ -161,8 +161,9 @@ def main(settings: FlyConfig) -> None:
         link = opened.enter_context(closing(open_link(settings)))
         assert settings.goal is not None
         guards = make_guards(settings, policy)
-        layer, box = SafetyLayer(settings.safety), settings.box
-        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, guards=guards)
+        layer, moves = SafetyLayer(settings.safety), settings.autopilot is not None
+        more: dict[str, Any] = {"radius": settings.radius, "box": settings.box, "guards": guards, "moves": moves}
+        flight = Flight(policy, settings.goal, link, layer, **more)
         print(f"Guards: {', '.join(guards.settings.names) or 'none'}.", flush=True)
         log = _log(settings, policy, guards)
         if log is not None:

@@ -18,6 +18,7 @@ from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState
+from uavrl_onboard.flight.scan_motion import ScanMotion
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.lidar.coverage import Coverage, Doubt
@@ -45,7 +46,7 @@ class Flight:
     vehicle is sent zeros, and once it has been there for three cycles in a row it hovers from there on.
 
     Poses and scans are checked for being plausible, too (`uavrl_onboard.flight.plausible`,
-    `uavrl_onboard.lidar.coverage`). Where the pose jumps, policy, map and tracks start anew, and an arrival before
+    `uavrl_onboard.lidar.coverage`, `uavrl_onboard.flight.scan_motion`). Where the pose jumps, policy, map and tracks start anew, and an arrival before
     that does not count.
 
     Args:
@@ -56,6 +57,7 @@ class Flight:
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
         box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
         guards: filters between the policy and the vehicle; None: those of the policy's contract.
+        moves: whether the link's pose is that of the sensor; False for a dry run, whose vehicle only stands.
 
     Attributes:
         arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
@@ -73,6 +75,7 @@ class Flight:
         radius: float = 1.0,
         box: tuple[np.ndarray, np.ndarray] | None = None,
         guards: Guards | None = None,
+        moves: bool = True,
     ) -> None:
         if len(goal) != 3 or not np.isfinite(goal).all():
             raise UavrlError(f"goal must be three finite numbers x, y, z in metres, got {goal!r}.")
@@ -83,7 +86,7 @@ class Flight:
         self._radius, self._box = radius, box
         contract = policy.contract
         self._guards = Guards(contract.guard_settings, 1, contract.vehicle) if guards is None else guards
-        self._poses, self._coverage = PoseCheck(), Coverage()
+        self._poses, self._coverage, self._motion, self._moves = PoseCheck(), Coverage(), ScanMotion(), moves
         self.doubt: Doubt | None = None
         self._there = 0  # cycles in a row at the goal
         self._scan_stamp: float | None = None
@@ -116,8 +119,7 @@ class Flight:
         self._control = control.control
         implausible = self._check(scan, pose)
         if scan is not None:
-            if self._box is not None:
-                scan = replace(scan, points=without_vehicle(scan.points, *self._box))
+            scan = self._masked(scan)
             self._scan_stamp, self._action = scan.stamp, self._act(scan, pose, now)
         distance = self._distance(pose)
         at_goal = distance is not None and distance <= self._radius
@@ -146,14 +148,23 @@ class Flight:
             self._start_anew()
         if scan is not None:
             self.doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
+            if self._moves:
+                self._motion.add(self._masked(scan).points, pose)
         if implausible is None and self.doubt is not None and self.doubt.certain:
             return Implausible(Reason(self.doubt.kind), self.doubt.sentence)
+        if implausible is None and self._motion.sentence is not None:
+            return Implausible(Reason.SCANS_DISAGREE, self._motion.sentence)
         return implausible
+
+    def _masked(self, scan: Scan) -> Scan:
+        """The scan without the vehicle's own parts."""
+        return scan if self._box is None else replace(scan, points=without_vehicle(scan.points, *self._box))
 
     def _start_anew(self) -> None:
         """Drops what was remembered in axes that are others now."""
         self.arrived, self._there = None, 0
         self._acted = -math.inf
+        self._motion.start_anew()
         self._guards.reset()
 
     def _act(self, scan: Scan, pose: Pose | None, now: float) -> np.ndarray | None:

@@ -61,6 +61,7 @@ class Reason(StrEnum):
     VELOCITY_DISAGREES = "velocity_disagrees"  #: with the position
     EMPTY_SCANS = "empty_scans"
     HALF_SCAN = "half_scan"  #: it covers less than its sensor's field of view
+    SCANS_DISAGREE = "scans_disagree"  #: with the pose
     OUTSIDE_FENCE = "outside_fence"
     NO_ACTION = "no_action"
     ACTION_NOT_FINITE = "action_not_finite"
