@@ -116,7 +116,7 @@ def check_view(evidence: Evidence) -> Item | None:
     if not evidence.scans:
         return None
     began = evidence.scans[0].time
-    _, sentence = evidence.broken(evidence.scan_rules, evidence.settled(began), [Reason.HALF_SCAN])
+    _, sentence = evidence.broken(evidence.scan_rules, evidence.settled(began), [Reason.HALF_SCAN, Reason.ODD_RANGES])
     if sentence:
         return Item("field of view", FAIL, f"{_capital(sentence)}.")
     if "doubt" in evidence.doubts.told:
@@ -267,6 +267,7 @@ def check_position(evidence: Evidence) -> Item | None:
         told = evidence.doubts.told.get("late poses", "No position and attitude have come.")
         return Item("position", FAIL, told)
     _, sentence = evidence.broken(evidence.pose_rules, evidence.settled(poses[0].stamp), _POSES)
+    sentence = sentence or evidence.flight.disagreement or ""
     if sentence:
         return Item("position", FAIL, f"{_capital(sentence)}.")
     places = np.array([pose.position for pose in poses])

@@ -46,8 +46,8 @@ class Flight:
     vehicle is sent zeros, and once it has been there for three cycles in a row it hovers from there on.
 
     Poses and scans are checked for being plausible, too (`uavrl_onboard.flight.plausible`,
-    `uavrl_onboard.lidar.coverage`, `uavrl_onboard.flight.scan_motion`). Where the pose jumps, policy, map and tracks start anew, and an arrival before
-    that does not count.
+    `uavrl_onboard.lidar.coverage`, `uavrl_onboard.flight.scan_motion`). Where the pose jumps, policy, map and tracks
+    start anew, and an arrival before that does not count.
 
     Args:
         policy: an exported policy.
@@ -97,6 +97,11 @@ class Flight:
         self._state = SafetyState.SILENT
         self._control: Control | None = None  # who flew in the cycle before
         self.refusal = ""
+
+    @property
+    def disagreement(self) -> str | None:
+        """Why scans do not move as the pose says; None where they do, or nobody can tell."""
+        return self._motion.sentence
 
     def wants(self, scan: Scan | None) -> bool:
         """Whether a scan begins a cycle: of a sensor that turns faster than the policy acts, not every one does."""
@@ -152,8 +157,8 @@ class Flight:
                 self._motion.add(self._masked(scan).points, pose)
         if implausible is None and self.doubt is not None and self.doubt.certain:
             return Implausible(Reason(self.doubt.kind), self.doubt.sentence)
-        if implausible is None and self._motion.sentence is not None:
-            return Implausible(Reason.SCANS_DISAGREE, self._motion.sentence)
+        if implausible is None and self.disagreement is not None:
+            return Implausible(Reason.SCANS_DISAGREE, self.disagreement)
         return implausible
 
     def _masked(self, scan: Scan) -> Scan:

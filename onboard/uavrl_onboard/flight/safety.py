@@ -60,6 +60,7 @@ class Reason(StrEnum):
     POSE_RESET = "pose_reset"  #: the autopilot's estimator says so
     VELOCITY_DISAGREES = "velocity_disagrees"  #: with the position
     EMPTY_SCANS = "empty_scans"
+    ODD_RANGES = "odd_ranges"  #: no LiDAR measures them
     HALF_SCAN = "half_scan"  #: it covers less than its sensor's field of view
     SCANS_DISAGREE = "scans_disagree"  #: with the pose
     OUTSIDE_FENCE = "outside_fence"

@@ -1,4 +1,4 @@
-"""Whether scans move as the pose says: a sensor or an estimator that is wrong about its axes is fresh and finite, too."""
+"""Whether scans move as the pose says: a sensor or an estimator with wrong axes is fresh and finite, too."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from uavrl_onboard.geometry import body_to_world, is_return
 EVERY = 0.25
 """Time between two scans that are kept, s."""
 APART = (0.8, 1.3)
-"""Ages of the scan that one is compared with, s: in a second a vehicle has moved by more than what is tolerated."""
+"""Ages of the scan that one is compared with, s: in a second a vehicle moves by more than what is tolerated."""
 HALF_HEIGHT = 0.5
-"""Half the height of the slice at the sensor's height, m; the ground lies below it, whose rings move with the sensor."""
+"""Half the height of the slice at the sensor's height, m: above the ground, whose rings move with the sensor."""
 REACH, NEAREST = 12.0, 0.6
 """Horizontal distances within which returns are compared, m."""
 CELL = 0.3
@@ -35,7 +35,7 @@ AGREES = 0.6
 """Share from which on scans move as the pose says."""
 LOOKED_AT, AGAINST = 4, 3
 """Comparisons that count, and how many of them must be against the pose."""
-_MOVED = (0.5, 0.3)  # m and rad: what stands agrees with much
+_MOVED = (0.5, 0.3)  # m and rad: a vehicle that stands agrees with any sensor
 _STANDS = 0.3  # m
 _SIZE = int(2 * (REACH + 4.0) / CELL)  # cells of an image along each axis
 
