@@ -15,7 +15,7 @@ from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.files import writable
 from uavrl_onboard.flight.check import Evidence, Item, Level
-from uavrl_onboard.flight.limits import distance_outside
+from uavrl_onboard.flight.limits import distance_outside, outside_fence
 from uavrl_onboard.flight.safety import Reason
 from uavrl_onboard.geometry import hull_distances, is_inside, is_return
 from uavrl_onboard.lidar.coverage import JUDGED, WATCHED
@@ -58,11 +58,9 @@ _CLOCKS = "uavrl_onboard.autopilot.clock_sync"  # the logger that tells of clock
 def check_goal(evidence: Evidence) -> Item:
     """The goal lies within the fence."""
     setup = evidence.setup
-    outside, side = distance_outside(np.array(setup.goal, float), setup.limits)
-    place = ", ".join(f"{each:g}" for each in setup.goal)
-    if outside > 0.0:
-        most = f"safety.{'box' if side == 'wall' else side}="
-        return Item("goal", FAIL, f"The goal ({place}) lies {outside:.1f} m outside the fence's {side}: see {most}.")
+    outside, place = outside_fence(setup.goal, setup.limits), ", ".join(f"{each:g}" for each in setup.goal)
+    if outside is not None:
+        return Item("goal", FAIL, f"{outside}.")
     distance = evidence.cycles[-1].distance if evidence.cycles else None
     far = "" if distance is None else f", {distance:.1f} m away"
     return Item("goal", PASS, f"The goal ({place}) lies within the fence{far}.")
