@@ -147,6 +147,17 @@ def test_a_jump_to_the_goal_holds_and_does_not_arrive_at_once() -> None:
     assert back.status.reason is Reason.POSITION_JUMPED
 
 
+def test_a_pose_that_jumps_again_and_again_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig()
+    rig.airborne()
+    states = {moved(rig, (20.0 * (number % 2), 0.0, 3.5), 1)[0].status.state for number in range(1, 30)}
+    assert states == {SafetyState.HOLDING, SafetyState.SILENT}
+    assert len([told for told in caplog.messages if told.startswith("Pose: the position jumped")]) == 1
+    moved(rig, (0.0, 0.0, 3.5), 20)
+    moved(rig, (20.0, 0.0, 3.5), 1)
+    assert len([told for told in caplog.messages if told.startswith("Pose: the position jumped")]) == 2
+
+
 def test_after_a_jump_the_map_is_empty_and_without_one_it_is_not() -> None:
     wall = np.stack(np.broadcast_arrays(2.0, np.linspace(-1.0, 3.0, 40), -0.1), -1)
     for far, kept in ((0.2, True), (5.0, False)):

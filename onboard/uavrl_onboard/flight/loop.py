@@ -34,6 +34,7 @@ _EARLY = 0.8  # of a cycle: a scan that comes sooner after the one before is lef
 _LATE = 1.2  # of a cycle: after that it goes on without a scan
 _ARRIVING = 3  # cycles in a row at the goal, by plausible poses, after which the vehicle has arrived
 _FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
+_AGAIN = 1.0  # s without a jump of the pose after which the next one is told
 _TICK = 0.005  # s between two looks at what the system cannot wait for
 _FLIES = (SafetyState.FLYING, SafetyState.FENCED)
 
@@ -88,6 +89,7 @@ class Flight:
         self._guards = Guards(contract.guard_settings, 1, contract.vehicle) if guards is None else guards
         self._poses, self._coverage, self._motion, self._moves = PoseCheck(), Coverage(), ScanMotion(), moves
         self.doubt: Doubt | None = None
+        self._jumped = -math.inf  # stamp of the latest pose that jumped
         self._there = 0  # cycles in a row at the goal
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
@@ -149,7 +151,9 @@ class Flight:
         """What is implausible about the pose, or about the latest scans."""
         implausible = self._poses.look(pose)
         if implausible is not None and implausible.starts_anew:
-            _logger.warning("Pose: %s: the policy starts anew", implausible.sentence)  # whatever else is wrong now
+            if pose is not None and pose.stamp - self._jumped > _AGAIN:
+                _logger.warning("Pose: %s: the policy starts anew", implausible.sentence)  # whatever else is wrong now
+            self._jumped = -math.inf if pose is None else pose.stamp
             self._start_anew()
         if scan is not None:
             self.doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
