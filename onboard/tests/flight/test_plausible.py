@@ -65,6 +65,18 @@ def test_a_jump_is_told_with_its_distance_and_time_once() -> None:
     assert found == [None] * 10 + [jump] + [None] * 9
 
 
+@pytest.mark.parametrize("far", [2e5, -3e38, 1e300])
+def test_a_position_that_is_nowhere_is_never_believed(far: float) -> None:
+    """An estimator that has diverged: the jump is over after a cycle, and the position stays."""
+    rig = Rig()
+    rig.airborne()
+    cycles = moved(rig, (far, 0.0, 3.5), 40)
+    assert {cycle.status.reason for cycle in cycles} == {Reason.POSITION_FAR}
+    assert cycles[-1].status.state is SafetyState.SILENT
+    told = f"the position is {abs(far):.2g} m from the autopilot's origin, and no vehicle flies so far: look at its"
+    assert cycles[0].status.sentence.startswith(told)
+
+
 def test_a_jump_across_a_gap_has_the_time_of_the_gap() -> None:
     before, after = circling(1.0), replace(circling(1.0), stamp=3.0)
     assert looked([before, replace(after, position=(before.position[0] + 8.0, *before.position[1:]))]) == [None, None]

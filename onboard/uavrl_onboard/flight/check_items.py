@@ -46,6 +46,7 @@ _SCANS = (Reason.NO_SCAN, Reason.OLD_SCAN, Reason.SCAN_AHEAD, Reason.CLOCK, Reas
 _POSE_AGES = (Reason.OLD_POSE, Reason.POSE_AHEAD)
 _POSES = (
     Reason.POSE_NOT_FINITE,
+    Reason.POSITION_FAR,
     Reason.POSITION_JUMPED,
     Reason.YAW_JUMPED,
     Reason.POSE_RESET,

@@ -55,6 +55,7 @@ class Reason(StrEnum):
     OLD_POSE = "old_pose"
     POSE_AHEAD = "pose_ahead"
     POSE_NOT_FINITE = "pose_not_finite"
+    POSITION_FAR = "position_far"  #: farther from the origin than any vehicle flies
     POSITION_JUMPED = "position_jumped"
     YAW_JUMPED = "yaw_jumped"
     POSE_RESET = "pose_reset"  #: the autopilot's estimator says so
