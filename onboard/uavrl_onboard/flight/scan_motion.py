@@ -165,7 +165,8 @@ def _shares(before: np.ndarray, now: np.ndarray, told: Motion) -> tuple[float, f
         shares = _laid(before, near, shifts, turn) * (is_other | (turned >= OTHER[1]))
         if shares.max() > other:
             best = int(shares.argmax())
-            other, found = float(shares[best]), Motion(*shifts[best].tolist(), turn)
+            forward, left = shifts[best].tolist()
+            other, found = float(shares[best]), Motion(forward, left, turn)
     return share, other, found
 
 
