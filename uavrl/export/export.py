@@ -71,7 +71,7 @@ def export_policy(
     if terms is not None:
         terms = terms.model_copy(update={"network": _write_network(output, actor, terms) if network else None})
         with replacing(output / CONTRACT) as partial:
-            partial.write_text(terms.to_text(), encoding="utf-8")
+            partial.write_text(terms.sealed().to_text(), encoding="utf-8")
     return saved
 
 

@@ -148,7 +148,7 @@ def test_scans_that_do_not_move_as_the_pose_says_are_told(seen: Seen | None, tol
 def test_the_sentence_tells_both_motions() -> None:
     ahead = flown(Repeats(1.0), way=lambda time: Pose(time, (2.0 * time, 0.0, 3.0), (2.0, 0.0, 0.0), 0.0))
     assert ahead[-1] == (
-        "in 1.2 s the vehicle moved by 2.4 m towards 0° and turned by 0° by its pose, and stood by its scans: does the "
+        "in 1.0 s the vehicle moved by 2.0 m towards 0° and turned by 0° by its pose, and stood by its scans: does the "
         "LiDAR's driver repeat a scan, or is it a recording?"
     )
 

@@ -11,9 +11,9 @@ import numpy as np
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.geometry import body_to_world, is_return
 
-EVERY = 0.25
+EVERY = 0.19
 """Time between two scans that are kept, s."""
-APART = (0.8, 1.3)
+APART = (0.95, 1.3)
 """Ages of the scan that one is compared with, s: in a second a vehicle moves by more than what is tolerated."""
 HALF_HEIGHT = 0.5
 """Half the height of the slice at the sensor's height, m: above the ground, whose rings move with the sensor."""
@@ -103,7 +103,7 @@ class ScanMotion:
             return self.sentence
         now = _Slice(pose.stamp, np.array(pose.position), pose.yaw, _slice(points, pose))
         self._kept.append(now)
-        for before in self._kept:
+        for before in reversed(self._kept):
             if APART[0] <= now.stamp - before.stamp <= APART[1]:
                 self._compare(before, now)
                 break
