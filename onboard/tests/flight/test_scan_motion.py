@@ -122,7 +122,7 @@ def test_a_flight_by_a_true_pose_is_believed(seed: int) -> None:
         (None, stuck, "the vehicle stood by its pose, and moved by"),
         (None, elsewhere(lambda each: each[[1, 0, 2]]), "by its pose, and moved by"),
         (None, elsewhere(lambda each: each, math.pi / 2), "and at the compass"),
-        (None, elsewhere(lambda each: each * [0.3, 0.3, 1.0]), "by its pose, and moved by"),
+        (None, elsewhere(lambda each: each * [3.28, 3.28, 1.0]), "by its pose, and moved by"),
         (None, lambda pose: Pose(pose.stamp, pose.position, pose.velocity, 0.8 * pose.stamp), "at the compass"),
     ],
     ids=[
