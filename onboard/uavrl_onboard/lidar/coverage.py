@@ -124,7 +124,7 @@ class Coverage:
     def _parts(self) -> Doubt | None:
         """Directions that have near returns in some scans and none in others, again and again."""
         near = np.array(self._near)
-        ever: np.ndarray = near.any(0)
+        ever = np.asarray(near.any(0))
         if len(near) < WATCHED or ever.mean() < 1 / 3:
             return None
         begins = (near & ~np.concatenate([np.zeros_like(near[:1]), near[:-1]])).sum(0)
