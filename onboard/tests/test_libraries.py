@@ -62,3 +62,12 @@ def test_a_library_that_cannot_be_imported_says_why(tmp_path: Path, monkeypatch:
             needed(module, "This", "onnx")
         sentence = f"This needs {name}, which cannot be imported ({told}): pip install 'uavrl-onboard[onnx]'."
         assert str(caught.value) == sentence
+
+
+def test_an_interruption_while_a_library_loads_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As pybind11 makes an ImportError of Ctrl-C while ONNX Runtime loads."""
+    lines = "try:", " raise KeyboardInterrupt", "except KeyboardInterrupt as error:", " raise ImportError from error"
+    (tmp_path / "interrupted_library.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        needed("interrupted_library", "A policy", "onnx")

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import Any
 
-from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.errors import UavrlError, was_interrupted
 
 
 def needed(module: str, what: str, extra: str, otherwise: str = "") -> Any:
@@ -28,6 +28,8 @@ def needed(module: str, what: str, extra: str, otherwise: str = "") -> Any:
     try:
         return import_module(module)
     except Exception as error:  # a wheel that was built for another NumPy also raises SystemError or AttributeError
+        if was_interrupted(error):  # Ctrl-C while a compiled library loads comes out as its ImportError
+            raise KeyboardInterrupt from error
         name = library.replace("_", "-")
         remedy = f"pip install 'uavrl-onboard[{extra}]'{otherwise}."
         if isinstance(error, ModuleNotFoundError) and (error.name or library).partition(".")[0] == library:

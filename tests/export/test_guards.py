@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from torchrl.envs import Transform
 
-from tests.helpers.exported import exported, refusal
+from tests.helpers.exported import edit_contract, exported, refusal
 from uavrl.config import compose, validate
 from uavrl.config.parts import Part
 from uavrl.export.export import contract
@@ -34,11 +34,9 @@ LEARNED = ("algo.hidden=[16]", "perception=range_image", "env.world.flight_level
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = exported(tmp_path_factory.mktemp("exported"), *LEARNED)
-    terms = json.loads((made / "contract.json").read_text())
     guards = GuardTerms.of(guard_settings(["all", {"shield": {"margin": 0.2}}]), Vehicle(radius=0.4))
     assert guards is not None
-    terms["guards"] = guards.model_dump(mode="json")
-    (made / "contract.json").write_text(json.dumps(terms))
+    edit_contract(made, lambda terms: terms.update(guards=guards.model_dump(mode="json")))
     return made
 
 

@@ -43,6 +43,7 @@ def exported(folder: Path, *overrides: str) -> Path:
 def edit_contract(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
     terms = json.loads((folder / "contract.json").read_text())
     change(terms)
+    terms.pop("sha256", None)
     (folder / "contract.json").write_text(json.dumps(terms))
 
 

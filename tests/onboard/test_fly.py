@@ -193,6 +193,14 @@ def test_how_a_flight_ended_is_told_before_its_numbers_are_written(
         (["policy=none", GOAL], "Expected an exported policy with none/contract.json"),
         (["policy=none"], "goal must be three numbers, [x,y,z] in m from the autopilot's origin, got None"),
         (["policy=none", "goal=[1,2]"], "goal must be three numbers"),
+        (
+            ["policy=none", "goal=[9,0,7]"],
+            "goal (9, 0, 7) lies 2.0 m outside the fence's ceiling: see goal= and safety",
+        ),
+        (
+            ["policy=none", GOAL, "safety.box=[-5,-5,5,5]"],
+            "lies 15.0 m outside the fence's wall: see goal= and safety.box=",
+        ),
         (["policy=none", GOAL, f"lidar={RECORDED}"], "a recording flies nothing but autopilot=null"),
         (["policy=none", GOAL, "safety.velocity=0"], "safety.velocity must be a finite number above 0, got 0"),
         (["policy=none", GOAL, "safety.floor=8"], "floor 8 must be below ceiling 5"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from collections.abc import Callable
@@ -314,3 +315,27 @@ def test_the_simulator_flies_at_its_own_rate_alone(folder: Path) -> None:
     edit_contract(folder, lambda terms: terms.update(rate_hz=20))
     with pytest.raises(UavrlError, match="acts 20 times a second, and the simulator asks 10 times"):
         ExportedPolicy(folder)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda terms: terms["cloud"].update(blind=True),
+        lambda terms: terms.update(rate_hz=5.0),
+        lambda terms: terms["observation"][1].update(divisor=35.0),
+        lambda terms: terms["cloud"].update(sensor_position=[0.0, 0.0, -5.0]),
+        lambda terms: terms["action"].update(high=[20.0] * 4),
+    ],
+    ids=["blind", "rate", "flight level", "sensor", "limits"],
+)
+def test_a_sound_contract_that_is_not_the_exported_one_is_refused(change: Callable[[Any], Any], tmp_path: Path) -> None:
+    path = exported(tmp_path, "algo.hidden=[8]") / "contract.json"
+    terms = json.loads(path.read_text())
+    path.write_text(json.dumps(terms, indent=4))  # another layout is no change
+    Policy(path.parent)
+    change(terms)
+    path.write_text(json.dumps(terms))
+    with pytest.raises(
+        UavrlError, match="was changed after its export, as its checksum differs: export the policy again"
+    ):
+        Policy(path.parent)

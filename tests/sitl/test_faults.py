@@ -125,3 +125,29 @@ def test_half_of_a_scan_and_a_second_sensor() -> None:
     assert faults.of_lidar(packets, 2.0) == packets and faults.of_second_sensor(packets, 2.0) == []
     ranges = np.linalg.norm(decode_vlp16(faults.of_second_sensor(packets, 1.5)), axis=1)
     assert len(ranges) == 28_928 and np.allclose(ranges, 1.5, atol=0.003)
+
+
+def test_a_scan_that_is_repeated_has_new_times() -> None:
+    first, later = (encode_scan(far * firing_directions(), stamp=far) for far in (3.0, 5.0))
+    faults = Faults(frozen_scan=(1.0, 2.0))
+    assert faults.of_lidar(later, 0.5) == later
+    assert faults.of_lidar(first, 1.0) == first
+    repeated = faults.of_lidar(later, 1.1)
+    assert np.allclose(np.linalg.norm(decode_vlp16(repeated), axis=1), 3.0, atol=0.003)
+    assert [packet[-6:] for packet in repeated] == [packet[-6:] for packet in later]
+
+
+def test_a_lidar_that_is_turned_to_the_right_sees_what_is_ahead_on_its_left() -> None:
+    directions = firing_directions()
+    ahead = np.where((directions[:, :1] > 0.9), 3.0 * directions, np.nan)
+    seen = decode_vlp16(Faults(turned_scan=(0.0, 9.0), turn=90.0).of_lidar(encode_scan(ahead), 1.0))
+    assert len(seen) > 1000 and (seen[:, 1] > 2.4).all() and np.abs(seen[:, 0]).max() < 1.5
+
+
+def test_a_pose_that_stands_still_has_no_velocity_and_new_times() -> None:
+    faults = Faults(frozen_pose=(1.0, 2.0))
+    first = told(faults, 1.0)
+    later = common.MAVLink_local_position_ned_message(6000, 9.0, 9.0, -4.0, 2.0, 1.0, 0.0)
+    (stands,) = faults.of_telemetry([later], 6.0, 1.5)
+    assert (stands.time_boot_ms, stands.x, stands.y, stands.z) == (6000, first.x, first.y, first.z)
+    assert (stands.vx, stands.vy, stands.vz) == (0.0, 0.0, 0.0)

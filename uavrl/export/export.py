@@ -74,7 +74,7 @@ def export_policy(
     if terms is not None:
         terms = terms.model_copy(update={"network": _write_network(output, actor, terms) if network else None})
         with replacing(output / CONTRACT) as partial:
-            partial.write_text(terms.to_text(), encoding="utf-8")
+            partial.write_text(terms.sealed().to_text(), encoding="utf-8")
     if (folder / STATEMENTS).is_file():
         with replacing(output / STATEMENTS) as partial:
             partial.write_bytes((folder / STATEMENTS).read_bytes())

@@ -221,7 +221,7 @@ class VectorFieldHistogram(PolicyModule):
         distance = self.radius - tensordict["faces"]
         gap = distance - KEPT
         if self.last_action:  # what is flown until the command acts
-            flown = ACTION_LIMIT * tensordict["observation"][..., -4:-1]
+            flown = self.max_speed * tensordict["observation"][..., -4:-1]
             gap = gap - LAG * (flown @ self._towards.T).clamp_min(0)
         seen = (tensordict["faces"] > 0) & (distance < SIGHT)
         return torch.where(seen, gap.clamp_min(0) / self.costs.headway, math.inf)

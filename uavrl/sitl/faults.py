@@ -20,7 +20,12 @@ _PLACES = (32, 331)  # of them, those whose x, y and z are metres to the north, 
 _ODOMETRY = 331
 _SECOND = 0.5  # by which the second sensor's ranges differ: it is elsewhere
 _CAMERA = {"type": 30, "autopilot": 8, "base_mode": 0, "custom_mode": 0, "system_status": 4, "mavlink_version": 3}
-_SPANS = ("lidar_silent", "pose_silent", "half_scan", "second_sensor", "pose_jump", "pose_drift", "slow_pose")
+_TIMES = ("time_boot_ms", "time_usec")
+_SPEEDS = ("vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed")
+_SPANS = (
+    *("lidar_silent", "pose_silent", "half_scan", "frozen_scan", "turned_scan", "second_sensor"),
+    *("pose_jump", "pose_drift", "frozen_pose", "slow_pose"),
+)
 
 
 @dataclass
@@ -34,11 +39,15 @@ class Faults:
         pose_silent: from when to when the autopilot does not say where the vehicle is.
         product: product byte of the LiDAR's packets.
         half_scan: from when to when the half behind the sensor has no returns, as by a driver's window.
+        frozen_scan: from when to when the LiDAR repeats what it saw at first, as a driver that hangs.
+        turned_scan: from when to when the LiDAR is turned by ``turn``, as it is mounted or by its driver.
+        turn: to the right, degrees.
         second_sensor: from when to when another LiDAR sends to the same port, from a port of its own.
         pose_jump: from when to when the autopilot tells a position that is off by ``jump``.
         jump: by how much, to the east, to the north and up, m.
         pose_drift: from when to when the told position drifts away by ``drift``, and stays there.
         drift: how fast, to the east, to the north and up, m/s. The told velocity is the true one.
+        frozen_pose: from when to when the told pose is the first one, with no velocity, as of an estimator that hangs.
         reset: when the autopilot's estimator resets: its counter in ODOMETRY goes up.
         clock_step: when the autopilot's clock steps, and by how much, s.
         slow_pose: from when to when the pose is told ``pose_rate`` times per second only.
@@ -59,11 +68,15 @@ class Faults:
     pose_silent: tuple[float, float] | None = None
     product: int | None = None
     half_scan: tuple[float, float] | None = None
+    frozen_scan: tuple[float, float] | None = None
+    turned_scan: tuple[float, float] | None = None
+    turn: float = 90.0
     second_sensor: tuple[float, float] | None = None
     pose_jump: tuple[float, float] | None = None
     jump: tuple[float, float, float] = (20.0, 0.0, 0.0)
     pose_drift: tuple[float, float] | None = None
     drift: tuple[float, float, float] = (1.5, 0.0, 0.0)
+    frozen_pose: tuple[float, float] | None = None
     reset: float | None = None
     clock_step: tuple[float, float] | None = None
     slow_pose: tuple[float, float] | None = None
@@ -86,6 +99,8 @@ class Faults:
                 raise UavrlError(f"faults.{name} must begin with a time in s from 0, got {number}.")
         if not np.isfinite([*self.jump, *self.drift]).all():
             raise UavrlError(f"faults.jump and faults.drift must be finite, got {self.jump} and {self.drift}.")
+        if not math.isfinite(self.turn):
+            raise UavrlError(f"faults.turn must be finite, got {self.turn}.")
         if not 0.0 < self.pose_rate < math.inf:
             raise UavrlError(f"faults.pose_rate must be above 0 Hz, got {self.pose_rate}.")
         if self.product is not None and not 0 <= self.product < 256:
@@ -96,15 +111,22 @@ class Faults:
         self._kept: list[bytes] = []
         self._pose_due: dict[int, float] = {}
         self._camera_due = -math.inf
+        self._turn: dict[int, bytes] = {}  # by azimuth: the packets of the turn that is repeated
+        self._frozen: dict[int, dict[str, Any]] = {}  # by number: the fields of the messages that are
 
     def of_lidar(self, packets: Sequence[bytes], since: float | None) -> list[bytes]:
         """What arrives of some packets, ``since`` s after the first obeyed set-point (None: there was none yet)."""
         if _within(self.lidar_silent, since):
             return []
         half, arrived = _within(self.half_scan, since), list[bytes]()
+        frozen, turned = _within(self.frozen_scan, since), _within(self.turned_scan, since)
         for packet in packets:
             if half:
                 packet = _without_half(packet)
+            if frozen:
+                packet = _as_before(packet, self._turn)
+            if turned:
+                packet = _turned(packet, self.turn)
             if self.product is not None:
                 packet = packet[:-1] + bytes([self.product])
             if self._rng.random() < self.lose:
@@ -131,6 +153,8 @@ class Faults:
         told = [message for message in messages if not self._is_hidden(message, now, since)]
         for message in told:
             number = message.get_msgId()
+            if number in POSE and _within(self.frozen_pose, since):
+                self._freeze(message)
             if number in _PLACES:
                 east, north, up = self._off(since)
                 message.x, message.y, message.z = message.x + north, message.y + east, message.z - up
@@ -139,6 +163,13 @@ class Faults:
             if self.clock_step is not None and since is not None and since >= self.clock_step[0]:
                 _step_clock(message, self.clock_step[1])
         return told
+
+    def _freeze(self, message: Any) -> None:
+        """Let a message tell what the first of its kind has told, but for the time."""
+        fields = {name: getattr(message, name) for name in message.get_fieldnames() if name not in _TIMES}
+        fields |= {name: type(value)(0) for name, value in fields.items() if name in _SPEEDS}
+        for name, value in self._frozen.setdefault(message.get_msgId(), fields).items():
+            setattr(message, name, value)
 
     def camera_beats(self, now: float) -> dict[str, int] | None:
         """The fields of the camera's heartbeat, where one is due."""
@@ -177,6 +208,23 @@ def _without_half(packet: bytes) -> bytes:
     azimuth = read["blocks"]["azimuth"]
     behind = (azimuth > FULL_TURN // 4) & (azimuth < 3 * FULL_TURN // 4)
     read["blocks"]["returns"]["distance"][behind] = 0
+    return read.tobytes()
+
+
+def _as_before(packet: bytes, turn: dict[int, bytes]) -> bytes:
+    """The packet with the returns of the first turn, which is kept by the azimuth of its packets."""
+    read = np.frombuffer(packet, PACKET).copy()
+    azimuth = int(read["blocks"]["azimuth"][0, 0])
+    before = np.frombuffer(turn.setdefault(azimuth, packet), PACKET)
+    read["blocks"] = before["blocks"]
+    return read.tobytes()
+
+
+def _turned(packet: bytes, degrees: float) -> bytes:
+    """The packet of a sensor that is turned to the right."""
+    read = np.frombuffer(packet, PACKET).copy()
+    azimuth = read["blocks"]["azimuth"].astype(np.int64) - round(100 * degrees)
+    read["blocks"]["azimuth"] = azimuth % FULL_TURN
     return read.tobytes()
 
 

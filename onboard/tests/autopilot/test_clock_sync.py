@@ -125,3 +125,23 @@ def test_an_autopilot_whose_boot_time_starts_again_is_heard(caplog: pytest.LogCa
         pose = peer.ours.pose()
     assert pose is not None and pose.stamp == pytest.approx(peer.time) and pose.position[0] == 9.0
     assert "the autopilot's ATTITUDE has stepped back by 3.6 s" in " ".join(caplog.messages)
+
+
+def test_two_senders_as_one_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Two vehicles of one system id behind one router, whose clocks began 500 s apart."""
+    clock = SenderClock("the autopilot's ATTITUDE")
+    stamps(clock, [(100.0 + 0.02 * k + 500.0 * (k % 2), 0.02 * k) for k in range(500)])
+    assert len(caplog.messages) == 4 and clock.steps > 100
+    assert caplog.messages[-1] == (
+        "The stamps of the autopilot's ATTITUDE step back and forth: two senders are taken for one. Turn one off, or "
+        "give each a number or a topic of its own."
+    )
+
+
+def test_a_clock_that_steps_now_and_then_is_told_each_time(caplog: pytest.LogCaptureFixture) -> None:
+    clock = SenderClock("/odom")
+    stamps(clock, [(100.0 + 0.1 * k + 3.0 * (k // 60), 0.1 * k) for k in range(600)])
+    assert [
+        message.startswith("The clock that stamps /odom has stepped forward by 3.0 s") for message in caplog.messages
+    ]
+    assert len(caplog.messages) == clock.steps == 9

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tests.helpers.logged import write_log
 
 LAYOUT = json.loads((Path(__file__).resolve().parents[3] / "docs/foxglove_layout.json").read_text())
 PATH = re.compile(r"(?P<topic>/[\w/]+)(?P<fields>(\.\w+)*)")
-PANELS = {"3D", "Plot", "RosOut", "RawMessages"}
+PANELS = {"3D", "Plot", "RosOut", "RawMessages", "StateTransitions"}
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +26,8 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
             assert schema is not None
+            if schema.name not in types.types:  # ours: a viewer reads the definition in the file, too
+                types.register(get_types_from_msg(schema.data.decode(), schema.name))
             found.setdefault(channel.topic, []).append(types.deserialize_cdr(message.data, schema.name))
     return found
 

@@ -26,7 +26,19 @@ from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.log import FlightLog
-from uavrl_onboard.flight.log_messages import ACTION, CELLS, CHANGES, POINTS, POSE, SETPOINT, STATUS, TOPICS, VELOCITY
+from uavrl_onboard.flight.log_messages import (
+    ACTION,
+    CELLS,
+    CHANGES,
+    NUMBERS,
+    POINTS,
+    POSE,
+    SETPOINT,
+    STATUS,
+    TOPICS,
+    VELOCITY,
+    FlightMessages,
+)
 from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.flight.safety import SafetyState
 from uavrl_onboard.lidar.sources import ScanSource
@@ -148,6 +160,15 @@ def test_the_libraries_of_others_read_the_same(logged: tuple[Path, list[FlightCy
             np.testing.assert_array_equal([linear.x, linear.y, linear.z, angular.z], action)
     said = json.loads(by_topic[STATUS][-1][1].data)
     assert said["safety"] == json.loads(json.dumps(asdict(written[-1].status)))
+    for (_, message), cycle in zip(by_topic[NUMBERS], written, strict=True):
+        named = {"state": cycle.status.state, "reason": cycle.status.reason, "control": cycle.control.control}
+        for name, value in named.items():
+            assert getattr(message, name) == getattr(message, f"{name}_{value}".upper())
+        measured = (cycle.status.scan_age, cycle.status.pose_age, cycle.latency, cycle.distance)
+        expected = [math.nan if each is None else each for each in measured]
+        found = [message.scan_age, message.pose_age, message.latency, message.distance]
+        np.testing.assert_array_equal(found, expected)
+        assert message.arrived == cycle.arrived
     changed = [cycle.status for cycle in written if cycle.status.changed]
     assert [message.msg for _, message in by_topic[CHANGES]] == [
         f"{s.state} ({s.reason}): {s.sentence}" for s in changed
@@ -365,8 +386,12 @@ def test_damaged_bytes_end_in_what_is_whole_or_in_a_sentence(
         {"control": VehicleStatus(Control.LOST, "gone", armed="perhaps")},  # type: ignore[arg-type]
     ],
 )
-def test_a_message_of_other_contents_is_refused(change: dict[str, Any], tmp_path: Path) -> None:
+def test_a_message_of_other_contents_is_refused(
+    change: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cycle, numbers = next(cycles()), FlightMessages._numbers  # which take none but numbers
+    monkeypatch.setattr(FlightMessages, "_numbers", lambda messages, changed: numbers(messages, cycle))
     with FlightLog(tmp_path / "f.mcap", contract(), GOAL, clock=lambda: START) as log:
-        log.write(replace(next(cycles()), **change))
+        log.write(replace(cycle, **change))
     with pytest.raises(UavrlError, match="holds a message that no flight has written"):
         list(LoggedFlight(log.path))

@@ -65,6 +65,18 @@ def test_a_jump_is_told_with_its_distance_and_time_once() -> None:
     assert found == [None] * 10 + [jump] + [None] * 9
 
 
+@pytest.mark.parametrize("far", [2e5, -3e38, 1e300])
+def test_a_position_that_is_nowhere_is_never_believed(far: float) -> None:
+    """An estimator that has diverged: the jump is over after a cycle, and the position stays."""
+    rig = Rig()
+    rig.airborne()
+    cycles = moved(rig, (far, 0.0, 3.5), 40)
+    assert {cycle.status.reason for cycle in cycles} == {Reason.POSITION_FAR}
+    assert cycles[-1].status.state is SafetyState.SILENT
+    told = f"the position is {abs(far):.2g} m from the autopilot's origin, and no vehicle flies so far: look at its"
+    assert cycles[0].status.sentence.startswith(told)
+
+
 def test_a_jump_across_a_gap_has_the_time_of_the_gap() -> None:
     before, after = circling(1.0), replace(circling(1.0), stamp=3.0)
     assert looked([before, replace(after, position=(before.position[0] + 8.0, *before.position[1:]))]) == [None, None]
@@ -145,6 +157,17 @@ def test_a_jump_to_the_goal_holds_and_does_not_arrive_at_once() -> None:
     summary.add(back)
     assert not back.arrived and rig.flight.arrived is None and not summary.facts()["arrived"]
     assert back.status.reason is Reason.POSITION_JUMPED
+
+
+def test_a_pose_that_jumps_again_and_again_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    rig = Rig()
+    rig.airborne()
+    states = {moved(rig, (20.0 * (number % 2), 0.0, 3.5), 1)[0].status.state for number in range(1, 30)}
+    assert states == {SafetyState.HOLDING, SafetyState.SILENT}
+    assert len([told for told in caplog.messages if told.startswith("Pose: the position jumped")]) == 1
+    moved(rig, (0.0, 0.0, 3.5), 20)
+    moved(rig, (20.0, 0.0, 3.5), 1)
+    assert len([told for told in caplog.messages if told.startswith("Pose: the position jumped")]) == 2
 
 
 def test_after_a_jump_the_map_is_empty_and_without_one_it_is_not() -> None:

@@ -155,3 +155,50 @@ def test_what_lies_beside_a_narrow_field_of_view_is_not_missed() -> None:
     half = Coverage((-43.5, 43.5))
     doubts = [half.add(nothing_to_the_left, 0.0) for _ in range(30)]
     assert doubts[-1] is not None and doubts[-1].kind == "half_scan"
+
+
+@pytest.mark.parametrize("unit", [1000.0, 1e6, 100.0])
+def test_ranges_in_another_unit_are_certain(unit: float) -> None:
+    """A room of 2 to 6 m, or in centimetres one of twenty times that size."""
+    size = 20.0 if unit == 100.0 else 1.0
+    found = looked([unit * size * ROOM] * 6)
+    last = found[-1]
+    assert not any(found[:4]) and last is not None and (last.kind, last.certain) == ("odd_ranges", True)
+    assert last.sentence.endswith(
+        "m, which no LiDAR measures: is its driver's unit millimetres? Points must be in metres"
+    )
+
+
+def test_one_range_in_all_directions_is_certain() -> None:
+    heights = np.radians([-15.0, 0.0, 15.0])[:, None]
+    around = np.stack(np.broadcast_arrays(np.cos(AZIMUTHS), np.sin(AZIMUTHS), np.tan(heights)), -1).reshape(-1, 3)
+    sphere = around / np.linalg.norm(around, axis=1)[:, None]
+    last = looked([50.0 * sphere] * 6)[-1]
+    assert last is not None and last.kind == "odd_ranges"
+    assert last.sentence.startswith("all returns are 50.0 m away in every direction: is the sensor covered, or does")
+    assert not any(looked([3.0 * sphere] * 6)), "what is near is an obstacle"
+    assert not any(looked([np.concatenate([50.0 * sphere, ROOM])] * 6)), "a driver that writes its range for a miss"
+    assert not any(looked([ring(50.0)] * 6)), "the ground, by one beam"
+
+
+@pytest.mark.parametrize("parts", [2, 3, 10])
+def test_scans_of_a_part_of_a_turn_each_are_certain(parts: int) -> None:
+    wide, azimuth = 360.0 / parts, np.degrees(np.arctan2(ROOM[:, 1], ROOM[:, 0])) % 360.0
+    far = np.array([[20.0, 0.0, 0.0]])  # a return of another building, in each
+    scans = [np.concatenate([ROOM[(azimuth - wide * number) % 360.0 < wide], far]) for number in range(40)]
+    last = looked(scans)[-1]
+    assert last is not None and (last.kind, last.certain) == ("half_scan", True)
+    assert last.sentence.startswith("each scan shows another part of the surroundings: does the driver publish a part")
+
+
+def test_trunks_that_pass_are_no_parts_of_a_turn() -> None:
+    """A vehicle at 2 m/s among trunks, with one far wall."""
+    rng, scans = np.random.default_rng(0), []
+    trunks = np.c_[rng.uniform(-5, 60, 60), rng.uniform(-10, 10, 60)]
+    for number in range(200):
+        to = trunks - [0.2 * number, 0.0]
+        middle, far = np.arctan2(to[:, 1], to[:, 0]), np.linalg.norm(to, axis=1)
+        turned = np.abs((AZIMUTHS[:, None] - middle + np.pi) % (2 * np.pi) - np.pi)
+        ranges = np.where(turned < np.arcsin(np.minimum(0.3 / far, 1.0)), far, np.inf).min(1)
+        scans.append(ring(np.minimum(ranges, 30.0)))
+    assert not any(doubt is not None and doubt.certain for doubt in looked(scans))

@@ -11,6 +11,7 @@ _RESTART = 10.0  # s back that are never a late message: the sender's clock was 
 _FORWARD = 1.0  # s that a message is ahead of the one before, beyond the time between their arrivals
 _DRIFT = 1.1  # rate of a sender's clock relative to ours that is still taken for a clock that runs
 _RUNNING = 3  # messages in a row from the past whose stamps run on, which late messages do not do
+_OFTEN, _SOON = 3, 10.0  # steps within so many s that are no clock's: two senders are taken for one
 _PACE = 0.5  # least time between two of their arrivals, as a share of that between their stamps: a burst is no clock
 
 
@@ -21,7 +22,8 @@ class SenderClock:
     A message that waited on its way is as old as its stamp says, relative to the message before. A message that comes
     late or twice has no time. A clock that steps back (by NTP, a bag that starts again, a restart) would make every
     message late until it has caught up; so three messages in a row whose stamps run on from an earlier time are a
-    step, and the third one counts from its arrival. Each step is logged and counted.
+    step, and the third one counts from its arrival. Each step is logged and counted. Where the clock steps again and
+    again, two senders are taken for one, which is logged instead, once.
 
     Args:
         name: of the sender's messages, for the log.
@@ -42,6 +44,8 @@ class SenderClock:
     steps: int = 0
     offset: float = 0.0
     _before: tuple[float, float] | None = None  # stamp of the newest message, and when it was sent by our clock
+    _stepped: tuple[float, ...] = ()  # when it did, by our clock
+    _is_shared: bool = False  # whether that was told of two senders
     _past: tuple[tuple[float, float], ...] = ()  # stamp and arrival of messages in a row that are older than that
 
     def stamp(self, sent: float, now: float) -> float | None:
@@ -56,12 +60,13 @@ class SenderClock:
         elif sent <= self._before[0] and not self._has_stepped_back(sent, now):
             return None
         elif sent <= self._before[0]:
-            self._step(max(made - self._before[0] - (came - self._before[1]) for made, came in self._past))
+            by = max(made - self._before[0] - (came - self._before[1]) for made, came in self._past)
+            self._step(by, now)
             stamp = now
         else:
             ahead = sent - self._before[0] - (now - self._before[1])
             if ahead > _FORWARD:
-                self._step(ahead)
+                self._step(ahead, now)
             stamp = min(now, self._before[1] + _DRIFT * (sent - self._before[0]))
         self._before, self._past = (sent, stamp), ()
         return stamp
@@ -76,10 +81,20 @@ class SenderClock:
         (first, came), enough = self._past[0], len(self._past) >= _RUNNING
         return self._before[0] - sent > _RESTART or (enough and now - came >= _PACE * (sent - first))
 
-    def _step(self, by: float) -> None:
+    def _step(self, by: float, now: float) -> None:
         """Note a step of the clock, in s, forward or back."""
         self.steps += 1
         self.offset += by
+        self._stepped = (*(each for each in self._stepped if now - each < _SOON), now)
+        if len(self._stepped) > _OFTEN:
+            if not self._is_shared:
+                _logger.warning(
+                    "The stamps of %s step back and forth: two senders are taken for one. Turn one off, or give each a "
+                    "number or a topic of its own.",
+                    self.name,
+                )
+            self._is_shared = True
+            return
         way = "forward" if by > 0.0 else "back"
         _logger.warning(
             "The clock that stamps %s has stepped %s by %.1f s: it was set, as by NTP, or its sender has started "

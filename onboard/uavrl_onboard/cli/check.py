@@ -84,7 +84,9 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
         seconds=settings.seconds,
     )
     listener, layer = Listener(link), SafetyLayer(everywhere(settings.safety))
-    flight = Flight(policy, settings.goal, listener, layer, radius=settings.radius, box=settings.box, guards=guards)
+    moves = settings.autopilot is not None
+    more: dict[str, Any] = {"radius": settings.radius, "box": settings.box, "guards": guards, "moves": moves}
+    flight = Flight(policy, settings.goal, listener, layer, **more)
     remarks = {"stamped": stamped, "remarks": feed.remarks}
     doubts = Doubts(feed.trouble, 1.0 / flight.period, settings.safety.pose_age, **remarks)
     evidence = Evidence(setup, flight, doubts)

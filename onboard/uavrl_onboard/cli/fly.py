@@ -26,7 +26,7 @@ from uavrl_onboard.errors import Stopped, UavrlError
 from uavrl_onboard.files import writable
 from uavrl_onboard.flight.health import Doubts
 from uavrl_onboard.flight.interfaces import FlightCycle, VehicleLink
-from uavrl_onboard.flight.limits import SafetyLimits
+from uavrl_onboard.flight.limits import SafetyLimits, outside_fence
 from uavrl_onboard.flight.log import FlightLog
 from uavrl_onboard.flight.loop import Flight, fly, rehearse
 from uavrl_onboard.flight.safety import SafetyLayer
@@ -148,6 +148,9 @@ ABOUT = About(
 @command(ABOUT, FlyConfig)
 def main(settings: FlyConfig) -> None:
     """Flies until it has ended, prints how, and writes the numbers."""
+    assert settings.goal is not None
+    if (outside := outside_fence(settings.goal, settings.safety)) is not None:
+        raise UavrlError(f"{outside}.")
     policy = Policy(str(settings.policy))
     numbers = None if settings.json is None else writable(Path(settings.json), "json=FILE")
     if settings.safety.floor < 0.0 and settings.autopilot is not None:
@@ -159,10 +162,10 @@ def main(settings: FlyConfig) -> None:
         if settings.is_live:
             opened.enter_context(beside())
         link = opened.enter_context(closing(open_link(settings)))
-        assert settings.goal is not None
         guards = make_guards(settings, policy)
-        layer, box = SafetyLayer(settings.safety), settings.box
-        flight = Flight(policy, settings.goal, link, layer, radius=settings.radius, box=box, guards=guards)
+        layer, moves = SafetyLayer(settings.safety), settings.autopilot is not None
+        more: dict[str, Any] = {"radius": settings.radius, "box": settings.box, "guards": guards, "moves": moves}
+        flight = Flight(policy, settings.goal, link, layer, **more)
         print(f"Guards: {', '.join(guards.settings.names) or 'none'}.", flush=True)
         log = _log(settings, policy, guards)
         if log is not None:

@@ -15,7 +15,7 @@ from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.files import writable
 from uavrl_onboard.flight.check import Evidence, Item, Level
-from uavrl_onboard.flight.limits import distance_outside
+from uavrl_onboard.flight.limits import distance_outside, outside_fence
 from uavrl_onboard.flight.safety import Reason
 from uavrl_onboard.geometry import hull_distances, is_inside, is_return
 from uavrl_onboard.lidar.coverage import JUDGED, WATCHED
@@ -46,6 +46,7 @@ _SCANS = (Reason.NO_SCAN, Reason.OLD_SCAN, Reason.SCAN_AHEAD, Reason.CLOCK, Reas
 _POSE_AGES = (Reason.OLD_POSE, Reason.POSE_AHEAD)
 _POSES = (
     Reason.POSE_NOT_FINITE,
+    Reason.POSITION_FAR,
     Reason.POSITION_JUMPED,
     Reason.YAW_JUMPED,
     Reason.POSE_RESET,
@@ -58,11 +59,9 @@ _CLOCKS = "uavrl_onboard.autopilot.clock_sync"  # the logger that tells of clock
 def check_goal(evidence: Evidence) -> Item:
     """The goal lies within the fence."""
     setup = evidence.setup
-    outside, side = distance_outside(np.array(setup.goal, float), setup.limits)
-    place = ", ".join(f"{each:g}" for each in setup.goal)
-    if outside > 0.0:
-        most = f"safety.{'box' if side == 'wall' else side}="
-        return Item("goal", FAIL, f"The goal ({place}) lies {outside:.1f} m outside the fence's {side}: see {most}.")
+    outside, place = outside_fence(setup.goal, setup.limits), ", ".join(f"{each:g}" for each in setup.goal)
+    if outside is not None:
+        return Item("goal", FAIL, f"{outside}.")
     distance = evidence.cycles[-1].distance if evidence.cycles else None
     far = "" if distance is None else f", {distance:.1f} m away"
     return Item("goal", PASS, f"The goal ({place}) lies within the fence{far}.")
@@ -116,7 +115,7 @@ def check_view(evidence: Evidence) -> Item | None:
     if not evidence.scans:
         return None
     began = evidence.scans[0].time
-    _, sentence = evidence.broken(evidence.scan_rules, evidence.settled(began), [Reason.HALF_SCAN])
+    _, sentence = evidence.broken(evidence.scan_rules, evidence.settled(began), [Reason.HALF_SCAN, Reason.ODD_RANGES])
     if sentence:
         return Item("field of view", FAIL, f"{_capital(sentence)}.")
     if "doubt" in evidence.doubts.told:
@@ -267,6 +266,7 @@ def check_position(evidence: Evidence) -> Item | None:
         told = evidence.doubts.told.get("late poses", "No position and attitude have come.")
         return Item("position", FAIL, told)
     _, sentence = evidence.broken(evidence.pose_rules, evidence.settled(poses[0].stamp), _POSES)
+    sentence = sentence or evidence.flight.disagreement or ""
     if sentence:
         return Item("position", FAIL, f"{_capital(sentence)}.")
     places = np.array([pose.position for pose in poses])

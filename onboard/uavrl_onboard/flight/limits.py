@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -13,6 +14,8 @@ from uavrl_onboard.geometry import world_to_yaw, yaw_to_world
 from uavrl_onboard.vehicle import VEHICLE
 
 SIDES = ("floor", "ceiling", "wall")
+LONGEST = {"scan_age": 1.0, "pose_age": 1.0, "hold": 10.0}
+"""Greatest limits, s: a vehicle at 2 m/s is 2 m farther than a scan says that is a second old."""
 _ROUNDING = 1e-6  # m/s or rad/s: a change that is not mentioned
 
 
@@ -57,6 +60,9 @@ class SafetyLimits:
             value = getattr(self, name)
             if not (isinstance(value, int | float) and 0.0 < value < math.inf):
                 raise UavrlError(f"{name} must be a finite number above 0, got {value!r}.")
+        for name, longest in LONGEST.items():
+            if (value := getattr(self, name)) > longest:
+                raise UavrlError(f"{name} must be at most {longest:g} s, got {value:g} s: limits are in seconds.")
         if self.box is not None and len(self.box) != 4:
             raise UavrlError(f"box must be four numbers (x_min, y_min, x_max, y_max) in metres, got {self.box!r}.")
         low, high = self.corners
@@ -71,6 +77,21 @@ class SafetyLimits:
         """The fence's corners with the least and with the greatest coordinates."""
         x_min, y_min, x_max, y_max = self.box or (-math.inf, -math.inf, math.inf, math.inf)
         return np.array([x_min, y_min, self.floor], float), np.array([x_max, y_max, self.ceiling], float)
+
+
+def outside_fence(goal: Sequence[float], limits: SafetyLimits) -> str | None:
+    """Say how far a goal lies outside the fence, where no vehicle is flown; None inside.
+
+    Examples:
+        >>> outside_fence((20.0, 0.0, 7.0), SafetyLimits())
+        "The goal (20, 0, 7) lies 2.0 m outside the fence's ceiling: see goal= and safety.ceiling="
+    """
+    outside, side = distance_outside(np.array(goal, float), limits)
+    if outside <= 0.0:
+        return None
+    place = ", ".join(f"{each:g}" for each in goal)
+    key = f"safety.{'box' if side == 'wall' else side}="
+    return f"The goal ({place}) lies {outside:.1f} m outside the fence's {side}: see goal= and {key}"
 
 
 class Limited(NamedTuple):

@@ -21,7 +21,7 @@ from uavrl_onboard.lidar.scans import Scan
 
 POINTS, CELLS, GOAL = "/uavrl/points", "/uavrl/cells", "/uavrl/goal"
 POSE, VELOCITY, ACTION, SETPOINT = "/uavrl/pose", "/uavrl/velocity", "/uavrl/action", "/uavrl/setpoint"
-STATUS, CHANGES, TRANSFORMS = "/uavrl/status", "/rosout", "/tf"
+STATUS, NUMBERS, CHANGES, TRANSFORMS = "/uavrl/status", "/uavrl/numbers", "/rosout", "/tf"
 TWIST = "geometry_msgs/msg/TwistStamped"
 TOPICS = {
     POINTS: CLOUD,
@@ -33,9 +33,27 @@ TOPICS = {
     SETPOINT: TWIST,
     TRANSFORMS: "tf2_msgs/msg/TFMessage",
     CHANGES: "rcl_interfaces/msg/Log",
+    NUMBERS: "uavrl_onboard/msg/FlightNumbers",
     STATUS: "std_msgs/msg/String",
 }
 """The type of each topic's messages; STATUS is written last in each cycle."""
+
+_NAMED = {"state": tuple(SafetyState), "reason": tuple(Reason), "control": tuple(Control)}
+_MEASURED = ("scan_age", "pose_age", "latency", "distance")  # s and m, NaN where there is none
+
+
+def numbers_definition() -> str:
+    """Return the definition of `NUMBERS`, in ROS 2's own language: constants name each number of a state.
+
+    Examples:
+        >>> numbers_definition().splitlines()[:2]
+        ['uint8 STATE_SILENT=0', 'uint8 STATE_STANDBY=1']
+    """
+    names = [f"uint8 {of}_{each}={n}".upper() for of, each_of in _NAMED.items() for n, each in enumerate(each_of)]
+    constants = [name.replace("UINT8", "uint8") for name in names]
+    fields = [*(f"uint8 {of}" for of in _NAMED), *(f"float64 {of}" for of in _MEASURED), "bool arrived"]
+    return "\n".join(constants + fields)
+
 
 WORLD, VEHICLE, LIDAR = "world", "vehicle", "lidar"
 _LATEST = (2**31 - 1) * 10**9  # ns that a stamp of ROS can tell
@@ -56,6 +74,7 @@ class FlightMessages:
         types = needed("rosbags.typesys", "A flight log", "log")
         self._offset, self._goal, self._sensor = offset, tuple(goal), tuple(sensor_position)
         self._store = types.get_typestore(types.Stores.ROS2_HUMBLE)
+        self._store.register(types.get_types_from_msg(numbers_definition(), TOPICS[NUMBERS]))
         field = self._type("sensor_msgs/msg/PointField")
         self._fields = [field(name=axis, offset=4 * n, datatype=7, count=1) for n, axis in enumerate("xyz")]
 
@@ -88,6 +107,7 @@ class FlightMessages:
         made.append((TRANSFORMS, self._type(TOPICS[TRANSFORMS])(transforms=self._frames(now, pose))))
         if status.changed:
             made.append((CHANGES, self._change(status, now)))
+        made.append((NUMBERS, self._numbers(cycle)))
         made.append((STATUS, self._type(TOPICS[STATUS])(data=_status_text(cycle))))
         return [(topic, bytes(self._store.serialize_cdr(message, TOPICS[topic]))) for topic, message in made]
 
@@ -178,6 +198,16 @@ class FlightMessages:
             )
             for time, frame, child, position, rotation in places
         ]
+
+    def _numbers(self, cycle: FlightCycle) -> Any:
+        """What plots show of a cycle."""
+        status = cycle.status
+        told = {"state": status.state, "reason": status.reason, "control": cycle.control.control}
+        numbers: dict[str, Any] = {of: _NAMED[of].index(each) for of, each in told.items()}
+        measured = (status.scan_age, status.pose_age, cycle.latency, cycle.distance)
+        for name, value in zip(_MEASURED, measured, strict=True):
+            numbers[name] = math.nan if value is None else float(value)
+        return self._type(TOPICS[NUMBERS])(**numbers, arrived=bool(cycle.arrived))
 
     def _change(self, status: SafetyStatus, now: float) -> Any:
         level = _INFO if status.state in (SafetyState.FLYING, SafetyState.STANDBY, SafetyState.FENCED) else _WARNING

@@ -18,6 +18,7 @@ from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState
+from uavrl_onboard.flight.scan_motion import ScanMotion
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.lidar.coverage import Coverage, Doubt
@@ -33,6 +34,7 @@ _EARLY = 0.8  # of a cycle: a scan that comes sooner after the one before is lef
 _LATE = 1.2  # of a cycle: after that it goes on without a scan
 _ARRIVING = 3  # cycles in a row at the goal, by plausible poses, after which the vehicle has arrived
 _FORGOTTEN = 2.5  # cycles without an action, after which the policy begins anew
+_AGAIN = 1.0  # s without a jump of the pose after which the next one is told
 _TICK = 0.005  # s between two looks at what the system cannot wait for
 _FLIES = (SafetyState.FLYING, SafetyState.FENCED)
 
@@ -45,8 +47,8 @@ class Flight:
     vehicle is sent zeros, and once it has been there for three cycles in a row it hovers from there on.
 
     Poses and scans are checked for being plausible, too (`uavrl_onboard.flight.plausible`,
-    `uavrl_onboard.lidar.coverage`). Where the pose jumps, policy, map and tracks start anew, and an arrival before
-    that does not count.
+    `uavrl_onboard.lidar.coverage`, `uavrl_onboard.flight.scan_motion`). Where the pose jumps, policy, map and tracks
+    start anew, and an arrival before that does not count.
 
     Args:
         policy: an exported policy.
@@ -56,6 +58,7 @@ class Flight:
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
         box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
         guards: filters between the policy and the vehicle; None: those of the policy's contract.
+        moves: whether the link's pose is that of the sensor; False for a dry run, whose vehicle only stands.
 
     Attributes:
         arrived: when the vehicle arrived, on the loop's clock; ``None`` before.
@@ -73,6 +76,7 @@ class Flight:
         radius: float = 1.0,
         box: tuple[np.ndarray, np.ndarray] | None = None,
         guards: Guards | None = None,
+        moves: bool = True,
     ) -> None:
         if len(goal) != 3 or not np.isfinite(goal).all():
             raise UavrlError(f"goal must be three finite numbers x, y, z in metres, got {goal!r}.")
@@ -85,8 +89,9 @@ class Flight:
         self._guards = Guards(contract.guard_settings, 1, contract.vehicle) if guards is None else guards
         lidar = contract.cloud.lidar
         sides = (-180.0, 180.0) if lidar is None else lidar.field_of_view[:2]
-        self._poses, self._coverage = PoseCheck(), Coverage(sides)
+        self._poses, self._coverage, self._motion, self._moves = PoseCheck(), Coverage(sides), ScanMotion(), moves
         self.doubt: Doubt | None = None
+        self._jumped = -math.inf  # stamp of the latest pose that jumped
         self._there = 0  # cycles in a row at the goal
         self._scan_stamp: float | None = None
         self._read_stamp: float | None = None  # of the last scan that the policy has read in this episode
@@ -96,6 +101,11 @@ class Flight:
         self._state = SafetyState.SILENT
         self._control: Control | None = None  # who flew in the cycle before
         self.refusal = ""
+
+    @property
+    def disagreement(self) -> str | None:
+        """Why scans do not move as the pose says; None where they do, or nobody can tell."""
+        return self._motion.sentence
 
     def wants(self, scan: Scan | None) -> bool:
         """Whether a scan begins a cycle: of a sensor that turns faster than the policy acts, not every one does."""
@@ -118,8 +128,7 @@ class Flight:
         self._control = control.control
         implausible = self._check(scan, pose)
         if scan is not None:
-            if self._box is not None:
-                scan = replace(scan, points=without_vehicle(scan.points, *self._box))
+            scan = self._masked(scan)
             self._scan_stamp, self._action = scan.stamp, self._act(scan, pose, now)
         distance = self._distance(pose)
         at_goal = distance is not None and distance <= self._radius
@@ -144,18 +153,29 @@ class Flight:
         """What is implausible about the pose, or about the latest scans."""
         implausible = self._poses.look(pose)
         if implausible is not None and implausible.starts_anew:
-            _logger.warning("Pose: %s: the policy starts anew", implausible.sentence)  # whatever else is wrong now
+            if pose is not None and pose.stamp - self._jumped > _AGAIN:
+                _logger.warning("Pose: %s: the policy starts anew", implausible.sentence)  # whatever else is wrong now
+            self._jumped = -math.inf if pose is None else pose.stamp
             self._start_anew()
         if scan is not None:
             self.doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
+            if self._moves:
+                self._motion.add(self._masked(scan).points, pose)
         if implausible is None and self.doubt is not None and self.doubt.certain:
             return Implausible(Reason(self.doubt.kind), self.doubt.sentence)
+        if implausible is None and self.disagreement is not None:
+            return Implausible(Reason.SCANS_DISAGREE, self.disagreement)
         return implausible
+
+    def _masked(self, scan: Scan) -> Scan:
+        """The scan without the vehicle's own parts."""
+        return scan if self._box is None else replace(scan, points=without_vehicle(scan.points, *self._box))
 
     def _start_anew(self) -> None:
         """Drops what was remembered in axes that are others now."""
         self.arrived, self._there = None, 0
         self._acted = -math.inf
+        self._motion.start_anew()
         self._guards.reset()
 
     def _act(self, scan: Scan, pose: Pose | None, now: float) -> np.ndarray | None:

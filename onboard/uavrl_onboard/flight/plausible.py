@@ -17,6 +17,8 @@ UNTOLD = 2.0
 """Speed by which the velocity may be wrong, m/s: that of the policies, as some drivers tell none."""
 FASTEST = 20.0
 """Greatest speed of a vehicle, m/s, whatever its velocity says."""
+FARTHEST = 100_000.0
+"""Distance from the autopilot's origin that no vehicle flies, m: a position is told to 8 mm there, and worse beyond."""
 YAW_JUMP, TURN = 0.5, 4.0
 """Yaw that a compass corrects at once, rad, and the greatest yaw rate, rad/s: PX4's is 3.5 by default."""
 DISAGREEMENT = 1.0
@@ -55,6 +57,12 @@ class PoseCheck:
         """Return what is wrong with a pose; poses that are no newer, or not finite, are not compared."""
         if pose is None or not np.isfinite([pose.stamp, *pose.position, pose.yaw]).all():
             return None
+        far = math.hypot(*pose.position)
+        if far > FARTHEST:
+            self._before = None
+            self._track.clear()
+            where = f"the position is {far:.2g} m from the autopilot's origin, and no vehicle flies so far"
+            return Implausible(Reason.POSITION_FAR, f"{where}: look at its estimator", True)
         before = self._before
         if before is None or pose.stamp > before.stamp:
             self._before = pose

@@ -55,12 +55,15 @@ class Reason(StrEnum):
     OLD_POSE = "old_pose"
     POSE_AHEAD = "pose_ahead"
     POSE_NOT_FINITE = "pose_not_finite"
+    POSITION_FAR = "position_far"  #: farther from the origin than any vehicle flies
     POSITION_JUMPED = "position_jumped"
     YAW_JUMPED = "yaw_jumped"
     POSE_RESET = "pose_reset"  #: the autopilot's estimator says so
     VELOCITY_DISAGREES = "velocity_disagrees"  #: with the position
     EMPTY_SCANS = "empty_scans"
+    ODD_RANGES = "odd_ranges"  #: no LiDAR measures them
     HALF_SCAN = "half_scan"  #: it covers less than its sensor's field of view
+    SCANS_DISAGREE = "scans_disagree"  #: with the pose
     OUTSIDE_FENCE = "outside_fence"
     NO_ACTION = "no_action"
     ACTION_NOT_FINITE = "action_not_finite"

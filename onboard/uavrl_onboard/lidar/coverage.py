@@ -24,6 +24,17 @@ JUDGED = 60
 """Returns of a scan from which on its directions are judged."""
 TURNED = math.radians(20.0)
 """Yaw after which the borders of open terrain have moved in the sensor's frame, and those of a window have not."""
+FARTHEST = 500.0
+"""Median range that no LiDAR on a vehicle has, m: its driver's unit is another, as millimetres."""
+ONE_RANGE = 10.0
+"""Range in all directions from which on it is none that was measured, m; nearer ones are obstacles, not free space."""
+PARTS = (2, 2)
+"""How often, at least, a direction has near returns again in 20 scans where each holds a part of a turn, and for how
+many scans in a row on average, at most: what a vehicle passes is seen once, and for long."""
+_ODD = 5  # scans in a row whose ranges cannot be
+_SPREAD = (0.01, 5.0, 4)  # of one range: relative width; degrees of elevation and quarters of the horizon that have it
+_PART = (30, 10)  # degrees of a direction, and near returns in it, for parts of a turn
+_FLICKER = 0.75  # of the directions that ever have near returns
 _EDGE = 3  # degrees within which a window's border is met in every scan
 _ALIGNED = 1  # degrees between the border of a half or a quarter of the circle and the last return
 _FILLED = 0.9  # of the directions outside a window that have returns
@@ -36,7 +47,7 @@ _COARSE = 5  # degrees of the directions in which returns are counted
 class Doubt(NamedTuple):
     """What is wrong with some scans."""
 
-    kind: Literal["empty_scans", "half_scan"]
+    kind: Literal["empty_scans", "odd_ranges", "half_scan"]
     sentence: str
     certain: bool  #: whether nothing may be flown by them; else there is an innocent reason, too
 
@@ -46,7 +57,8 @@ class Coverage:
 
     Open terrain has no returns where nothing is in range, which is no fault. A window is certain where its borders
     stay in the sensor's frame while the vehicle turns, or lie at right angles to its axes; and a sector is certainly
-    lost where near returns cease in all of it from one scan to the next.
+    lost where near returns cease in all of it from one scan to the next. Ranges that nobody can have measured are
+    certain, too, and so are scans of which each holds another part of a turn.
 
     Args:
         sides: the right and the left border of the sensor's field of view in degrees; what lies beside it is never
@@ -64,7 +76,8 @@ class Coverage:
         self._beside = (degrees < right + _EDGE) | (degrees > left - _EDGE)
         if left - right > 360.0 - _EDGE:
             self._beside[:] = False
-        self._empty, self._scans = 0, 0
+        self._empty, self._odd, self._scans = 0, 0, 0
+        self._near: deque[np.ndarray] = deque(maxlen=WATCHED)  # bool: wide directions that have near returns
         self._recent: deque[np.ndarray] = deque(maxlen=WATCHED)  # bool [360] each: degrees that have returns
         self._ever = np.zeros(360, bool)
         self._last = np.full(360 // _COARSE, -1)  # the latest scan with a return in each direction
@@ -88,11 +101,15 @@ class Coverage:
             return Doubt("empty_scans", f"{self._empty} scans in a row hold no return at all: {cause}", True)
         if points.shape[0] < JUDGED:
             return None
+        odd = _odd_ranges(points)
+        self._odd = 0 if odd is None else self._odd + 1
+        if odd is not None and self._odd >= _ODD:
+            return Doubt("odd_ranges", odd, True)
         self._count(points)
         if yaw is not None and math.isfinite(yaw):
             self._first_yaw = yaw if self._first_yaw is None else self._first_yaw
             self._turned = max(self._turned, abs(math.remainder(yaw - self._first_yaw, math.tau)))
-        return self._lost() or self._window()
+        return self._lost() or self._parts() or self._window()
 
     def _count(self, points: np.ndarray) -> None:
         x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
@@ -109,6 +126,23 @@ class Coverage:
         self._nearest = np.where(coarse, nearest, self._nearest)
         self._farthest = max(self._farthest, float(far.max()))
         self._scans += 1
+        wide, least = _PART
+        near = far < _NEAR * self._farthest
+        self._near.append(np.bincount(degree[near] // wide, minlength=360 // wide) >= least)
+
+    def _parts(self) -> Doubt | None:
+        """Directions that have near returns in some scans and none in others, again and again."""
+        near = np.array(self._near)
+        ever = np.asarray(near.any(0))
+        if len(near) < WATCHED or ever.mean() < 1 / 3:
+            return None
+        begins = (near & ~np.concatenate([np.zeros_like(near[:1]), near[:-1]])).sum(0)
+        often, long = PARTS
+        if ((begins >= often) & (near.sum(0) <= long * begins))[ever].mean() < _FLICKER:
+            return None
+        what = "each scan shows another part of the surroundings"
+        cause = "does the driver publish a part of a turn in each message? Let it publish whole turns"
+        return Doubt("half_scan", f"{what}: {cause}", True)
 
     def _lost(self) -> Doubt | None:
         """A sector that had returns, and has had none since one moment."""
@@ -142,6 +176,25 @@ class Coverage:
         where = f"no return has ever come {_between(start, length)}"
         cause = "does the driver's window cut it off?"
         return Doubt("half_scan", f"{where}: {cause if certain else f'is nothing in range there, or {cause}'}", certain)
+
+
+def _odd_ranges(points: np.ndarray) -> str | None:
+    """Say why nobody has measured these returns, where that is certain of one scan."""
+    points = points.astype(np.float64)
+    ranges = np.sqrt((points**2).sum(1))
+    median = float(np.median(ranges))
+    if median > FARTHEST:
+        cause = "is its driver's unit millimetres? Points must be in metres"
+        return f"half of the returns are farther than {median:,.0f} m, which no LiDAR measures: {cause}"
+    width, high, quarters = _SPREAD
+    if median < ONE_RANGE or np.ptp(ranges) > width * median:
+        return None
+    elevation = np.degrees(np.arcsin(np.clip(points[:, 2] / ranges, -1.0, 1.0)))
+    around = len(np.unique(np.floor(np.arctan2(points[:, 1], points[:, 0]) / (math.pi / 2))))
+    if np.ptp(elevation) < high or around < quarters:
+        return None
+    cause = "is the sensor covered, or does its driver write a fixed range where there is no return?"
+    return f"all returns are {median:.1f} m away in every direction: {cause}"
 
 
 def _longest(flags: np.ndarray) -> tuple[int, int]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 WORLD = frozenset({"earth", "map", "odom", "world", "camera_init"})
 """Names of frames that are fixed to the world: those of REP 105, a simulator's, and that of LOAM and FAST-LIO."""
+OPTICAL = ("_optical_frame", "_optical")
+"""Endings of a camera's frames in REP 103, whose z points ahead, x to the right and y down."""
 
 
 class CloudFrame:
@@ -32,6 +34,11 @@ class CloudFrame:
             return (
                 f"they are in the frame {name}, which is fixed to the world and not to the sensor, as a SLAM program "
                 "publishes them (FAST-LIO's /cloud_registered): give the topic of the LiDAR's driver"
+            )
+        if name.endswith(OPTICAL):
+            return (
+                f"they are in the frame {name}, a camera's, whose z points ahead (REP 103): publish them in a frame "
+                "whose x points ahead, y to the left and z up"
             )
         self._first = name if self._first is None else self._first
         if name != self._first:

@@ -11,7 +11,8 @@ def wrap_degrees(angle: np.ndarray) -> np.ndarray:
 
 def goal_distance(position: np.ndarray, goal: np.ndarray) -> np.ndarray:
     """The straight way to the goal, m."""
-    return np.sqrt(((goal - position) ** 2).sum(1))
+    with np.errstate(over="ignore"):  # a position that is no vehicle's is refused elsewhere
+        return np.sqrt(((goal - position) ** 2).sum(1))
 
 
 def goal_heading_deg(position: np.ndarray, yaw: np.ndarray, goal: np.ndarray) -> np.ndarray:

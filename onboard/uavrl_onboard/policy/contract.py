@@ -7,6 +7,7 @@ are in :mod:`uavrl_onboard.policy.contract_parts`, its sentences in :mod:`uavrl_
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -65,6 +66,7 @@ class Contract(ContractPart):
     guards: GuardTerms | None = None  #: None for a policy that flies without guards by default
     versions: dict[str, str | None] = Field(default_factory=dict)
     network: Network | None = None  #: None where no policy.onnx was exported
+    sha256: str | None = None  #: of the rest, as :meth:`sealed` sets it; None in a contract that may be edited
 
     @classmethod
     def of(
@@ -190,11 +192,22 @@ class Contract(ContractPart):
         guarded = None if self.guards is None else self.guards.contradiction()
         return next((words for words, holds in wrong.items() if holds), moving or guarded)
 
+    def sealed(self) -> Contract:
+        """Return the contract with its checksum, so that a change of its file is noticed."""
+        plain = self.model_dump(mode="json")
+        return self.model_copy(update={"sha256": _checksum(plain)})
+
     def to_text(self) -> str:
         """Return the contract as JSON. A list or mapping of plain values takes one line."""
         text = json.dumps(self.model_dump(mode="json"), indent=1, ensure_ascii=False)
         innermost = r"([\[{])\s+([^][{}]*?)\s+([\]}])"
         return re.sub(innermost, lambda match: match[1] + " ".join(match[2].split()) + match[3], text) + "\n"
+
+
+def _checksum(plain: dict[str, Any]) -> str:
+    """Return the SHA-256 of a contract's values, in any order and layout, without their checksum."""
+    rest = {name: value for name, value in plain.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _entries(
@@ -240,6 +253,9 @@ def read_contract(folder: Path) -> Contract:
         raise UavrlError(f"{path} is not of {FORMAT} {VERSION}, which this version of uavrl reads: {REMEDY}.")
     if (wrong := found.contradiction()) is not None:
         raise UavrlError(f"{path} does not hold together, or is another uavrl's ({wrong}): {REMEDY}.")
+    if found.sha256 is not None and found.sha256 != _checksum(json.loads(content)):
+        keys = "hull, guards and limits are keys of uavrl-fly (hull.…, guards=, safety.…)"
+        raise UavrlError(f"{path} was changed after its export, as its checksum differs: {REMEDY}; {keys}.")
     return found
 
 
