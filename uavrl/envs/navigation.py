@@ -21,7 +21,7 @@ from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyab
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.vehicle_params import VehicleParams
-from uavrl.envs.world import World, WorldConfig, draw_valley
+from uavrl.envs.world import World, WorldLike, draw_place, world_rules
 from uavrl.errors import UavrlError
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.mesh import Mesh
@@ -33,7 +33,7 @@ _Made = TypeVar("_Made")
 
 
 class NavigationEnv(EnvBase):
-    """Quadrotors that fly to goals through a cluttered valley, seeing only through a VLP-16 LiDAR.
+    """Quadrotors that fly to goals through a cluttered world, seeing only through a VLP-16 LiDAR.
 
     The batch is native: ``num_uavs`` vehicles with tasks of their own fly in one PyBullet world, invisible to each
     other, and one Embree call casts all their rays (Chansuparp (2022), §4.1). A step is 0.1 s: 24 physics steps, then
@@ -63,7 +63,7 @@ class NavigationEnv(EnvBase):
 
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
-        world: valley, goals and planes.
+        world: where they fly, goals and planes: valleys, or any other world.
         lidar: the sensor and its noise.
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
@@ -88,7 +88,7 @@ class NavigationEnv(EnvBase):
         self,
         num_uavs: Annotated[int, Field(ge=1, le=512)] = 8,
         *,
-        world: OrMapping[WorldConfig] | None = None,
+        world: WorldLike | None = None,
         lidar: OrMapping[LidarConfig] | None = None,
         airframe: OrMapping[Airframe] | None = None,
         aerodynamics: OrMapping[Aerodynamics] | None = None,
@@ -112,7 +112,7 @@ class NavigationEnv(EnvBase):
         if tasks is not None and not (np.iterable(tasks) and len(tasks)):
             raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
-        self._world_config = settings("world", WorldConfig, world)
+        self._world_config = world_rules(world)
         self.airframe = settings("airframe", Airframe, airframe)
         self.aerodynamics = settings("aerodynamics", Aerodynamics, aerodynamics)
         drawn = settings("randomize", Randomization, randomize)
@@ -126,7 +126,7 @@ class NavigationEnv(EnvBase):
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
         self._goal = np.zeros((num_uavs, 3))
-        self._valley, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
+        self._place_of, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
         self.observation_spec, self.done_spec = navigation_specs(num_uavs, self.device, clearance=measure_clearance)
         self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, (num_uavs, 4), self.device, torch.float32)
         self.reward_spec = Unbounded((num_uavs, 1), self.device, torch.float32)
@@ -172,10 +172,10 @@ class NavigationEnv(EnvBase):
 
     @cached_property
     def world(self) -> World:
-        """Valleys, goals and routes; built at the first use, which takes seconds."""
+        """Places, goals and routes; built at the first use, which takes seconds."""
         needed = None
         if self._tasks is not None:
-            needed = {draw_valley(self._world_config, self._task_rng(task)) for task in self._tasks}
+            needed = {draw_place(self._world_config, self._task_rng(task)) for task in self._tasks}
         return World(self._world_config, needed)
 
     @property
@@ -207,7 +207,7 @@ class NavigationEnv(EnvBase):
         for row, uav in enumerate(index):
             task = self.world.sample_task(self._task_rng(self._next_task), avoid=self.traffic.positions)
             starts[row], yaws[row] = task.start, task.yaw
-            self._goal[uav], self._valley[uav] = task.goal, task.valley
+            self._goal[uav], self._place_of[uav] = task.goal, task.place
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
             self._next_task += 1
         self._steps[index] = 0
@@ -221,7 +221,7 @@ class NavigationEnv(EnvBase):
         distance_tm1 = goal_distance(self.simulation.position, self._goal)
         path = self.traffic.advance(TICKS, 1 / PHYSICS_RATE) if self.traffic.legs else None
         collided = self.simulation.step(action, path)
-        collided |= self.world.out_of_bounds(self.simulation.position, self._valley)
+        collided |= self.world.out_of_bounds(self.simulation.position, self._place_of)
         arrived = self.world.arrived(self.simulation.position, self._goal) & ~collided
         self._steps += 1
         terminated = arrived | collided

@@ -31,16 +31,16 @@ NONE = np.zeros((0, len(OBJECT)), np.float32)
 _KEPT = ("position", "velocity", "distance", "clearance", "observation")
 
 
-def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sensor: Sequence[float]) -> Scenery:
-    """The valley with an index, as numbers to draw."""
-    place, config = world.valleys[valley], world.config
+def make_scenery(world: World, number: int, reduction: PointCloudReduction, sensor: Sequence[float]) -> Scenery:
+    """The place with an index, as numbers to draw."""
+    place, config = world.places[number], world.config
     names = tuple(sorted({obstacle.kind for obstacle in place.obstacles}))
     merged = Mesh.merge(obstacle.mesh for obstacle in place.obstacles)
     kinds = [np.full(len(obstacle.mesh.faces), names.index(obstacle.kind)) for obstacle in place.obstacles]
     plane = plane_mesh(config.plane_wingspan)
     return Scenery(
-        heights=place.ground.heights,
-        size=np.array(place.ground.size),
+        heights=np.zeros((0, 0)) if place.ground is None else place.ground.heights,
+        size=np.array(place.floor.size),
         vertices=merged.vertices,
         triangles=merged.faces,
         kinds=np.concatenate([np.zeros(0, dtype=int), *kinds]),
@@ -66,7 +66,7 @@ def record_flight(
     env.set_seed(seed)
     state = env.reset(task=task)
     goal = state["goal"][0].numpy()
-    origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.valleys])
+    origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.places])
     valley = int(np.linalg.norm(origins - goal, axis=1).argmin())
     meter, reduction = EpisodeMeter(1), reduction_of(env)
     terms = terms_of(env) or (lambda before, after: {"reward": after["reward"]})
@@ -176,7 +176,7 @@ def record_flights(
     seen = {flight.summary.world_seed for flight in flights}
     sceneries = {
         valley.seed: make_scenery(world, i, reduction_of(env), sensor)
-        for i, valley in enumerate(world.valleys)
+        for i, valley in enumerate(world.places)
         if valley.seed in seen
     }
     return Recording(source, flights, sceneries)
