@@ -10,7 +10,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
+from uavrl.envs.mesh import decimated
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
+from uavrl.envs.rules import Solid, Standing
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
@@ -27,6 +29,7 @@ from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.motion import OBJECT
 
 Risk = Callable[[Tensor, Tensor], Tensor]
+MOST_TRIANGLES = 200_000  # of each thing that stands in a place, in a picture
 NONE = np.zeros((0, len(OBJECT)), np.float32)
 _KEPT = ("position", "velocity", "distance", "clearance", "observation")
 
@@ -34,9 +37,10 @@ _KEPT = ("position", "velocity", "distance", "clearance", "observation")
 def make_scenery(world: World, number: int, reduction: PointCloudReduction, sensor: Sequence[float]) -> Scenery:
     """The place with an index, as numbers to draw."""
     place, config = world.places[number], world.config
-    names = tuple(sorted({obstacle.kind for obstacle in place.obstacles}))
-    merged = Mesh.merge(obstacle.mesh for obstacle in place.obstacles)
-    kinds = [np.full(len(obstacle.mesh.faces), names.index(obstacle.kind)) for obstacle in place.obstacles]
+    shown = [_shown(obstacle, config.ceiling, place.ground is None) for obstacle in place.obstacles]
+    names = tuple(sorted({obstacle.kind for obstacle in shown}))
+    merged = Mesh.merge(obstacle.mesh for obstacle in shown)
+    kinds = [np.full(len(obstacle.mesh.faces), names.index(obstacle.kind)) for obstacle in shown]
     plane = plane_mesh(config.plane_wingspan)
     return Scenery(
         heights=np.zeros((0, 0)) if place.ground is None else place.ground.heights,
@@ -53,6 +57,15 @@ def make_scenery(world: World, number: int, reduction: PointCloudReduction, sens
         statistic=reduction.statistic,
         sensor=np.array(sensor),
     )
+
+
+def _shown(standing: Standing, ceiling: float, is_ground: bool) -> Solid:
+    """What a picture shows of something: nothing that lies over the ceiling and would hide what is below it."""
+    mesh = standing.mesh
+    if is_ground or standing.kind == "ceiling":
+        lowest = mesh.vertices[mesh.faces][..., 2].min(1)
+        mesh = Mesh(mesh.vertices, mesh.faces[lowest < ceiling])
+    return Solid(standing.kind, decimated(mesh, MOST_TRIANGLES))
 
 
 def record_flight(
