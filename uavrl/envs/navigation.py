@@ -13,6 +13,7 @@ from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
 from uavrl.envs.controller import most_load
+from uavrl.envs.difficulty import Difficulty, measure_tasks
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
 from uavrl.envs.limits import OrMapping, check_hull, settings, whole
@@ -201,6 +202,13 @@ class NavigationEnv(EnvBase):
     def _task_rng(self, task: int) -> np.random.Generator:
         """What draws a task."""
         return np.random.default_rng((self._seed, task))
+
+    def difficulty(self, tasks: Sequence[int]) -> list[Difficulty | None]:
+        """How hard tasks of the current seed are, wherever planes would move their starts to.
+
+        It takes a second or two for each place, and some milliseconds for each task.
+        """
+        return measure_tasks(self.world, [self.world.sample_task(self._task_rng(task)) for task in tasks])
 
     def _place(self, index: np.ndarray) -> None:
         first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))

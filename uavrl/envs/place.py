@@ -114,7 +114,7 @@ def _digest(scene: Scene) -> str:
 def _free_space(config: WorldRules, scene: Scene) -> FlightMap:
     return flight_map(
         _floor(scene),
-        _triangles(scene) if scene.is_fine else _cut(_triangles(scene), scene.size),
+        triangles_of(scene) if scene.is_fine else _cut(triangles_of(scene), scene.size),
         size=scene.size,
         level=config.flight_level,
         ceiling=config.ceiling,
@@ -124,7 +124,7 @@ def _free_space(config: WorldRules, scene: Scene) -> FlightMap:
     )
 
 
-def _triangles(scene: Scene) -> Mesh:
+def triangles_of(scene: Scene) -> Mesh:
     """All triangles of a scene, those of the ground first."""
     ground = [] if scene.ground is None else scene.ground.tiles()
     return Mesh.merge([*ground, *(obstacle.mesh for obstacle in scene.obstacles)])
@@ -162,5 +162,5 @@ def _map_place(config: WorldRules, seed: int, scene: Scene) -> ValleyMap:
     if config.planes:
         rng, radius = np.random.default_rng([seed, 2]), config.plane_wingspan / 2
         top = float(np.ceil(_floor(scene).heights.max() + radius))
-        lanes = plan_lanes(rng, _triangles(scene), scene.size, top, config.ceiling, radius, LANES)
+        lanes = plan_lanes(rng, triangles_of(scene), scene.size, top, config.ceiling, radius, LANES)
     return ValleyMap(flight.candidates, lanes, tasks)

@@ -34,6 +34,9 @@ class EpisodeResult:
     #: episode of one step
     action_change: list[float] | None = None
     yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
+    #: mean width of the free space along the task's shortest way, in m (:class:`uavrl.envs.difficulty.Difficulty`)
+    spacing: float | None = None
+    detour: float | None = None  #: length of that way over that of the way without any obstacle
 
     @property
     def path_efficiency(self) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.sentences import did_you_mean
 
 if TYPE_CHECKING:
+    from uavrl.envs.difficulty import Difficulty
     from uavrl.evaluation.rollout import EpisodeResult
 
 LABELS = {
@@ -29,6 +31,9 @@ LABELS = {
     "steps_per_episode": "steps per episode",
     "steps_per_arrival": "steps per success",
 }
+# What tells how hard a task is: its label and its unit.
+DIFFICULTY = {"detour": ("detour", ""), "spacing": ("free width", " m")}
+LEAST_TASKS = 9  # of which three parts are told
 
 
 def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
@@ -69,8 +74,33 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
         result["min_clearance"] = min(clearances) if arrived else None
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
     result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
+    for quantity in DIFFICULTY:
+        if (thirds := _thirds(quantity, flights)) is not None:
+            result[f"success_by_{quantity}"] = thirds
     smoothness = [(flight.steps, flight.action_change, flight.yaw_reversals) for flight in flights]
     return result | summarize_smoothness(*zip(*smoothness, strict=True))
+
+
+def with_difficulty(flights: Sequence[EpisodeResult], measured: Sequence[Difficulty | None]) -> list[EpisodeResult]:
+    """The episodes with the difficulty of their tasks."""
+    pairs = zip(flights, measured, strict=True)
+    return [flight if each is None else replace(flight, **each._asdict()) for flight, each in pairs]
+
+
+def _thirds(quantity: str, flights: Sequence[EpisodeResult]) -> list[dict[str, float]] | None:
+    """Success in three equal parts of the tasks, in the order of a quantity; None for few tasks without any."""
+    known = sorted(
+        ((value, flight) for flight in flights if (value := getattr(flight, quantity)) is not None),
+        key=lambda pair: pair[0],
+    )
+    if len(known) < LEAST_TASKS:
+        return None
+    found = []
+    for part in range(3):
+        tasks = known[part * len(known) // 3 : (part + 1) * len(known) // 3]
+        solved = [flight.outcome for _, flight in tasks].count("arrived")
+        found.append({"least": tasks[0][0], "most": tasks[-1][0], "episodes": len(tasks), **wilson(solved, len(tasks))})
+    return found
 
 
 def _success_in(valley: int, flights: Sequence[EpisodeResult]) -> dict[str, float]:
@@ -101,6 +131,11 @@ def table(result: Mapping[str, Any]) -> str:
     for valley, success in result.get("success_by_valley", {}).items():
         interval = f"{success['low']:.1%} – {success['high']:.1%}, {pluralize(success['episodes'], 'episode')}"
         lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
+    for quantity, (label, unit) in DIFFICULTY.items():
+        for third in result.get(f"success_by_{quantity}", ()):
+            told = f"success, {label} {third['least']:.2f} to {third['most']:.2f}{unit}"
+            interval = f"{third['low']:.1%} – {third['high']:.1%}, {pluralize(third['episodes'], 'episode')}"
+            lines.append(f"{told:<46}{third['rate']:>8.1%}   {interval}")
     return "\n".join([*lines, *(position_lines(result["position_stats"]) if "position_stats" in result else [])])
 
 
@@ -120,10 +155,11 @@ def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
 def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     """The rates of each scenario with their Wilson 95 % intervals, steps and clearance of successes, and smoothness.
 
-    The yaw change is the mean absolute change of the yaw rate per step in rad/s, reversals are of the yaw rate.
+    The yaw change is the mean absolute change of the yaw rate per step in rad/s, reversals are of the yaw rate. The
+    success by detour, in %, is that in the third of the tasks with the least detour, in the next third and in the last.
     """
     heads = f"{'collision':>12}{'time-out':>10}{'steps per success':>19}{'clearance':>11}"
-    heads += f"{'yaw change':>12}{'reversals':>11}"
+    heads += f"{'yaw change':>12}{'reversals':>11}{'by detour':>14}"
     lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
     for name, result in results.items():
         success, collision, time_out = (result[key] for key in RATES)
@@ -133,5 +169,6 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
         rates = f"{success['rate']:>11.1%}  {interval:<11}{collision['rate']:>12.1%}{time_out['rate']:>10.1%}"
         change = _number((result.get("action_change") or [None])[-1], ".2f")
         reversals = _number(result.get("yaw_reversals"), ".1%")
-        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}{change:>12}{reversals:>11}")
+        thirds = "/".join(f"{100 * each['rate']:.0f}" for each in result.get("success_by_detour", ())) or "–"
+        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}{change:>12}{reversals:>11}{thirds:>14}")
     return "\n".join(lines)
