@@ -1,4 +1,4 @@
-"""How hard a task is: how much room there is along its shortest way, and how much longer that is than a straight line."""
+"""How hard a task is: how wide its shortest way is, and how much longer than a straight line."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
